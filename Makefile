@@ -7,19 +7,20 @@ STAMP := $(VENV)/.installed
 PROJECTS := pyproject.toml workshop/pyproject.toml board/pyproject.toml
 FAST := -m "not slow and not attack"
 
-.PHONY: help demo results bench site test test-slow attack lint types install lock clean
+.PHONY: help demo results bench site docs-size test test-slow attack lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
-	@echo 'make results    write docs/results.md and its figures from the tables in docs/data/v1'
+	@echo 'make results    write docs/log/results-v1.md and its figures from the tables in docs/data/v1'
 	@echo 'make site       write the documentation as pages to build/site'
+	@echo 'make docs-size  count the words of the documentation, and hold the bars of guides'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
 	@echo 'make test-zoo   the fast tests of one room: base, envs, population, zoo, evaluation,'
 	@echo '                front (api and cli), workshop, board, tools or benchmarks'
-	@echo 'make test-slow  the tests marked slow, and a seeded tenth of the attack'
-	@echo 'make attack     kills, interrupts, damaged files and hostile servers: some hours'
+	@echo 'make test-slow  the tests marked slow, and a tenth of the fault-injection trials'
+	@echo 'make attack     all fault-injection trials: kills, damaged files, hostile servers; some hours'
 	@echo 'make lint       ruff, rules and format'
 	@echo 'make types      ty'
 	@echo 'make lock       resolve requirements.lock anew'
@@ -35,7 +36,7 @@ demo: $(STAMP)
 	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
 
 results: $(STAMP)
-	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/results.md
+	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env
@@ -46,6 +47,9 @@ bench: $(STAMP)
 site: $(STAMP)
 	$(BIN)/python -m tools.site
 	@echo 'open build/site/index.html; with search: $(BIN)/python -m http.server -d build/site'
+
+docs-size: $(STAMP)
+	$(BIN)/python -m tools.docs_size
 
 # A file's tests share what they compile, hence a worker.
 test: lint types
@@ -59,7 +63,7 @@ test-%: TESTS = tests/$*
 test-%: $(STAMP)
 	$(BIN)/python -m pytest $(FAST) $(TESTS)
 
-# Counts go to attack.jsonl, one line a family, and from there into docs/reliability.md, failures too.
+# Counts go to attack.jsonl, one line a family, and from there into docs/log/attack.md, failures too.
 # One process at a time, since times are measured.
 attack: $(STAMP)
 	rm -f attack.jsonl

@@ -194,6 +194,13 @@ def listing(names: Iterable[str], limit: int = 6) -> str:
     return (", ".join(names[:limit]) + rest) if names else "none"
 
 
+def counted(count: int, what: str) -> str:
+    """Return a number of things in words: "1 seed", "2 seeds", "2 policies"."""
+    if count != 1:
+        what = f"{what[:-1]}ies" if what.endswith("y") else f"{what}s"
+    return f"{count} {what}"
+
+
 def shorten(value: object) -> str:
     """Return the value's `repr`, cut where it is too long for an error line; never all of it."""
     text = _REPR.repr(value)

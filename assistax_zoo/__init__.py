@@ -82,7 +82,7 @@ def __getattr__(name: str) -> Any:
             if home.startswith(_WORKSHOP) and not importlib.util.find_spec(_WORKSHOP):
                 raise ImportError(
                     f"{name} is part of assistax-zoo-workshop, which is not installed; install it "
-                    "with: pip install assistax-zoo-workshop"
+                    "in a clone of assistax-zoo with: pip install -e . -e ./workshop"
                 )
             return getattr(importlib.import_module(home), name)
     offered = ", ".join(__all__)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.errors import counted
 from zoo.locations import default_remote
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
@@ -112,7 +113,7 @@ class Zoo:
         return path
 
     def __repr__(self) -> str:
-        return f"Zoo({str(self.registry.path)!r}, {len(self.registry.policies)} policies)"
+        return f"Zoo({str(self.registry.path)!r}, {counted(len(self.registry.policies), 'policy')})"
 
 
 def open_zoo(
@@ -156,7 +157,7 @@ def fetch(
     source: "str | Path | Zoo | None" = None,
     **fields: Any,
 ) -> Report:
-    """Bring policies of a zoo onto this machine, verified; what is here is only verified.
+    """Bring policies of a zoo onto this machine; files that are present are only verified.
 
     Args:
         pattern: Glob over ids, such as "scratch/ippo-*/human", or several; all if None.

@@ -1,4 +1,4 @@
-"""Write the attack's counts into docs/reliability.md, between its two markers.
+"""Write the attack's counts into docs/log/attack.md, between its two markers.
 
 Run from a checkout, as `make attack` does: `python -m tools.attack_table attack.jsonl`.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-PAGE = Path("docs/reliability.md")
+PAGE = Path("docs/log/attack.md")
 BEGIN, END = "<!-- counts of make attack: begin -->", "<!-- counts of make attack: end -->"
 HEAD = """| family | trials | struck | failures | slowest trial, s | most memory, MiB |
 |---|---:|---:|---:|---:|---:|"""

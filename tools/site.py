@@ -127,18 +127,23 @@ def _write_pages(folder: Path) -> None:
         shutil.copy(ROOT / name, folder)
     (folder / "index.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "commands.md").write_text(_commands())
-    for path in folder.glob("*.md"):
-        path.write_text(_relink(path.read_text(encoding="utf-8")))
+    for path in folder.rglob("*.md"):
+        up = "../" * (len(path.relative_to(folder).parts) - 1)
+        path.write_text(_relink(path.read_text(encoding="utf-8"), up))
 
 
-def _relink(text: str) -> str:
-    """Return a page whose links lead to where things are in the site, pictures to themselves."""
-    text = re.sub(r'(\]\(|src=")(?:docs/|\.\./)', r"\1", text)
+def _relink(text: str, up: str = "") -> str:
+    """Return a page whose links lead to where things are in the site, pictures to themselves.
+
+    The site has docs/ and the pages beside it in one folder; `up` leads to it from the page's.
+    """
+    text = re.sub(rf'(\]\(|src="){up}(?:docs/|\.\./)', rf"\1{up}", text)
+    text = re.sub(r"(\]\((?:\.\./)*)README\.md", r"\1index.md", text)
     text = _BLOCK.sub(r"\1\n\2", text)
     # On a phone a picture is read at its own size, one touch away.
     text = re.sub(r"^(!\[[^\]]*\]\(([^)]+)\))$", r"[\1](\2)", text, flags=re.MULTILINE)
     text = re.sub(r'(<img src="([^"]+)"[^>]*>)', r'<a href="\2">\1</a>', text)
-    return re.sub(r"(\]\([\w-]+)\.ipynb([)#])", r"\1.md\2", text)
+    return re.sub(r"(\]\([\w./-]+)\.ipynb([)#])", r"\1.md\2", text)
 
 
 def _commands() -> str:

@@ -126,7 +126,7 @@ def _check_warp() -> None:
     if not any(device.platform == "gpu" for device in jax.devices()):
         raise ValueError(
             "backend 'mjx-warp' needs an NVIDIA GPU that JAX sees; JAX has only "
-            f"{jax.devices()[0].platform}; install jax[cuda12], or use backend='native'"
+            f"{jax.devices()[0].platform}; install 'assistax-zoo[cuda12]', or use backend='native'"
         )
 
 

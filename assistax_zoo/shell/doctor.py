@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from assistax_base.errors import ZooError, printable, shorten
+from assistax_base.errors import ZooError, counted, printable, shorten
 from assistax_envs import compiled
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
@@ -35,7 +35,8 @@ PROBE_SECONDS = 120.0  # for JAX to start: a driver may hang
 REMOTE_SECONDS = 5.0
 LITTLE_ROOM, NO_ROOM = 2_000_000_000, 100_000_000  # bytes of a disk
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "flax", "numpy", "polars")
-NOT_FOR_USERS = ("dev", "docs")  # extras for who works on this project
+# Extras that are not advised: for work on this project, and for a GPU, of which `jax` speaks.
+NOT_ADVISED = ("dev", "docs", "cuda12", "cuda13")
 _GPU = Path("/proc/driver/nvidia/version")
 
 
@@ -88,7 +89,7 @@ def _extras() -> Iterator[Finding]:
         missing = missing_of(name)
         if not missing:
             there.append(name)
-        elif name not in NOT_FOR_USERS:
+        elif name not in NOT_ADVISED:
             text = f"{name} lacks {', '.join(package.told for package in missing)}; install it with"
             yield Finding(
                 "extras",
@@ -132,7 +133,7 @@ def _jax(probed: Mapping[str, Any]) -> Finding:
     platform, devices = probed["found"]["platform"], probed["found"]["devices"]
     text = f"{len(devices)} {platform} device{'s' * (len(devices) > 1)}: {devices[0]}{setting}"
     if platform == "cpu" and _GPU.exists() and not chosen:
-        text += "; this machine has an NVIDIA GPU, use it with: pip install 'jax[cuda12]'"
+        text += "; this machine has an NVIDIA GPU, use it with: pip install 'assistax-zoo[cuda12]'"
         return Finding("jax", "advice", text, probed["found"])
     return Finding("jax", "ok", text, probed["found"])
 
@@ -223,7 +224,7 @@ def _roots(topic: str, name: str, registry: Registry) -> Iterator[Finding]:
     }
     if not problems:
         here = f"{shards - absent} of {shards} shards here"
-        text = f"{len(registry.policies)} policies, {here}, releases"
+        text = f"{counted(len(registry.policies), 'policy')}, {here}, releases"
         text = f"{name}: {text} {', '.join(registry.data.releases)}, roots hold"
         yield Finding(topic, "ok", text, details)
 

@@ -30,6 +30,10 @@ ELSEWHERE = {
         ("train", "population"),
     ),
 }
+INSTALL = {
+    "assistax-zoo-board": "pip install -e . -e ./workshop -e ./board",
+    "assistax-zoo-workshop": "pip install -e . -e ./workshop",
+}
 
 
 def installed_commands() -> dict[str, str]:
@@ -57,7 +61,7 @@ def check_installed(words: Sequence[str]) -> None:
             if tuple(words[: len(command)]) == command and ".".join(command) not in have:
                 raise ValueError(
                     f"`{' '.join(command)}` belongs to {distribution}, which is not installed; "
-                    f"install it with: pip install {distribution}"
+                    f"install it in a clone of assistax-zoo with: {INSTALL[distribution]}"
                 )
 
 

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Sequence
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter
 
 from assistax_base.errors import ZooError, printable
 from assistax_zoo.shell.console import remember_command
@@ -66,6 +66,16 @@ GROUPS = {  # words that are no command alone
     "split": "Train and test halves of the partners.",
     "config": "Settings of this machine.",
     "plot": "Figures from saved tables.",
+}
+# What `--help` shows together, by what somebody came for: first words of commands, ours and other
+# distributions'.
+AUDIENCES = {
+    "Take partners": "list show fetch add remove export verify lock split cite",
+    "Evaluate": "evaluate crossplay compare report plot render trajectories strategies replay",
+    "Train": "train train-ego sweep",
+    "Publish, make releases and tasks": "publish audit gates",
+    "Boards": "submit serve worker token season receipt ledger service",
+    "This machine": "doctor cache config --help --version --install-completion",
 }
 
 
@@ -145,16 +155,24 @@ def build_app() -> App:
         default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
         suppress_keyboard_interrupt=False,
     )
-    groups = {name: App(name=name, help=text) for name, text in all_groups().items()}
+    boxes: dict[str, Group] = {}
+    for title, names in AUDIENCES.items():
+        boxes |= dict.fromkeys(names.split(), Group.create_ordered(title))
+    groups = {
+        name: App(name=name, help=text, group=boxes.get(name))
+        for name, text in all_groups().items()
+    }
     for name, path in all_commands().items():
         first, dot, second = name.partition(".")
         if not dot:
-            app.command(path, name=name)
+            app.command(path, name=name, group=boxes.get(name))
         elif first in groups:
             groups[first].command(path, name=second)
     for group in groups.values():
         app.command(group)
     app.register_install_completion_command(help="Complete commands and options in this shell.")
+    for flag in ("--help", "--version", "--install-completion"):
+        app[flag].group = boxes[flag]
     return app
 
 

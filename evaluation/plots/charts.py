@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
+from assistax_base.errors import counted
 from evaluation.cast.met_partners import UNKNOWN
 from evaluation.figures.bootstrap import scope
 from evaluation.plots import style
@@ -209,8 +210,8 @@ def provenance(summaries: Summaries) -> str:
         broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
         known = (summary.get("met") or {}).get("known")
         lines.append(
-            f"{name}: {style.counted(len(summary['egos']), 'seed')} × {partners} partners × "
-            f"{style.counted(summary['episodes_per_pair'], 'episode')}"
+            f"{name}: {counted(len(summary['egos']), 'seed')} × {partners} partners × "
+            f"{counted(summary['episodes_per_pair'], 'episode')}"
             f"{broken}; {summary['task']}, release {summary['release']}{split}, "
             f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
         )

@@ -7,10 +7,10 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
+from assistax_base.errors import counted
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.plots import style
 from evaluation.plots.matrix import Matrix
-from evaluation.plots.style import counted
 
 LINE = 0.165  # inches
 

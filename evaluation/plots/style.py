@@ -145,8 +145,3 @@ def ink_on(colour: ColorType) -> str:
     """Return black or white, whichever is read better on a colour."""
     red, green, blue = to_rgb(colour)
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"
-
-
-def counted(count: int, what: str) -> str:
-    """Return a number of things in words: "1 seed", "2 seeds"."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"

@@ -19,8 +19,8 @@ class WandbRuns:
     """Sends what a run reports.
 
     Runs begin there with the first report, when training has taken its folder: W&B keeps its own
-    files in it. A run that goes on goes on there too, from what it reports next: its
-    `metrics.parquet` has all.
+    files in it. A resumed run continues the same W&B run, with what it reports next;
+    its `metrics.parquet` has everything.
 
     Args:
         config: The run.

@@ -49,7 +49,7 @@ class Outcome:
     err: str
     seconds: float  # from its start or the key press to its end
     waited: float  # of them, for a processor
-    work: float  # seconds without others' work
+    work: float  # seconds, without waiting for other processes
     computed: float  # seconds of processors, from when it was ready
     peak: int  # bytes of memory
     writes: int

@@ -117,7 +117,7 @@ def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -
 
 
 def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
-    """As docs/share.md says."""
+    """As docs/publish.md says."""
     mine = tmp_path / "my-zoo"
     assert (
         run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)])
@@ -206,7 +206,7 @@ def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
     assert (
         "mujoco 3." in out
         and f"ok      {V0_TEAM}" in out
-        and "replayed 1 teams of 1 episodes on native" in out
+        and "replayed 1 team of 1 episode on native" in out
     )
 
 

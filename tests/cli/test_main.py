@@ -3,6 +3,7 @@
 import ctypes
 import json
 import os
+import re
 import subprocess
 import sys
 import types
@@ -160,6 +161,19 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     summaries = {words[0]: words[1:] for words in lines if words}
     assert summaries.keys() >= FIRST_WORDS
     assert all(summaries[name] for name in FIRST_WORDS)
+
+
+def test_help_groups_commands_by_what_somebody_came_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main.run(["--help"]) == 0
+    boxes = re.findall(r"╭─ ([\w ,]+) ─+╮\n(.*?)╰─", capsys.readouterr().out, re.DOTALL)
+    assert [title for title, _ in boxes] == list(main.AUDIENCES)  # none left for "Commands"
+    for title, box in boxes:
+        words = {line.strip("│ ").split()[0] for line in box.splitlines()}
+        assert set(main.AUDIENCES[title].split()) <= words, title
+    named = [word for names in main.AUDIENCES.values() for word in names.split()]
+    assert len(named) == len(set(named)) and set(named) >= FIRST_WORDS
 
 
 @pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)

@@ -3,6 +3,7 @@
 import functools
 import http.server
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -14,7 +15,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from assistax_zoo.shell.installed import COMMANDS, ELSEWHERE
+from assistax_zoo.shell.installed import COMMANDS, ELSEWHERE, INSTALL
+from tests.cli.test_docs_commands import printed_commands
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
@@ -135,10 +137,33 @@ def test_the_core_alone_does_the_three_jobs_with_a_remote(
 def test_the_core_names_what_a_command_lacks(core: Path, call: Callable[..., str]) -> None:
     zoo = functools.partial(call, core / "assistax-zoo", code=1)
     for name, commands in ELSEWHERE.items():
-        assert f"pip install {name}\n" in zoo(*commands[-1], "--help")
+        assert f"{INSTALL[name]}\n" in zoo(*commands[-1], "--help")
     assert "pip install 'assistax-zoo[train]'" in zoo("train", "--task", "scratch", "--out", "run")
     text = "import assistax_zoo as az; az.audit('scratch', [])"
-    assert f"pip install {WORKSHOP}" in call(core / "python", "-c", text, code=1)
+    assert INSTALL[WORKSHOP] in call(core / "python", "-c", text, code=1)
+
+
+@pytest.mark.slow
+def test_readme_and_start_run_in_the_core_alone(
+    core: Path, tmp_path: Path, call: Callable[..., str]
+) -> None:
+    """As they are printed, with the partners of a clone; a film of 50 steps says as much."""
+    env, clone = Path("/usr/bin/env"), f"ASSISTAX_ZOO_REGISTRY={ROOT / 'registry.json'}"
+    start = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    robot, example = re.findall(r"```python\n(.*?)```", start, re.DOTALL)
+    (tmp_path / "work" / "my_robot.py").write_text(robot)
+    printed = list(printed_commands((ROOT / "README.md").read_text(encoding="utf-8") + start))
+    assert len(printed) >= 9
+    done = []
+    for words in printed:
+        if words not in done:  # README's are start's first
+            more = ("--steps", "50") if words[0] == "render" else ()
+            call(env, clone, str(core / "assistax-zoo"), *words, *more)
+            done.append(words)
+    answers = call(env, clone, str(core / "python"), "-c", example)
+    assert answers.startswith("Estimate(mean=251.")
+    for name in ("ego.html", "mine.html", "episode.gif", "crossplay.png"):
+        assert (tmp_path / "work" / name).stat().st_size > 500
 
 
 @pytest.mark.slow

@@ -110,6 +110,8 @@ def test_list(zoo: Path, capsys) -> None:
     assert run(["list", FIRST]) == 0
     out = capsys.readouterr().out
     assert f"{FIRST}/robot" in out and "not measured" in out and out.endswith("2 policies\n")
+    assert run(["list", f"{FIRST}/robot"]) == 0
+    assert capsys.readouterr().out.endswith("1 policy\n")
 
 
 def test_list_names_the_nearest(zoo: Path, capsys) -> None:
@@ -140,7 +142,7 @@ def test_verify_passes_then_fails_with_both_hashes(zoo: Path, capsys) -> None:
     with pytest.raises(SystemExit, match="1"):
         run(["verify"])
     out = capsys.readouterr().out
-    assert "expected sha256" in out and "found sha256" in out and "1 problems" in out
+    assert "expected sha256" in out and "found sha256" in out and "1 problem in" in out
     with pytest.raises(SystemExit):
         run(["verify", "--json"])
     assert json.loads(capsys.readouterr().out)["ok"] is False

@@ -1,4 +1,4 @@
-"""The newcomer's path of docs/evaluation.md, as it is printed there."""
+"""The newcomer's path of docs/robot.md and docs/zoo.md, as it is printed there."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
 ROOT = Path(__file__).parents[2]
-GUIDE = ROOT / "docs" / "evaluation.md"
+GUIDE = ROOT / "docs" / "robot.md"
 
 
 def printed(name: str) -> str:
@@ -44,7 +44,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
     words = [
         "--task",
-        "scratch",
+        "gentle_scratch",
         "--policy",
         f"python:{name}:make",
         "--episodes",
@@ -54,7 +54,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     ]
     words += [
         "--partners",
-        "scratch/ippo-d1-s[01]-v1/human",
+        "gentle_scratch/ippo-d1-s1[01]-v2/human",
         "--split",
         "both",
         "--no-references",

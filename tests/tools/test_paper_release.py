@@ -750,7 +750,9 @@ def test_the_committed_page_is_what_the_committed_tables_give(
         "--data",
         "docs/data/v1",
         "--out",
-        "docs/results.md",
+        "docs/log/results-v1.md",
+        "--images",
+        "docs/images/v1",
         "--registry",
         "registry.json",
     ]

@@ -19,13 +19,15 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
     settings = (ROOT / "zensical.toml").read_text(encoding="utf-8")
-    for path in (*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*.ipynb")):
-        assert (built / f"{path.stem}.html").is_file()
-        assert f'"{path.stem}.md"' in settings, f"{path.name} is not in nav of zensical.toml"
+    docs = ROOT / "docs"
+    for path in (*docs.glob("*.md"), *docs.glob("log/*.md"), *docs.glob("*.ipynb")):
+        page = path.relative_to(docs).with_suffix("").as_posix()
+        assert (built / f"{page}.html").is_file()
+        assert f'"{page}.md"' in settings, f"{page} is not in nav of zensical.toml"
 
 
 def test_no_table_is_left_as_text(built: Path) -> None:
-    for path in built.glob("*.html"):
+    for path in built.rglob("*.html"):
         assert not re.search(r"<p>[^<]*\|\s*-{3,}", path.read_text(encoding="utf-8")), path.name
     page = (built / "CONTRIBUTING.html").read_text(encoding="utf-8")
     assert page.count("<table") == 3
@@ -55,8 +57,9 @@ def test_a_command_ends_with_its_example(built: Path) -> None:
 
 def test_a_picture_opens_at_its_own_size(built: Path) -> None:
     for name in ("images/gentle_lift.gif", "images/speed.png", "images/my_robot-1.png"):
-        pages = [path.read_text(encoding="utf-8") for path in built.glob("*.html")]
-        assert any(re.search(rf'<a href="{name}"><img [^>]*src="{name}"', page) for page in pages)
+        pages = [path.read_text(encoding="utf-8") for path in built.rglob("*.html")]
+        linked = rf'<a href="(?P<to>(\.\./)?{name})"><img [^>]*src="(?P=to)"'
+        assert any(re.search(linked, page) for page in pages), name
 
 
 @pytest.mark.slow
@@ -75,7 +78,7 @@ def test_a_planted_defect_stops_the_build(
 ) -> None:
     # The defect is planted in a page between its source and the build.
     relink = site._relink
-    monkeypatch.setattr(site, "_relink", lambda text: f"{relink(text)}\n\n{planted}\n")
+    monkeypatch.setattr(site, "_relink", lambda *page: f"{relink(*page)}\n\n{planted}\n")
     with pytest.raises(ValueError, match=re.escape(message)):
         site.build(tmp_path)
 

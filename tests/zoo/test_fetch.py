@@ -221,7 +221,7 @@ def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch)
     assert run(["fetch", "scratch/*/human", "--from", "hf://org/zoo@v0"]) == 0
     printed = capsys.readouterr()
     assert (
-        "verified 8 policies in 1 shards" in printed.out
+        "verified 8 policies in 1 shard" in printed.out
         and "commit" in printed.out
         and "--registry" in printed.out
     )

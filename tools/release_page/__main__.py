@@ -64,7 +64,7 @@ def page(
         registry: Registry to read instead of the installed one.
 
     Example:
-        python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/results.md
+        python -m tools.release_page page --release v1 --data docs/data/v1 --out v1.md
     """
     from tools.release_page.pages import check_page, relative_folder
     from zoo.registry import load_registry
@@ -78,6 +78,8 @@ def page(
     questions = questions_of(published, release)
     results = questions.read_results(published, release, data)
     places = f"--data {data.as_posix()} --out {out.as_posix()}"
+    if images:
+        places += f" --images {images.as_posix()}"
     command = f"{PROGRAM} page --release {release} {places}"
     text = questions.make_page(results, relative_folder(folder, out), command)
     figures = questions.figures(results)

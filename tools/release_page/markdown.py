@@ -40,3 +40,8 @@ def image(path: str, text: str, width: str = "100%") -> str:
 def code(text: str) -> str:
     """Return a block of commands."""
     return f"```console\n{text}\n```"
+
+
+def folded(summary: str, text: str) -> str:
+    """Return what a reader opens with a click."""
+    return f"<details markdown>\n<summary>{summary}</summary>\n\n{text}\n\n</details>"

@@ -91,18 +91,27 @@ def _difference_line(side: str, difference: "Difference") -> str:
     )
 
 
+# Heads of columns whose names are too wide for a table of 80 characters.
+_NARROW = {"success": ("goal", "met", "share"), "distance_mean": ("tool", "away", "m")}
+
+
 def _print_strategies(strategies: dict[str, Any]) -> None:
     from rich.text import Text
 
+    medoids = [cluster["medoid"] for cluster in strategies["clusters"]]
+    tasks = {name.partition("/")[0] for name in medoids}
+    of_task = f"{tasks.pop()}/" if len(tasks) == 1 else ""  # which all of them have
     table = new_table("partners by behaviour with their best robot")
-    for name in ("cluster", "medoid"):
-        table.add_column(name, no_wrap=True)
-    table.add_column("partners", justify="right")
+    table.add_column("")
+    table.add_column("medoid", no_wrap=True)
+    table.add_column("size", justify="right")
     for name, unit in strategies["features"].items():
-        table.add_column(f"{name.replace('_', ' ')}\n{unit}", justify="right")
+        words = _NARROW.get(name) or [*name.split("_"), unit]
+        table.add_column("\n".join(words), justify="right")
     for i, cluster in enumerate(strategies["clusters"]):
-        figures = [f"{cluster['mean'][name]:.3g}" for name in strategies["features"]]
-        medoid = Text(printable(cluster["medoid"]))  # not rich's markup either
+        figures = [_figure(cluster["mean"][name]) for name in strategies["features"]]
+        name = cluster["medoid"].removeprefix(of_task).removesuffix("/human")
+        medoid = Text(printable(name))  # not rich's markup either
         table.add_row(chr(ord("A") + i), medoid, str(len(cluster["members"])), *figures)
     print_table(table)
     if len(strategies["clusters"]) == 1:
@@ -118,3 +127,8 @@ def _print_strategies(strategies: dict[str, Any]) -> None:
         own = " and ".join(f"{value:.0f}" for value in pair["returns"])
         names = printable(" and ".join(pair["partners"]))
         print(f"most incompatible: {names}: {own} with their robots, {exchanged} exchanged")
+
+
+def _figure(value: float) -> str:
+    """Return a number in five characters, where it is below 10,000."""
+    return f"{value:.{2 if abs(value) < 10 else 1 if abs(value) < 100 else 0}f}"

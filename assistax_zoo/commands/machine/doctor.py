@@ -4,7 +4,7 @@ from assistax_zoo.shell.console import answer
 
 
 def doctor(*, json: bool = False) -> None:
-    """Say what of this installation is broken, what is missing, and what is there.
+    """Examine this installation: what is broken, what is missing, and what works.
 
     One line each, problems first; exit code 1 if something is broken. It looks at Python, packages
     and extras, JAX's devices, the compilers, cache, disks, registry, added zoos and the remote, and

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from assistax_base.errors import UnknownIdError, printable
+from assistax_base.errors import UnknownIdError, counted, printable
 from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import answer, progress, stdout_is_data
 from population.networks.spec import Role
@@ -59,7 +59,7 @@ def list_policies(
         entries = []
     rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
     columns = ("policy", "self-play", "95% interval", "episodes")
-    lines = table_lines(columns, rows, f"{len(entries)} policies")
+    lines = table_lines(columns, rows, counted(len(entries), "policy"))
     answer(json, [entry.brief() for entry in entries], *lines, *persons)
 
 
@@ -156,13 +156,14 @@ def _person_lines(registry: Registry, task: str | None, release: str | None) -> 
 
 
 def _report_lines(report: "Report") -> list[str]:
-    done = "verified" if report.ok else f"{len(report.problems)} problems in"
+    done = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
     return [
         *(f"problem: {problem}" for problem in report.problems),
         *(f"note: {note}" for note in report.notes),
         *(f"root of {release}: {root}" for release, root in report.roots.items()),
-        f"{done} {report.shards} shards ({report.bytes} bytes), {report.policies} policies, "
-        f"{report.splits} splits, {report.persons} persons of {report.registry}",
+        f"{done} {counted(report.shards, 'shard')} ({report.bytes} bytes), "
+        f"{counted(report.policies, 'policy')}, {counted(report.splits, 'split')}, "
+        f"{counted(report.persons, 'person')} of {report.registry}",
     ]
 
 
@@ -223,8 +224,8 @@ def _replay_lines(result: "SelfPlayReport") -> list[str]:
             f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}"
             for drift in result.drifts
         ),
-        f"{done} {len(result.teams)} teams of {result.episodes} episodes on {result.backend}, "
-        f"{result.policies} policies stepped",
+        f"{done} {counted(len(result.teams), 'team')} of {counted(result.episodes, 'episode')} on "
+        f"{result.backend}, {counted(result.policies, 'policy')} stepped",
     ]
 
 

@@ -42,12 +42,12 @@ def replay(
     source: Source = Source(),
     json: bool = False,
 ) -> None:
-    """Check a finished folder: exit code 1 if it holds other figures than its job gives.
+    """Recompute a folder's figures and play a sample again; exit code 1 if they differ.
 
-    The job is made again from the registry, every table and figure is drawn again from the
-    episodes, and a sample of the episodes, references' among them, is played again. Where the
-    folder says that such a machine made it, every bit must be the same; else each robot, partner
-    and pair is held to how far processors were measured to differ. It says which, and what is not
+    The job is made again from the registry. Every table and figure is computed again from the
+    episodes. A sample of the episodes is played again, those of the references too. If the folder
+    names a machine of this kind, every bit must be the same. If not, each robot, partner and pair
+    may differ by what was measured between processors. The answer says which, and what is not
     checked.
 
     Args:

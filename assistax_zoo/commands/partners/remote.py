@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_zoo.shell.console import answer, confirm, progress
 from zoo.ids import release_number
 from zoo.locations import default_remote, set_default_remote
@@ -37,7 +37,7 @@ def fetch(
     yes: bool = False,
     json: bool = False,
 ) -> None:
-    """Fetch partners from a remote into the cache; what is here already is only verified.
+    """Fetch partners from a remote into the cache; files that are present are verified.
 
     The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where
     it was.
@@ -118,7 +118,7 @@ def add(
 
     added = add_zoo(remote, as_, _accept(remote, yes))
     count = len(added.policies)
-    line = f"{count} policies as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
+    line = f"{counted(count, 'policy')} as {as_}:...; next: assistax-zoo fetch '{as_}:*'"
     answer(json, {"name": as_, "policies": count, "registry": added.path}, line)
 
 
@@ -189,7 +189,7 @@ def lock(
     entries = loaded.select(pattern, task=task, release=release)
     made = make_lock(loaded, entries, dict(_task_split(name, task) for name in split))
     write_lock(made, out)
-    lines = [f"locked {len(made.policies)} policies of release {made.release} in {out}"]
+    lines = [f"locked {counted(len(made.policies), 'policy')} of release {made.release} in {out}"]
     for name in made.environments:
         pinned = made.splits.get(name)
         text = f"split {pinned.id}" if pinned else "no split: not all its partners are locked"
@@ -213,7 +213,9 @@ def _task_split(name: str, task: str | None) -> tuple[str, str]:
 
 def _report_lines(report: "Report") -> list[str]:
     here = f", {report.present} already here" if report.present else ""
-    lines = [f"verified {report.policies} policies in {report.shards} shards{here}"]
+    lines = [
+        f"verified {counted(report.policies, 'policy')} in {counted(report.shards, 'shard')}{here}"
+    ]
     if report.bytes:
         size, seconds = report.bytes / 1e6, max(report.seconds, 1e-3)
         commit = f" at commit {report.revision}" if report.revision else ""

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from assistax_base.errors import ZooError
+from assistax_base.errors import ZooError, counted
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
@@ -35,7 +35,7 @@ def list_splits(
     names = ("id", "rule", "n_train", "n_test")
     rows = [(*(str(row[name]) for name in names), "yes" * row["default"]) for row in table]
     columns = ("split", "rule", "train", "test", "default")
-    answer(json, table, *table_lines(columns, rows, f"{len(splits)} splits"))
+    answer(json, table, *table_lines(columns, rows, counted(len(splits), "split")))
 
 
 def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
@@ -150,7 +150,7 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
                 problems[name] = str(similar_leak(name, alike))
         except ZooError as error:
             problems[name] = str(error)
-    verdict = f"{len(names) - len(problems)} of {len(names)} splits verified"
+    verdict = f"{len(names) - len(problems)} of {counted(len(names), 'split')} verified"
     content = {"ok": not problems, "splits": names, "problems": problems}
     answer(json, content, *problems.values(), verdict)
     if problems:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from assistax_base.errors import counted
 from assistax_zoo.commands.options import Training
 from assistax_zoo.shell.console import TrainingLine, answer, stdout_is_data
 
@@ -124,7 +125,7 @@ def _report(run: "TrainedRun", json: bool, json_lines: bool) -> None:
     figures = zip(run.names, run.self_play, strict=True)
     measured = [f"{name}  {_measured(result)}" for name, result in figures]
     publish = f"assistax-zoo publish {run.folder} --release v0 --registry my-zoo/registry.json"
-    lines = [*measured, f"{len(rows)} teams in {run.folder}; next: {publish}"]
+    lines = [*measured, f"{counted(len(rows), 'team')} in {run.folder}; next: {publish}"]
     content = {"run": run.folder, "training": run.training, "teams": rows}
     answer(json and not json_lines, content, *(line if json_lines else lines))
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from assistax_base.errors import counted
 from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer, command_line
@@ -92,7 +93,7 @@ def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
     if egos.split.rule == PERSONS:
         whom = "--partners persons"
     lines = [
-        f"{len(egos.files)} robots in {egos.files[0].parent}; next:",
+        f"{counted(len(egos.files), 'robot')} in {egos.files[0].parent}; next:",
         f"assistax-zoo evaluate --task {run.config.task} {whom} --policy {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

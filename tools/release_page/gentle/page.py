@@ -28,7 +28,7 @@ from tools.release_page.gentle.sections import (
     splits,
 )
 from tools.release_page.making import costs
-from tools.release_page.markdown import MISSING, code, spoken, table
+from tools.release_page.markdown import MISSING, code, folded, spoken, table
 
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
@@ -155,4 +155,4 @@ def _made(results: Results, task: str) -> str:
         if of == task
     }
     text = costs(humans, trained, played)
-    return f"<details markdown>\n<summary>Minutes and commands</summary>\n\n{text}\n\n</details>"
+    return folded("Minutes and commands", text)

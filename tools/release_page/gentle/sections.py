@@ -18,7 +18,7 @@ from tools.release_page.gentle.measures import (
     diversity,
     split_cost,
 )
-from tools.release_page.markdown import MISSING, figure, image, spoken, table
+from tools.release_page.markdown import MISSING, figure, folded, image, spoken, table
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
@@ -108,7 +108,7 @@ def cost(results: Results, split: Split) -> SplitCost | None:
 
 
 def methods(results: Results, task: str) -> str:
-    """Return what every method earned on every split where one was evaluated."""
+    """Return what every method earned on every split where one was evaluated, default first."""
     headings = ["method", "seeds", "M_train mean", "M_train IQM", "M_test mean", "M_test IQM"]
     headings += ["gap, mean", "safe success", "violations"]
     texts = []
@@ -124,7 +124,8 @@ def methods(results: Results, task: str) -> str:
         "episodes with test partners. Intervals resample seeds and partners. What was trained with "
         "the test side is no method, and stands above alone."
     )
-    return "\n\n".join([*texts, about])
+    others = [folded("Other splits", "\n\n".join(texts[1:]))] if texts[1:] else []
+    return "\n\n".join([texts[0], *others, about])
 
 
 def differences(comparisons: Mapping[str, Comparison], results: Results, task: str) -> str:

@@ -1,4 +1,4 @@
-"""What the gates of tasks need that no release has: runs for an audit, told robots, curves."""
+"""Training for the gates of tasks: teams for an audit, told robots, curves."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from assistax_zoo.commands.options import parse_changes, parse_names, parse_seeds, parse_steps
 
-GATES = "What the gates of gentle tasks need that no release has."
+GATES = "Train teams and robots for the gates of gentle tasks."
 Changes = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from assistax_base.errors import counted
 from assistax_base.validated import first_problem
 from assistax_zoo.shell.console import answer
 from zoo.locations import OWN, own_registry
@@ -64,7 +65,8 @@ def publish(
     place = to or writable_registry(registry) or own_registry()
     about = {"date": date, "description": description, "citation": _citation(author, title, url)}
     done = publish_to(teams, str(place), release, **about, key=key)
-    published = f"published {len(done.added)} new policies in release {release} of {done.registry}"
+    new = counted(len(done.added), "new policy")
+    published = f"published {new} in release {release} of {done.registry}"
     lines = [f"{published}; it holds {done.policies}"]
     if place == own_registry():
         done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))

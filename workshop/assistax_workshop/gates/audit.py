@@ -1,4 +1,4 @@
-"""Is a task one that cannot be done without the partner, and gently? Measured on trained teams.
+"""Does a task need its partner, and is it done gently? Measured on trained teams.
 
 A gate is a figure with a bar: what a script or a robot without a partner reaches, what strangers
 lose, what knowing the human's preference is worth, and how hard people are touched. Every condition
