@@ -114,6 +114,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
         "now": time.time(),
         "attempts": {row.submitter: row for row in site.queries.attempts(season.id)},
         "entered": _entered(site, season.id),
+        "unplayed": [site.submission(id) for id in sorted(site.queries.unplayed(season.id))],
         "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
         "rows": rows,
         "is_behind": site.season_boards.is_behind(season),
