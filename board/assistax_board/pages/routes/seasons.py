@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
+from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.shown import PartnerScore, Score, Submission
 
@@ -33,6 +34,8 @@ def season_router(site: Site) -> APIRouter:
         submission = site.submission(id)
         board = site.boards.of(submission.task)
         row = board.of(id) if board else None
+        if row is None and site.boards.is_behind(submission.task):
+            raise being_computed(submission.task)
         if board is None or row is None:
             raise NotFoundError("It has no place yet: its score is not there.")
         competing = sum(standing.place is not None for standing, _ in board.rows)
