@@ -20,6 +20,7 @@ KINDS = {
     "its page and the ledger name them",
     "unexpected": "a request met an error of the service itself; the log has it",
     "too_full": "the disk or the store took no more files, and submissions were refused",
+    "ledger": "the ledger is no unbroken chain: somebody changed it; `service check` says more",
     "season_closed": "this season is closed, and its partners are revealed",
 }
 MAX_ABOUT = 200
