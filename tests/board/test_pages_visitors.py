@@ -205,7 +205,7 @@ def test_the_home_page_shows_the_film_that_was_made_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
-    monkeypatch.setattr(pages, "run_command", lambda arguments, registry: films(arguments))
+    monkeypatch.setattr(pages, "run_command", lambda words, folder, registry: films(words, folder))
     with TestClient(make_app(tmp_path, ())) as reader:
         token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(address).text)
         assert token

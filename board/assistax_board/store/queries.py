@@ -177,6 +177,13 @@ class Queries:
         with self._database.read() as connection:
             return list(unplayed_b(connection, season))
 
+    def is_kept(self, artefact: str) -> bool:
+        """Return whether a file that was handed in is still there: it was not erased."""
+        query = sa.select(ARTEFACT.sha256).where(ARTEFACT.sha256 == artefact)
+        with self._database.read() as connection:
+            kept = connection.execute(query.where(ARTEFACT.erased_at.is_(None)))
+            return kept.first() is not None
+
     def attempts(self, season: str, submitter: str | None = None) -> list[Attempts]:
         """Return who has made how many attempts in a season: they stand on the board.
 

@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
+from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.shown import PartnerScore, Score, Submission
@@ -94,6 +95,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "receipt": table_rows(receipt["content"]) if receipt else None,
         "partners": sorted(zip(partners, means, strict=True), key=lambda pair: pair[1]),
         "axis": axis_over(means),
+        "has_film": film_values(site, submission)["state"] is not None,
     }
 
 
