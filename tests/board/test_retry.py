@@ -1,6 +1,8 @@
 """What workers failed gets another try: within a lab's attempts, and on panel B of a season."""
 
+import dataclasses
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,25 @@ from assistax_board.rules.closing import WAIT_SECONDS
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.notices import list_notices
-from tests.board.fakes import advance, draft, new_service, new_submitter, shown, take, work_off
+from tests.board.fakes import (
+    FakeCatalogue,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    shown,
+    take,
+    work_off,
+)
 from tests.board.test_season import open_season, state_of
 
 
-@pytest.fixture
-def service(tmp_path: Path) -> Service:
-    return new_service(tmp_path)
+@pytest.fixture(params=["sqlite", "postgresql"])
+def service(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Service]:
+    on_sqlite = request.param == "sqlite"
+    service = new_service(tmp_path, None if on_sqlite else request.getfixturevalue("postgres_url"))
+    yield service
+    service.database.close()
 
 
 def fail(service: Service) -> str:
@@ -187,7 +201,7 @@ def test_another_version_is_refused_while_panel_b_may_be_queued_again(
     fail(service)
     work_off(service)
     with pytest.raises(Problem, match="spring is closing"):
-        new_service(tmp_path, version=2).adopt_version()
+        dataclasses.replace(service, catalogue=FakeCatalogue(version=2)).adopt_version()
 
 
 def test_a_robot_of_which_nothing_is_left_is_not_waited_for(service: Service) -> None:
