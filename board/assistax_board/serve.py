@@ -26,6 +26,7 @@ import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from assistax_board.pages.videos import FILMS_FOLDER
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules import tokens
 from assistax_board.rules.catalogue import ZooCatalogue
@@ -109,7 +110,7 @@ def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
     """Return where pages find partners, their cross-plays, and films: see `pages.add_pages`."""
     played = data / "crossplays"
     crossplays = played if played.is_dir() else None
-    return {"films": data / "films", "registry": registry, "crossplays": crossplays}
+    return {"films": data / FILMS_FOLDER, "registry": registry, "crossplays": crossplays}
 
 
 def first_token(service: Service) -> str | None:

@@ -26,7 +26,7 @@ from assistax_board.rules.submissions import Draft
 from assistax_board.store import notices, schema
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
-from assistax_board.store.queries import Queries
+from assistax_board.store.queries import Queries, unplayed_b
 from assistax_board.store.receipts import Signer
 from assistax_board.store.schema import JOB, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
@@ -190,9 +190,9 @@ class Service:
         """Return the submissions of which jobs have failed, the newest first."""
         return organising.failures(self.database)
 
-    def retry(self, submission: str) -> None:
-        """Queue a submission again that the workers failed."""
-        organising.retry(self, submission)
+    def retry(self, submission: str, *, extra_attempt: bool = False) -> None:
+        """Queue again what the workers failed; see `organising.retry`."""
+        organising.retry(self, submission, extra_attempt=extra_attempt)
 
     def disqualify(self, season: str, lab: str) -> int:
         """Take a lab, by its name, out of a season; return how many submissions that was."""
@@ -231,10 +231,13 @@ class Service:
                 self._fail(row.id, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
+        now = self.clock()
         with self.database.write() as connection:
-            submissions.fail(self.database, connection, submission, reason, self.clock())
+            submissions.fail(self.database, connection, submission, reason, now)
             if reason == "worker_errors":
-                notices.note(connection, reason, submission, self.clock())
+                season = closing.season_of(connection, submission)
+                on_b = season is not None and submission in unplayed_b(connection, season.id)
+                notices.note(connection, "panel_b" if on_b else reason, submission, now)
             self._reveal(connection, submission)
 
     def _reveal(self, connection: sa.Connection, submission: str) -> None:

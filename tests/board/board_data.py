@@ -16,6 +16,7 @@ from assistax_board.api.guards import Limiter
 from assistax_board.pages import add_pages
 from assistax_board.pages.security import SecurityHeaders
 from assistax_board.store import schema
+from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from evaluation.cast.cast import choose_partners
@@ -56,7 +57,12 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     add_error_handlers(app)
     catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
     queries = Queries(fill(folder, robots))
-    service = SimpleNamespace(queries=queries, catalogue=catalogue, panel_b=lambda season: [])
+    service = SimpleNamespace(
+        queries=queries,
+        catalogue=catalogue,
+        artefacts=Artefacts(str(folder / "artefacts")),
+        panel_b=lambda season: [],
+    )
     add_pages(app, service, films=folder / "films", **options)
     return app
 

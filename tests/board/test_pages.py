@@ -24,7 +24,7 @@ from assistax_board.pages import behind, boards
 from assistax_board.pages.cache import PageCache
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
-from assistax_board.pages.routes import partners as partner_routes
+from assistax_board.pages.routes import films as film_routes
 from assistax_board.pages.security import FIELD
 from assistax_board.pages.videos import Pair, Videos, run_command
 from assistax_board.store import schema
@@ -259,7 +259,7 @@ class Films:
         self.fails = fails
         self.commands: list[Sequence[str]] = []
 
-    def __call__(self, arguments: Sequence[str]) -> None:
+    def __call__(self, arguments: Sequence[str], folder: Path) -> None:
         self.commands.append(arguments)
         if self.fails:
             raise RuntimeError("no display")
@@ -324,7 +324,7 @@ def test_films_have_so_much_room_on_the_disk(
 @pytest.mark.slow
 def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
-    monkeypatch.setattr(partner_routes, "FILMS", parse("2/hour"))
+    monkeypatch.setattr(film_routes, "FILMS", parse("2/hour"))
     monkeypatch.setattr(Videos, "ask", lambda self, pair: "waiting")
     with TestClient(make_app(tmp_path), follow_redirects=False) as reader:
         pairs = [f"/pairs/scratch/ippo-d1-s0-v1/ippo-d{d}-s1-v1" for d in (1, 3, 5)]
@@ -368,7 +368,7 @@ def test_pages_of_another_registry_show_its_partners_alone(
     registry = published(teams_of(2), tmp_path)
     environments = []
     monkeypatch.setattr(subprocess, "run", lambda *_, env, **__: environments.append(env))
-    run_command(["list"], registry)
+    run_command(["list"], tmp_path, registry)
     assert environments[0]["ASSISTAX_ZOO_REGISTRY"] == str(registry)
     with TestClient(make_app(tmp_path, (), registry=registry)) as reader:
         listed = reader.get("/tasks/scratch/partners").text

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from starlette.testclient import TestClient
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.client import Client
-from assistax_board.pages import behind
+from assistax_board.pages import behind, boards
 from assistax_board.pages.cache import PageCache
 from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
@@ -83,6 +84,34 @@ def test_a_board_is_taken_away_as_csv(client: TestClient) -> None:
     assert client.get(f"{BOARD}.csv?version={VERSION}").text == answer.text
     for missing in (f"{BOARD}.csv?version=none", "/tasks/nowhere.csv", "/tasks/bed_bath.csv"):
         assert client.get(missing).status_code == 404
+
+
+def test_who_asks_for_a_board_that_is_being_computed_is_told_when_to_ask_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, real = threading.Event(), boards.unplaced
+    service = new_service(tmp_path)
+    client = TestClient(create_app(service))
+    assert client.get(f"{BOARD}.csv").status_code == 404
+    id = service.submit(new_submitter(service), draft(1.0))
+    service.submit(new_submitter(service, "other"), draft(2.0))
+    work_off(service)
+    monkeypatch.setattr(behind, "PATIENCE", 0.01)
+    monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
+    addresses = [f"{BOARD}.csv", f"{BOARD}/heatmap", f"{BOARD}/compare"]
+    addresses.append(f"/submissions/{id}/standing.json")
+    for address in addresses:
+        answer = client.get(address)
+        assert (answer.status_code, answer.headers["Retry-After"]) == (503, "10")
+        message = "the board of scratch is being computed; ask again in 10 seconds"
+        assert answer.json()["error"] == {"code": "unavailable", "message": message}
+        page = client.get(address, headers={"Accept": "text/html"})
+        assert page.status_code == 503 and message in page.text
+    for address in (BOARD, "/"):
+        assert "The board is being computed" in client.get(address).text
+    go_on.set()
+    monkeypatch.setattr(behind, "PATIENCE", 60.0)
+    assert [client.get(address).status_code for address in addresses] == [200] * 4
 
 
 def test_a_name_is_no_formula_of_a_spreadsheet(tmp_path: Path) -> None:
@@ -176,7 +205,7 @@ def test_the_home_page_shows_the_film_that_was_made_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
-    monkeypatch.setattr(pages, "run_command", lambda arguments, registry: films(arguments))
+    monkeypatch.setattr(pages, "run_command", lambda words, folder, registry: films(words, folder))
     with TestClient(make_app(tmp_path, ())) as reader:
         token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(address).text)
         assert token

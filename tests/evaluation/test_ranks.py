@@ -85,6 +85,13 @@ def test_three_seeds_find_four_of_five_true_orders() -> None:
     assert ranks[5, None] > 0.9
 
 
+def test_two_seeds_that_are_alike_by_luck_are_not_believed() -> None:
+    """One method's seeds differ ten times as much as was known: at most 5% of lists are wrong."""
+    world, rng = World(seeds=(10 * SEED, *(SEED,) * 5)), np.random.default_rng(0)
+    lists = (rank_methods(world.draw(2, rng), seed_sd=SEED) for _ in range(6000))
+    assert np.mean([(ranks.places > 1).any() for ranks in lists]) < 0.052  # its error is 0.3%
+
+
 def test_a_row_of_two_unlike_robots_erases_nobody() -> None:
     """The board on which one such row gave all nine the place 1-9."""
     truth = np.array([982.0, 890.0, 700.0, 540.0, 410.0, 300.0, 160.0, 19.5])

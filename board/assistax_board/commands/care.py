@@ -90,7 +90,7 @@ def service_restore(source: Path, /, *, data: Path) -> None:
 
 
 def service_erase(submitter: str, /, *, data: Path, database: str | None = None) -> None:
-    """Erase a lab: name, contact, method names and files; hashes and scores stay.
+    """Erase a lab: name, contact, method names, files and films; hashes and scores stay.
 
     Args:
         submitter: Name of the lab.
@@ -100,7 +100,9 @@ def service_erase(submitter: str, /, *, data: Path, database: str | None = None)
     Example:
         assistax-zoo service erase 'Lab of Ada' --data board
     """
+    from assistax_board.pages.videos import FILMS_FOLDER, erase_robots
     from assistax_board.rules.tokens import submitter_id
 
     service = open_folder(data, database)
     service.erase_submitter(submitter_id(service.database, submitter))
+    erase_robots(data / FILMS_FOLDER)

@@ -22,20 +22,25 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
     print_answer([dataclasses.asdict(row) for row in open_folder(data, database).failures()], json)
 
 
-def service_retry(submission: str, /, *, data: Path, database: str | None = None) -> None:
-    """Queue a submission again that failed because the workers did.
+def service_retry(
+    submission: str, /, *, data: Path, extra_attempt: bool = False, database: str | None = None
+) -> None:
+    """Queue again what the workers failed: a submission, or its panel B while its season closes.
 
-    Its attempt counts again, and what was played stays.
+    What was played stays. A submission of a season takes the attempt again that it gave back; if
+    its lab has used that one since, nothing is queued.
 
     Args:
         submission: As `service failures` shows it.
         data: Folder of the service.
+        extra_attempt: Give its lab one attempt more than the season has, if it has none left; the
+            ledger says so.
         database: URL, where it is not the folder's.
 
     Example:
         assistax-zoo service retry 7kq2mz4a --data board
     """
-    open_folder(data, database).retry(submission)
+    open_folder(data, database).retry(submission, extra_attempt=extra_attempt)
 
 
 def service_notices(

@@ -21,6 +21,7 @@ def serve(
     backend: str = BACKEND,
     references: bool = True,
     proxy: str | None = None,
+    webhook: str | None = None,
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
@@ -39,13 +40,16 @@ def serve(
             robots whenever nobody waits: the rows that a board measures by.
         proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
             where a request comes from; default nobody's.
+        webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
 
     Example:
         assistax-zoo serve --data board
     """
     from assistax_board import serve as serving
+    from assistax_board.work.webhook import check_address, watched
 
     serving.check_proxy(proxy)
+    check_address(webhook)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
@@ -61,9 +65,10 @@ def serve(
             print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
         local = address.replace("0.0.0.0", "127.0.0.1")
-        with serving.local_workers(workers, local, own, options) as stop_workers:
-            pages = serving.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, proxy, **pages)
+        watching = watched(service, data, webhook)
+        with watching, serving.local_workers(workers, local, own, options) as stop_workers:
+            folders = serving.page_folders(data, registry)
+            serving.run_server(service, host, port, stop_workers, proxy, **folders)
 
 
 def worker(

@@ -18,6 +18,7 @@ from assistax_board.pages.cache import PageCache, respond
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
+from assistax_board.pages.routes.films import film_router
 from assistax_board.pages.routes.methods import method_router
 from assistax_board.pages.routes.news import news_router
 from assistax_board.pages.routes.organising import organiser_router
@@ -29,12 +30,13 @@ from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FormTokens
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.pages.videos import Videos, run_command
+from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.queries import Queries
 from zoo.registry import load_registry
 
 ROUTERS = (
     *(board_router, method_router, season_router, submit_router, partner_router, pair_router),
-    *(explorer_router, organiser_router, reference_router, news_router),
+    *(explorer_router, film_router, organiser_router, reference_router, news_router),
 )
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 
@@ -59,6 +61,11 @@ class Service(Protocol):
     @property
     def catalogue(self) -> Tasks:
         """What is scored."""
+        ...
+
+    @property
+    def artefacts(self) -> Artefacts:
+        """What was handed in."""
         ...
 
     def panel_b(self, season: str) -> Sequence[tuple[str, Any]]:
@@ -98,6 +105,7 @@ def add_pages(
         videos=Videos(folder, functools.partial(run_command, registry=registry)),
         cache=PageCache(),
         tokens=FormTokens(form_key),
+        read=service.artefacts.get,
     )
     for router in ROUTERS:
         app.include_router(router(site), dependencies=[Depends(count_page)])

@@ -39,6 +39,7 @@ class Site:
     videos: Videos
     cache: PageCache
     tokens: FormTokens
+    read: Callable[[str], bytes]  # a file that was handed in, by its sha256
 
     def task(self, task: str) -> str:
         """Return the task if there is one of this name."""

@@ -1,17 +1,18 @@
-"""Films of public pairs, made when somebody asks and kept for everybody after.
+"""Films of public pairs and of robots that were handed in, made when somebody asks, then kept.
 
-A film and the returns of its pair are made by the command line in a process of their own, one pair
-at a time: whatever goes wrong there, or takes too long, the pages stay up.
+A film is made by the command line in a process of its own, one at a time: whatever goes wrong
+there, or takes too long, the pages stay up. Nobody hidden is in any: seats are filled from the
+registry, and from files that were handed in.
 """
 
 import contextlib
 import dataclasses
-import hashlib
 import importlib.util
 import json
 import logging
 import os
 import queue
+import re
 import shutil
 import subprocess
 import sys
@@ -19,21 +20,42 @@ import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import polars as pl
 
+from assistax_base.digest import json_sha256
 from zoo.locations import REGISTRY_VARIABLE
 
 State = Literal["none", "waiting", "making", "ready", "failed", "full"]
-WAITING = 50  # pairs in the queue; then the next is asked to come back
+WAITING = 50  # films in the queue; then the next is asked to come back
+FILMS_FOLDER = "films"  # in a data folder
+ROBOT = "robot-"  # how keys of robots' films begin: those of erased files are removed
 EPISODES = 16  # whose returns stand beside a film
-SECONDS = 600  # for one pair
+SECONDS = 600  # for one command
 MOST_BYTES = 2 * 1024**3  # of all films; then those go that nobody has looked at for longest
 _FILM, _RETURNS, _PAIR = "film", "returns.json", "pair.json"
 _LOG = logging.getLogger(__name__)
 
-Run = Callable[[Sequence[str]], None]
+_KEY = re.compile(rf"({ROBOT})?[0-9a-f]{{32}}")
+
+Run = Callable[[Sequence[str], Path], None]  # (arguments, folder in which they are understood)
+
+
+class Filmed(Protocol):
+    """What a film is of."""
+
+    @property
+    def key(self) -> str:
+        """Name of the film's folder: another one whenever the film would differ."""
+        ...
+
+    def make(self, run: Run, film: Path, place: Path) -> None:
+        """Write the film, and what belongs to it beside it; `place` is for what goes again.
+
+        Both are absolute.
+        """
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,30 +71,66 @@ class Pair:
     @property
     def key(self) -> str:
         """Name of the pair's folder: another one whenever the film would differ."""
-        text = json.dumps([self.task, self.content, self.env_version, self.robot, self.human])
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        seats = self.content, self.env_version, self.robot, self.human
+        return json_sha256([self.task, *seats])[:32]
+
+    def make(self, run: Run, film: Path, place: Path) -> None:
+        """Film the pair's first episode, and play more for the returns beside it."""
+        run(film_command(self.task, f"zoo:{self.robot}", self.human, film), place)
+        run(play_command(self, place / "played"), place)
+        table = pl.read_parquet(place / "played" / "episodes.parquet").sort("episode")
+        (film.parent / _RETURNS).write_text(json.dumps(table["return"].to_list()))
+        (film.parent / _PAIR).write_text(json.dumps(dataclasses.asdict(self)))
+
+
+@dataclasses.dataclass(frozen=True)
+class HandedIn:
+    """A robot's file that was handed in, with a published human."""
+
+    task: str
+    robot: str  # sha256 of the file
+    human: str
+    content: str  # sha256 of the human's policy
+    env_version: int
+    read: Callable[[str], bytes] = dataclasses.field(compare=False)  # sha256 -> the file
+
+    @property
+    def key(self) -> str:
+        """Name of the film's folder: another one whenever the film would differ."""
+        seats = self.robot, self.human, self.content
+        return f"{ROBOT}{json_sha256([self.task, *seats, self.env_version])[:32]}"
+
+    def make(self, run: Run, film: Path, place: Path) -> None:
+        """Film one episode."""
+        from assistax_board.robots.admission import is_safetensors
+
+        data = self.read(self.robot)
+        # Films show what a robot is called: never a folder of this machine.
+        name = f"{self.robot[:12]}.{'safetensors' if is_safetensors(data) else 'onnx'}"
+        (place / name).write_bytes(data)
+        run(film_command(self.task, name, self.human, film), place)
 
 
 class Videos:
     """A folder of films, and the one thread that adds to it."""
 
     def __init__(self, folder: Path, run: Run | None = None) -> None:
-        self._folder = folder
+        self._folder = folder.absolute()
         self._run = run or run_command
-        self._queue: queue.Queue[Pair] = queue.Queue(WAITING)
+        self._queue: queue.Queue[Filmed] = queue.Queue(WAITING)
         self._lock = threading.Lock()
         self._states: dict[str, State] = {}
         self._thread: threading.Thread | None = None
 
-    def state(self, pair: Pair) -> State:
-        """Return how far a pair's film is."""
-        if self.film(pair.key) is not None:
+    def state(self, filmed: Filmed) -> State:
+        """Return how far a film is."""
+        if self.film(filmed.key) is not None:
             return "ready"
-        return self._states.get(pair.key, "none")
+        return self._states.get(filmed.key, "none")
 
     def film(self, key: str) -> Path | None:
-        """Return a finished film by its pair's key; a key that is not one finds nothing."""
-        if len(key) != 32 or not set(key) <= set("0123456789abcdef"):
+        """Return a finished film by its key; a key that is not one finds nothing."""
+        if not _KEY.fullmatch(key):
             return None
         film = next((self._folder / key).glob(f"{_FILM}.*"), None)
         if film is not None:
@@ -93,17 +151,17 @@ class Videos:
         path = self._folder / pair.key / _RETURNS
         return json.loads(path.read_text()) if path.is_file() else None
 
-    def ask(self, pair: Pair) -> State:
+    def ask(self, filmed: Filmed) -> State:
         """Ask for a film; asking again changes nothing, unless it had failed."""
         with self._lock:
-            state = self.state(pair)
+            state = self.state(filmed)
             if state in ("ready", "waiting", "making"):
                 return state
             try:
-                self._queue.put_nowait(pair)
+                self._queue.put_nowait(filmed)
             except queue.Full:
                 return "full"
-            self._states[pair.key] = "waiting"
+            self._states[filmed.key] = "waiting"
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="films", daemon=True)
                 self._thread.start()
@@ -115,34 +173,28 @@ class Videos:
 
     def _work(self) -> None:
         while True:
-            pair = self._queue.get()
-            self._states[pair.key] = "making"
+            filmed = self._queue.get()
+            self._states[filmed.key] = "making"
             try:
-                self._make(pair)
-                self._states.pop(pair.key)
-            except Exception:  # whatever it is, the next pair has its turn
-                _LOG.exception("no film of %s with %s", pair.robot, pair.human)
-                self._states[pair.key] = "failed"
+                self._make(filmed)
+                self._states.pop(filmed.key)
+            except Exception:  # whatever it is, the next one has its turn
+                _LOG.exception("no film %s", filmed.key)
+                self._states[filmed.key] = "failed"
             finally:
                 self._queue.task_done()
 
-    def _make(self, pair: Pair) -> None:
-        """Fill a folder beside the pair's, which appears under its name when it is whole."""
+    def _make(self, filmed: Filmed) -> None:
+        """Fill a folder beside the film's, which appears under its name when it is whole."""
         self._folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=self._folder, prefix="making-") as place:
-            made, played = Path(place) / "made", Path(place) / "played"
+            made = Path(place) / "made"
             made.mkdir()
-            film = (
-                made / f"{_FILM}.{'mp4' if importlib.util.find_spec('imageio_ffmpeg') else 'gif'}"
-            )
-            self._run(film_command(pair, film))
-            self._run(play_command(pair, played))
-            table = pl.read_parquet(played / "episodes.parquet").sort("episode")
-            (made / _RETURNS).write_text(json.dumps(table["return"].to_list()))
-            (made / _PAIR).write_text(json.dumps(dataclasses.asdict(pair)))
-            shutil.rmtree(self._folder / pair.key, ignore_errors=True)
-            made.replace(self._folder / pair.key)
-        self._forget(keep=pair.key)
+            ending = "mp4" if importlib.util.find_spec("imageio_ffmpeg") else "gif"
+            filmed.make(self._run, made / f"{_FILM}.{ending}", Path(place))
+            shutil.rmtree(self._folder / filmed.key, ignore_errors=True)
+            made.replace(self._folder / filmed.key)
+        self._forget(keep=filmed.key)
 
     def _forget(self, keep: str) -> None:
         """Remove the films that were looked at longest ago, until the others have room."""
@@ -155,17 +207,26 @@ class Videos:
             total -= kept[path]
 
 
+def erase_robots(folder: Path) -> None:
+    """Remove the films of robots that were handed in: an erased file must not live on in one.
+
+    Who looks at another one asks for it anew.
+    """
+    for film in folder.glob(f"{ROBOT}*"):
+        shutil.rmtree(film, ignore_errors=True)
+
+
 def _bytes_of(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def film_command(pair: Pair, out: Path) -> list[str]:
-    """Return the command that films a pair's first episode."""
-    seats = ("--robot", f"zoo:{pair.robot}", "--human", f"zoo:{pair.human}")
+def film_command(task: str, robot: str, human: str, out: Path) -> list[str]:
+    """Return the command that films the first episode of a robot with a published human."""
+    seats = ("--robot", robot, "--human", f"zoo:{human}")
     return [
         "render",
         "--task",
-        pair.task,
+        task,
         *seats,
         "--width",
         "480",
@@ -182,7 +243,7 @@ def play_command(pair: Pair, out: Path) -> list[str]:
     return ["crossplay", "--task", pair.task, *seats, "--out", str(out)]
 
 
-def run_command(arguments: Sequence[str], registry: Path | None = None) -> None:
+def run_command(arguments: Sequence[str], folder: Path, registry: Path | None = None) -> None:
     """Run a command of `assistax-zoo`, gently: readers of pages come first. It ends with us.
 
     The policies are the installed registry's if no other is given.
@@ -193,6 +254,7 @@ def run_command(arguments: Sequence[str], registry: Path | None = None) -> None:
     with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     subprocess.run(
         [*with_us, *nice, *command],
+        cwd=folder,
         check=True,
         timeout=SECONDS,
         stdin=subprocess.DEVNULL,

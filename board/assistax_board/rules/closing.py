@@ -5,6 +5,9 @@
             |  `---- nothing is left of panel A: entries and references play panel B
             `------- nobody hands in any more
 
+What workers failed in the meantime is waited for: an organiser may queue it again for a week, then
+the season goes on without it and says so.
+
 A lab may try often on panel A, and decides before the close what plays panel B: at most two
 methods, each with the submissions that are its seeds. Who decides nothing plays the submission
 whose score on panel A was shown last.
@@ -21,11 +24,13 @@ from assistax_board.rules import jobs, submissions
 from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
 from assistax_board.store.notices import note
+from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import ARTEFACT, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 ENTRIES = 2  # methods of one lab on panel B
 SEEDS = 10  # submissions of one of them
+WAIT_SECONDS = 7 * 86_400.0  # for the organiser to queue again what workers failed
 
 
 def enter(
@@ -77,38 +82,55 @@ def close_season(database: Database, name: str, now: float) -> None:
 
 
 def close_due(database: Database, now: float) -> None:
-    """Close the seasons whose date has come."""
+    """Close the seasons whose date has come, and go on with those that waited long enough."""
     due = sa.select(SEASON.id).where(SEASON.state == "open", SEASON.closes_at <= now)
+    closing = sa.select(schema.seasons).where(SEASON.state == "closing")
     with database.read() as connection:
-        if not connection.execute(due).first():
+        rows = connection.execute(closing).all()
+        ready = [row.id for row in rows if not _waits(connection, row, now)]
+        if not ready and not connection.execute(due).first():
             return
     with database.write() as connection:
         for season in connection.execute(database.take(due)).scalars().all():
             _close(database, connection, season, now)
+        for season in ready:
+            go_on(database, connection, season, now)
 
 
 def go_on(database: Database, connection: sa.Connection, season: str, now: float) -> None:
     """Take a closing season to its next step, if all of the one before is done."""
     database.one_at_a_time(connection, f"season {season}")
     row = connection.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
-    if row.state != "closing":
+    if row.state != "closing" or _waits(connection, row, now):
         return
-    of_labs = SUBMISSION.season == season, SUBMISSION.kind != "reference"
-    waiting = (
-        sa.select(SUBMISSION.id).where(*of_labs, SUBMISSION.state.not_in(FINAL_STATES)).limit(1)
-    )
-    if connection.execute(waiting).first():
-        return
-    of_b = (
+    if not _states_of_b(connection, season) and (entries := _entries(connection, season)):
+        _play_b(database, connection, row, entries, now)
+    else:
+        _reveal(database, connection, row, now)
+
+
+def _waits(connection: sa.Connection, season: Any, now: float) -> bool:
+    """Return whether something of a closing season is being played, or may yet be."""
+    if states := _states_of_b(connection, season.id):
+        failed_at = unplayed_b(connection, season.id).values()
+        is_mended = any(at > now - WAIT_SECONDS for at in failed_at)
+        return is_mended or bool({"held", "waiting", "leased"} & states)
+    of_labs = SUBMISSION.season == season.id, SUBMISSION.kind != "reference"
+    # What failed before the season began to close was the lab's to hand in again.
+    since = max(season.closes_at or 0.0, now - WAIT_SECONDS)
+    mendable = (SUBMISSION.reason == "worker_errors") & (SUBMISSION.finished_at > since)
+    waiting = SUBMISSION.state.not_in(FINAL_STATES) | mendable
+    query = sa.select(SUBMISSION.id).where(*of_labs, waiting)
+    return connection.execute(query.limit(1)).first() is not None
+
+
+def _states_of_b(connection: sa.Connection, season: str) -> set[str]:
+    query = (
         sa.select(JOB.state)
         .join(schema.submissions, SUBMISSION.id == JOB.submission)
         .where(SUBMISSION.season == season, JOB.panel == "B")
     )
-    states = connection.execute(of_b).scalars().all()
-    if not states and (entries := _entries(connection, season)):
-        _play_b(database, connection, row, entries, now)
-    elif not {"held", "waiting", "leased"} & set(states):
-        _reveal(database, connection, row, now)
+    return set(connection.execute(query).scalars())
 
 
 def find_season(
@@ -146,7 +168,10 @@ def season_of(connection: sa.Connection, submission: str) -> Any:
 
 
 def _close(database: Database, connection: sa.Connection, season: str, now: float) -> None:
-    connection.execute(sa.update(schema.seasons).where(SEASON.id == season).values(state="closing"))
+    mine = SEASON.id == season
+    closes_at = connection.execute(sa.select(SEASON.closes_at).where(mine)).scalar()
+    values = {"state": "closing", "closes_at": min(now, closes_at or now)}
+    connection.execute(sa.update(schema.seasons).where(mine).values(values))
     ledger.append(database, connection, now, "season_close", {"season": season})
     go_on(database, connection, season, now)
 
@@ -237,5 +262,6 @@ def _reveal(database: Database, connection: sa.Connection, season: Any, now: flo
     values = {"state": "closed", "closed_at": now}
     connection.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
     body = {"season": season.id, "root": season.root, "release": season.release}
-    ledger.append(database, connection, now, "season_reveal", body)
-    note(connection, "season_closed", season.name, now)
+    unplayed = sorted(unplayed_b(connection, season.id))
+    ledger.append(database, connection, now, "season_reveal", body | {"unplayed": unplayed})
+    note(connection, "season_incomplete" if unplayed else "season_closed", season.name, now)

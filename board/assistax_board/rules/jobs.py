@@ -16,10 +16,9 @@ from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.store import schema
 from assistax_board.store.database import Database
-from assistax_board.store.schema import JOB, SUBMISSION
+from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
 LEASE_SECONDS = 60.0
-MAX_FAILURES = 5  # then the submission fails, and its attempt is refunded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,6 +169,13 @@ def queue_again(connection: sa.Connection, submission: str, version: str) -> boo
         again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
         connection.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
     return bool(jobs)
+
+
+def queue_b_again(connection: sa.Connection, submission: str) -> None:
+    """Queue what is not done of panel B as if nothing had failed."""
+    again = sa.update(schema.jobs).where(JOB.submission == submission, JOB.panel == "B")
+    again = again.where(JOB.state == "cancelled")
+    connection.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
 
 
 def _put_back(connection: sa.Connection, job: str, failures: int) -> None:

@@ -12,6 +12,7 @@ from assistax_board.rules.seasons import MAX_OPEN_SECONDS
 from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
 from assistax_board.store.notices import withdraw_notice
+from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import (
     ARTEFACT,
     JOB,
@@ -65,36 +66,79 @@ def failures(database: Database) -> list[Failure]:
         return [Failure(*row) for row in connection.execute(query)]
 
 
-def retry(service: "Service", id: str) -> None:
-    """Queue a submission again that failed for its workers' errors.
+def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
+    """Queue again what workers failed: a submission, or its panel B in a season that closes.
+
+    A submission takes the attempt again that its failure gave back. If its lab has used that one
+    since, nothing is queued, unless the organiser gives it one more attempt than the season has.
+
+    Args:
+        service: The service.
+        id: The submission.
+        extra_attempt: Whether the lab may have one more attempt; the ledger says so.
 
     Raises:
-        Problem: It did not, or its season takes no more.
+        Problem: Workers did not fail it, its season takes no more, or the attempts are used up.
     """
-    with service.database.write() as connection:
-        row = submissions.lock_submission(service.database, connection, id)
+    database, now = service.database, service.clock()
+    with database.write() as connection:
+        row = submissions.lock_submission(database, connection, id)
         if row is None:
             raise Problem("not_found", f"no submission {id!r}; `service failures` lists them")
-        if (row.state, row.reason) != ("failed", "worker_errors"):
+        # No attempt is taken while one is given back; the order is that of results.
+        database.one_at_a_time(connection, f"season {row.season}")
+        season = closing.season_of(connection, id)
+        entry: dict[str, Any] = {"id": id}
+        if season is not None and id in unplayed_b(connection, season.id):
+            _retry_b(connection, season, row)
+            entry["panel"] = "B"
+        elif (row.state, row.reason) == ("failed", "worker_errors"):
+            if _retry_submission(service, connection, row, season, extra_attempt):
+                entry["extra_attempt"] = True
+        else:
             raise Problem(
                 "conflict",
                 f"submission {id} is {row.state}{f' ({row.reason})' if row.reason else ''}; only "
-                "one that failed for worker_errors is queued again",
+                "what failed for worker_errors is queued again",
             )
-        season = closing.season_of(connection, id)
-        if season is not None:
-            _check_takes(connection, season)
-            submissions.check_budget(connection, season, row.submitter)
-        values = {"state": "queued", "reason": None, "finished_at": None}
-        values["attempt"] = "free" if season is None else "reserved"
-        again = sa.update(schema.submissions).where(SUBMISSION.id == id)
-        connection.execute(again.values(values))
-        version = version_id(service.catalogue.identity(row.task))
-        if not jobs.queue_again(connection, id, version):
-            mapping = row._mapping
-            submissions.plan_jobs(connection, service.catalogue, mapping, season, service.clock())
-        withdraw_notice(connection, "worker_errors", id)
-        ledger.append(service.database, connection, service.clock(), "retry", {"id": id})
+        for kind in ("worker_errors", "panel_b"):
+            withdraw_notice(connection, kind, id)
+        ledger.append(database, connection, now, "retry", entry)
+
+
+def _retry_submission(
+    service: "Service", connection: sa.Connection, row: Any, season: Any, extra: bool
+) -> bool:
+    """Queue a failed submission; return whether its lab needed an extra attempt for it."""
+    needs_extra = False
+    if season is not None:
+        _check_takes(connection, season)
+        needs_extra = submissions.attempts_left(connection, season, row.submitter) == 0
+    if needs_extra and not extra:
+        raise Problem(
+            "budget_spent",
+            f"the lab has used all {season.budget} attempts of season {season.name}, also the one "
+            "that it got back; nothing was queued. Give it one more attempt than the season has, "
+            "which the ledger will say, or leave the submission as it is",
+        )
+    values = {"state": "queued", "reason": None, "finished_at": None}
+    values["attempt"] = "free" if season is None else "reserved"
+    again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
+    connection.execute(again.values(values))
+    version = version_id(service.catalogue.identity(row.task))
+    if not jobs.queue_again(connection, row.id, version):
+        submissions.plan_jobs(connection, service.catalogue, row._mapping, season, service.clock())
+    return needs_extra
+
+
+def _retry_b(connection: sa.Connection, season: Any, row: Any) -> None:
+    """Queue what is left of panel B, which the season waits for, by the version that it has."""
+    if season.state != "closing":
+        raise Problem("too_late", f"season {season.name} closed without it")
+    if row.state == "failed":  # a reference, which plays this panel alone
+        again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
+        connection.execute(again.values(state="queued", reason=None, finished_at=None))
+    jobs.queue_b_again(connection, row.id)
 
 
 def _check_takes(connection: sa.Connection, season: Any) -> None:

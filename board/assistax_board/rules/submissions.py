@@ -115,7 +115,7 @@ def submit(
         season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
             _check_not_disqualified(connection, season, submitter)
-            check_budget(connection, season, submitter)
+            _check_budget(connection, season, submitter)
         if kept is not None and draft.data is not None:
             record_artefact(connection, kept, len(draft.data), now)
         row = _row(connection, submitter, draft, kept, now)
@@ -271,13 +271,17 @@ def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
     return row
 
 
-def check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
+def attempts_left(connection: sa.Connection, season: Any, submitter: str) -> int:
     """Count attempts anew each time: a counter could be lost between two transactions."""
     taken = SUBMISSION.attempt.in_(("reserved", "spent"))
     query = sa.select(sa.func.count()).where(
         SUBMISSION.season == season.id, SUBMISSION.submitter == submitter, taken
     )
-    if connection.execute(query).scalar_one() >= season.budget:
+    return max(0, season.budget - connection.execute(query).scalar_one())
+
+
+def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
+    if attempts_left(connection, season, submitter) == 0:
         raise Problem(
             "budget_spent",
             f"all {season.budget} attempts of season {season.name} are made or under way; submit "

@@ -8,7 +8,7 @@ from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.store import schema
-from assistax_board.store.schema import JOB, SEASON, SUBMISSION, VERSION
+from assistax_board.store.schema import JOB, MAX_FAILURES, SEASON, SUBMISSION, VERSION
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
@@ -56,7 +56,11 @@ def _check_closing(service: "Service", task: str) -> None:
         .join(schema.jobs, JOB.submission == SUBMISSION.id)
         .join(schema.versions, VERSION.id == JOB.version)
         .where(SUBMISSION.task == task, SEASON.state == "closing")
-        .where(JOB.state.in_(("held", "waiting", "leased")), JOB.version != version_id(identity))
+        .where(JOB.version != version_id(identity))
+        .where(
+            JOB.state.in_(("held", "waiting", "leased"))
+            | ((JOB.panel == "B") & (JOB.failures >= MAX_FAILURES))  # may be queued again
+        )
     )
     with service.database.read() as connection:
         row = connection.execute(query.limit(1)).first()

@@ -14,8 +14,13 @@ from assistax_board.store.schema import NOTICE
 KINDS = {
     "worker_errors": "a job of this submission failed at all its tries: see `service failures`; "
     "`service retry` queues it again",
+    "panel_b": "workers could not play panel B of this submission, and its season waits a week: "
+    "`service retry` queues it again; without that the season closes without it",
+    "season_incomplete": "this season is closed without all entries, since workers failed them: "
+    "its page and the ledger name them",
     "unexpected": "a request met an error of the service itself; the log has it",
     "too_full": "the disk or the store took no more files, and submissions were refused",
+    "ledger": "the ledger is no unbroken chain: somebody changed it; `service check` says more",
     "season_closed": "this season is closed, and its partners are revealed",
 }
 MAX_ABOUT = 200

@@ -14,7 +14,10 @@ from assistax_board.store import schema
 from assistax_board.store.database import Database
 from assistax_board.store.queue import Queue
 from assistax_board.store.schema import (
+    ARTEFACT,
     ENTRY,
+    JOB,
+    MAX_FAILURES,
     PARTNER_SCORE,
     RECEIPT,
     SCORE,
@@ -169,6 +172,18 @@ class Queries:
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
 
+    def unplayed(self, season: str) -> list[str]:
+        """Return the submissions that workers could not play on a season's panel B."""
+        with self._database.read() as connection:
+            return list(unplayed_b(connection, season))
+
+    def is_kept(self, artefact: str) -> bool:
+        """Return whether a file that was handed in is still there: it was not erased."""
+        query = sa.select(ARTEFACT.sha256).where(ARTEFACT.sha256 == artefact)
+        with self._database.read() as connection:
+            kept = connection.execute(query.where(ARTEFACT.erased_at.is_(None)))
+            return kept.first() is not None
+
     def attempts(self, season: str, submitter: str | None = None) -> list[Attempts]:
         """Return who has made how many attempts in a season: they stand on the board.
 
@@ -207,6 +222,20 @@ class Queries:
         with self._database.read() as connection:
             row = connection.execute(query.order_by(RECEIPT.created_at.desc())).first()
         return None if row is None else {"content": row.content, "signature": row.signature}
+
+
+def unplayed_b(connection: sa.Connection, season: str) -> dict[str, float]:
+    """Return what workers could not play on panel B, each submission with the time of its end."""
+    erased = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))
+    query = (
+        sa.select(SUBMISSION.id, sa.func.max(JOB.leased_at))
+        .join(schema.jobs, JOB.submission == SUBMISSION.id)
+        .where(SUBMISSION.season == season, SUBMISSION.state.in_(("scored", "failed")))
+        .where(SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(erased))
+        .where(JOB.panel == "B", JOB.state == "cancelled", JOB.failures >= MAX_FAILURES)
+        .group_by(SUBMISSION.id)
+    )
+    return {id: at for id, at in connection.execute(query)}
 
 
 def _submission_query() -> sa.Select:

@@ -207,3 +207,5 @@ SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, season
 SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
 NOTICE = notices.c
+
+MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded

@@ -31,8 +31,10 @@ def board_router(site: Site) -> APIRouter:
     @router.get("/")
     def home(request: Request) -> Response:
         def values() -> dict[str, Any]:
+            boards = {task: site.boards.of(task) for task in site.tasks}
             return {
-                "boards": {task: site.boards.of(task) for task in site.tasks},
+                "boards": boards,
+                "behind": {task for task in boards if site.boards.is_behind(task)},
                 "seasons": site.queries.seasons(),
                 "played": site.crossplays.tasks,
                 "film": newest_film(site),
@@ -70,9 +72,7 @@ def board_router(site: Site) -> APIRouter:
     @router.get("/tasks/{task}/compare")
     def compare(request: Request, task: str, a: str = "", b: str = "") -> Response:
         def values() -> dict[str, Any]:
-            board = site.boards.of(site.task(task))
-            if board is None:
-                raise NotFoundError(f"The board of {task} is empty: there is nothing to compare.")
+            board = board_of(site, task, "")
             return {"task": task, "board": board, **compare_values(board, a, b)}
 
         return site.page(request, f"{task} {a} {b}", LIVE, "compare.html", values)

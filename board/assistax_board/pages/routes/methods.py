@@ -9,6 +9,7 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.boards import safety_of
+from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import board_of
 from assistax_board.pages.site import LIVE, Site
 from assistax_board.store.shown import Submission
@@ -55,6 +56,7 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
         "row": row,
         "safety": safety_of(site, board).get(row[0].name) if board and row else None,
         "history": history,
+        **film_values(site, submission),
         "scores": {
             id: [score for score in shown if score.submission == id]
             for id in {score.submission for score in shown}

@@ -39,6 +39,7 @@ FIELDS = (
     "lab",
     "closes",
     "seen",
+    "extra_attempt",
 )
 
 
@@ -97,7 +98,7 @@ def act(service: Service, fields: dict[str, str]) -> str:
             last = check_chain(ledger_pages(service.queries.ledger))
             return f"The ledger's {last} entries are an unbroken chain."
         case "retry":
-            service.retry(submission)
+            service.retry(submission, extra_attempt=bool(fields["extra_attempt"]))
             return f"Submission {submission} is queued again."
         case "extend":
             closes_at = seconds_of(datetime.fromisoformat(fields["closes"]))

@@ -1,21 +1,20 @@
 """Pages of the published partners: their list and cards, pairs with films, and the explorer."""
 
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Form, Request
-from starlette.responses import FileResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 
 from assistax_base.errors import ZooError
-from assistax_board.api.guards import FILMS, client_of
 from assistax_board.pages import security
 from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.partners import TRAITS, PartnerCard, choices, choose, list_partners
 from assistax_board.pages.rendering import table_rows
+from assistax_board.pages.routes.films import ask_for, film_file
 from assistax_board.pages.site import STILL, NotFoundError, Site
-from assistax_board.pages.videos import Pair
+from assistax_board.pages.videos import ROBOT, Pair
 
 _BEST = 5  # robots on a card
 
@@ -73,16 +72,8 @@ def pair_router(site: Site) -> APIRouter:
         human: str,
         form_token: str = Form(default="", alias=security.FIELD),
     ) -> Response:
-        if not site.tokens.accepts(request, form_token):
-            return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         pair = find_policies(site, site.task(task), robot, human)
-        if site.videos.state(pair) in ("none", "failed"):
-            request.app.state.limiter.hit(FILMS, client_of(request))
-        state = site.videos.ask(pair)
-        if state == "full":
-            message = "Many films are waiting already. Please ask again in some minutes."
-            return site.fresh("error.html", request.url.path, 503, message=message)
-        return RedirectResponse(request.url.path, 303)
+        return ask_for(site, request, pair, form_token)
 
     return router
 
@@ -116,12 +107,9 @@ def explorer_router(site: Site) -> APIRouter:
 
     @router.get("/films/{key}")
     def film(key: str) -> Response:
-        path: Path | None = site.videos.film(key)
-        if path is None:
-            raise NotFoundError("There is no such film; ask for it on its pair's page.")
-        headers = {"Cache-Control": "public, max-age=31536000, immutable"}
-        kind = "image/gif" if path.suffix == ".gif" else "video/mp4"
-        return FileResponse(path, headers=headers, media_type=kind)
+        is_pair = not key.startswith(ROBOT)  # those of robots may go, see `films`
+        path = site.videos.film(key) if is_pair else None
+        return film_file(path, "public, max-age=31536000, immutable")
 
     return router
 

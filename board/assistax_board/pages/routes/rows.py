@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from assistax_board.pages.boards import Board, Played
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.places.boards import BoardRow
+from assistax_board.problems import Problem
 
 Row = tuple[BoardRow, Played]
 Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
+AGAIN_SECONDS = 10  # after which who asked for a board that is being computed asks again
 LONGEST = 80  # characters of a search; a method's name has no more
 SAFETY = ("safe_success", "violations")  # columns of gentle tasks alone
 LOWER_IS_BETTER = ("violations", "gap")
@@ -112,12 +114,22 @@ def board_of(site: Site, task: str, version: str) -> Board:
     """Return the board of a task under a version that a reader named, or the newest.
 
     Raises:
-        NotFoundError: Nothing was scored, or not under that version, or its board is not ready.
+        NotFoundError: Nothing was scored, or not under that version.
+        Problem: It is being computed.
     """
-    board = site.boards.of(task, old_version(site, task, version))
+    old = old_version(site, task, version)
+    board = site.boards.of(task, old)
+    if board is None and site.boards.is_behind(task, old):
+        raise being_computed(task)
     if board is None:
-        raise NotFoundError(f"The board of {task} is empty, or being computed.")
+        raise NotFoundError(f"The board of {task} is empty: nobody has been scored on it yet.")
     return board
+
+
+def being_computed(task: str) -> Problem:
+    """Return what is answered in place of a board that is not there yet."""
+    message = f"the board of {task} is being computed; ask again in {AGAIN_SECONDS} seconds"
+    return Problem("unavailable", message, retry_after=AGAIN_SECONDS)
 
 
 def _plain(value: str | float | None) -> str | float | None:

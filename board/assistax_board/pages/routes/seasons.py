@@ -10,6 +10,8 @@ from starlette.responses import Response
 
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
+from assistax_board.pages.routes.films import film_values
+from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.shown import PartnerScore, Score, Submission
 
@@ -33,6 +35,8 @@ def season_router(site: Site) -> APIRouter:
         submission = site.submission(id)
         board = site.boards.of(submission.task)
         row = board.of(id) if board else None
+        if row is None and site.boards.is_behind(submission.task):
+            raise being_computed(submission.task)
         if board is None or row is None:
             raise NotFoundError("It has no place yet: its score is not there.")
         competing = sum(standing.place is not None for standing, _ in board.rows)
@@ -91,6 +95,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "receipt": table_rows(receipt["content"]) if receipt else None,
         "partners": sorted(zip(partners, means, strict=True), key=lambda pair: pair[1]),
         "axis": axis_over(means),
+        "has_film": film_values(site, submission)["state"] is not None,
     }
 
 
@@ -114,6 +119,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
         "now": time.time(),
         "attempts": {row.submitter: row for row in site.queries.attempts(season.id)},
         "entered": _entered(site, season.id),
+        "unplayed": [site.submission(id) for id in sorted(site.queries.unplayed(season.id))],
         "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
         "rows": rows,
         "is_behind": site.season_boards.is_behind(season),

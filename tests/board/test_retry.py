@@ -1,0 +1,215 @@
+"""What workers failed gets another try: within a lab's attempts, and on panel B of a season."""
+
+import dataclasses
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from starlette.testclient import TestClient
+
+from assistax_board.app import create_app
+from assistax_board.problems import Problem
+from assistax_board.rules import jobs
+from assistax_board.rules.closing import WAIT_SECONDS
+from assistax_board.service import Service
+from assistax_board.store import schema
+from assistax_board.store.notices import list_notices
+from tests.board.fakes import (
+    FakeCatalogue,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    shown,
+    take,
+    work_off,
+)
+from tests.board.test_season import open_season, state_of
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def service(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Service]:
+    on_sqlite = request.param == "sqlite"
+    service = new_service(tmp_path, None if on_sqlite else request.getfixturevalue("postgres_url"))
+    yield service
+    service.database.close()
+
+
+def fail(service: Service) -> str:
+    """Let the next job fail as often as it may; return its submission."""
+    for _ in range(jobs.MAX_FAILURES):
+        work = take(service)
+        service.job_failed(work.job, work.lease)
+    return work.submission
+
+
+def kinds(service: Service) -> list[str]:
+    return [notice.kind for notice in list_notices(service.database)]
+
+
+def unplayed(service: Service) -> Any:
+    return service.queries.ledger()[-1].body.get("unplayed")
+
+
+def test_a_used_attempt_is_given_twice_by_the_organiser_alone(service: Service) -> None:
+    season, lab = open_season(service, budget=1), new_submitter(service)
+    failed = service.submit(lab, draft(2.0, season=season))
+    fail(service)
+    again = service.submit(lab, draft(2.0, "r2", season=season))  # with what was given back
+    work_off(service)
+    with pytest.raises(Problem, match="used all 1 attempts"):
+        service.retry(failed)
+    assert (shown(service, failed).state, shown(service, failed).attempt) == ("failed", "refunded")
+    service.retry(failed, extra_attempt=True)
+    assert service.queries.ledger()[-1].body == {"id": failed, "extra_attempt": True}
+    work_off(service)
+    assert [shown(service, id).state for id in (failed, again)] == ["scored", "scored"]
+    [attempts] = service.queries.attempts(season)
+    assert (attempts.spent, attempts.budget, attempts.left) == (2, 1, 0)
+    with pytest.raises(Problem, match="all 1 attempts"):
+        service.submit(lab, draft(3.0, "r3", season=season))
+
+
+def test_an_attempt_that_is_there_needs_no_extra_one(service: Service) -> None:
+    season, lab = open_season(service, budget=1), new_submitter(service)
+    failed = service.submit(lab, draft(2.0, season=season))
+    fail(service)
+    service.retry(failed, extra_attempt=True)
+    assert service.queries.ledger()[-1].body == {"id": failed}
+
+
+def test_a_retry_and_a_submission_do_not_take_one_attempt_together(
+    tmp_path: Path, postgres_url: str
+) -> None:
+    """On PostgreSQL writers do not wait for each other by themselves."""
+    service = new_service(tmp_path, postgres_url)
+    season, lab = open_season(service, budget=3), new_submitter(service)
+    for number in range(3):
+        service.submit(lab, draft(2.0, f"f{number}", season=season))
+    failed = [fail(service) for _ in range(3)]
+    gate = threading.Barrier(6)
+
+    def attempt(act: Any) -> None:
+        gate.wait()
+        try:
+            act()
+        except Problem as problem:
+            assert problem.code == "budget_spent"
+
+    retries = [lambda id=id: service.retry(id) for id in failed]
+    new = [lambda n=n: service.submit(lab, draft(3.0, f"n{n}", season=season)) for n in range(3)]
+    threads = [threading.Thread(target=attempt, args=(act,)) for act in (*retries, *new)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    [attempts] = service.queries.attempts(season)
+    assert attempts.reserved == 3
+    service.database.close()
+
+
+def closing(service: Service) -> tuple[str, list[str]]:
+    """Return a season that plays panel B, and the entries of its two labs."""
+    season = open_season(service)
+    ids = [
+        service.submit(new_submitter(service, lab), draft(strength, season=season))
+        for lab, strength in (("ada", 2.0), ("bob", 3.0))
+    ]
+    work_off(service)
+    service.close_season("spring")
+    return season, ids
+
+
+def test_a_season_waits_for_an_entry_that_workers_failed_on_panel_b(service: Service) -> None:
+    season, ids = closing(service)
+    failed = fail(service)
+    work_off(service)
+    assert state_of(service, season) == "closing", "the entry must not be dropped"
+    assert kinds(service) == ["panel_b"] and shown(service, failed).state == "scored"
+    assert [row.submission for row in service.failures()] == [failed]
+    http = TestClient(create_app(service))
+    assert "The season waits a week" in http.get(f"/seasons/{season}").text
+    service.retry(failed)
+    assert kinds(service) == [] == service.failures()
+    assert service.queries.ledger()[-1].body == {"id": failed, "panel": "B"}
+    assert work_off(service) == 1, "what was played stays"
+    assert state_of(service, season) == "closed" and unplayed(service) == []
+    assert {id for id, _ in service.panel_b(season)} == set(ids)
+    assert kinds(service) == ["season_closed"]
+    with pytest.raises(Problem, match="is scored; only"):
+        service.retry(failed)
+
+
+def test_a_season_does_not_wait_for_ever_and_says_what_it_lacks(service: Service) -> None:
+    season, ids = closing(service)
+    failed = fail(service)
+    work_off(service)
+    advance(service, WAIT_SECONDS + 60.0)
+    assert work_off(service) == 0 and state_of(service, season) == "closed"
+    assert unplayed(service) == [failed]
+    assert {id for id, _ in service.panel_b(season)} == set(ids) - {failed}
+    assert sorted(kinds(service)) == ["panel_b", "season_incomplete"]
+    page = TestClient(create_app(service)).get(f"/seasons/{season}").text
+    assert "closed without these" in page and f"/submissions/{failed}" in page
+    with pytest.raises(Problem, match="closed without it"):
+        service.retry(failed)
+
+
+def test_a_reference_that_workers_failed_on_panel_b_is_played_again(service: Service) -> None:
+    service.add_references()
+    season, _ = closing(service)
+    while (failed := fail(service)) and shown(service, failed).kind != "reference":
+        service.retry(failed)
+        work_off(service, most=2)
+    work_off(service)
+    assert shown(service, failed).state == "failed" and state_of(service, season) == "closing"
+    service.retry(failed)
+    work_off(service)
+    assert shown(service, failed).state == "scored" and state_of(service, season) == "closed"
+
+
+def test_who_was_disqualified_is_not_waited_for(service: Service) -> None:
+    season, _ = closing(service)
+    failed = fail(service)
+    work_off(service)
+    service.disqualify("spring", shown(service, failed).submitter)
+    assert state_of(service, season) == "closed" and unplayed(service) == []
+
+
+def test_what_fails_while_a_season_closes_is_waited_for(service: Service) -> None:
+    season, lab = open_season(service), new_submitter(service)
+    early = service.submit(lab, draft(1.0, season=season))
+    fail(service)
+    advance(service, 10.0)
+    late = service.submit(lab, draft(2.0, "r2", season=season))
+    service.close_season("spring")
+    advance(service, 10.0)
+    assert fail(service) == late and state_of(service, season) == "closing"
+    service.retry(late)
+    work_off(service)
+    assert state_of(service, season) == "closed"
+    assert [id for id, _ in service.panel_b(season)] == [late] != [early]
+
+
+def test_another_version_is_refused_while_panel_b_may_be_queued_again(
+    tmp_path: Path, service: Service
+) -> None:
+    closing(service)
+    fail(service)
+    work_off(service)
+    with pytest.raises(Problem, match="spring is closing"):
+        dataclasses.replace(service, catalogue=FakeCatalogue(version=2)).adopt_version()
+
+
+def test_a_robot_of_which_nothing_is_left_is_not_waited_for(service: Service) -> None:
+    season, _ = closing(service)
+    failed = fail(service)
+    work_off(service)
+    query = sa.select(schema.submissions.c.submitter).where(schema.submissions.c.id == failed)
+    with service.database.read() as connection:
+        lab = connection.execute(query).scalar_one()
+    service.erase_submitter(lab)
+    assert state_of(service, season) == "closed"
