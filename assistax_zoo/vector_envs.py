@@ -39,8 +39,8 @@ def vector_env(
     Args:
         task: Task, such as "gentle_scratch".
         num_envs: N, simulations; 512 keep two cores busy.
-        partners: Teams of the training half, such as ("scratch/ippo-d1-s0-v1",), or patterns of
-            them; default all. Or "persons": a new one of 7,200 each episode, in gentle tasks.
+        partners: Teams of the training half, such as ("scratch/ippo-d1-s1-v1",), or patterns of
+            them; default all. Or "persons": a new one of 7,200 each episode.
         split: Split whose training half is meant; default the release's own.
         preferences: What the humans of a gentle task like, such as ("p2", "p3"), drawn for each
             episode; default those of the split's training half, or all. Persons have their own.

@@ -142,6 +142,10 @@ class HostBatch:
             self._key, self._steps = _draw(rng), 0
         return step, ended
 
+    def partner_names(self) -> list[str]:
+        """Return what the partner of each simulation is called."""
+        return self.batch.partners.names(self.state.seated, self.batch.num_envs)
+
     def out(self, tree: Any) -> Any:
         """Return JAX arrays as callers want them; NumPy's are copies, which they may change."""
         return tree if self._arrays == "jax" else jax.tree.map(np.array, tree)

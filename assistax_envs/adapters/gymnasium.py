@@ -186,6 +186,14 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         *values, info = self._host.out(outcome)
         return *values, _masked(info, self._host.out(jax.numpy.ones(self.num_envs, bool)))
 
+    def partner_names(self) -> list[str]:
+        """Return what the partner of each simulation is called in this episode.
+
+        Raises:
+            ValueError: Nothing was reset yet.
+        """
+        return self._host.partner_names()
+
 
 def bounded_box(bound: float, size: int) -> gymnasium.spaces.Box:
     """Return the space of `size` numbers between -bound and bound."""

@@ -199,11 +199,11 @@ class AssistaxMarlVectorEnv:
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
         """
-        self._batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        self.batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
         self.name, self.num_envs = f"assistax_{task}", num_envs
         self.agents = ["robot"] if partners else ["robot", "human"]
         self.num_agents = len(self.agents)
-        env = self._batch.env
+        env = self.batch.env
         self.observation_spaces = {
             agent: Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, (env.observation_size[agent],))
             for agent in self.agents
@@ -214,7 +214,7 @@ class AssistaxMarlVectorEnv:
 
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
         """Begin an episode in every simulation; `key` is one key, typed or raw."""
-        obs, state = self._batch.reset(_typed(key))
+        obs, state = self.batch.reset(_typed(key))
         return {agent: obs[agent] for agent in self.agents}, state
 
     def step(
@@ -231,7 +231,7 @@ class AssistaxMarlVectorEnv:
         Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents].
         """
         taken = {agent: actions[agent] for agent in self.agents}
-        state, step = self._batch.step(_typed(key), state, taken)
+        state, step = self.batch.step(_typed(key), state, taken)
         names = (*self.agents, "__all__")
         info = {**step.info["terms"], **step.info, "truncated": step.truncated}
         del info["terms"]

@@ -43,6 +43,10 @@ class Partners(Protocol):
         """Return who sits there, with what they remember, and the actions [N, 3] for obs [N, O]."""
         ...
 
+    def names(self, seated: Any, n: int) -> list[str]:
+        """Return what the partner of each simulation is called."""
+        ...
+
 
 class Idle:
     """Humans who do nothing: of several disability settings, each episode draws one."""
@@ -66,21 +70,24 @@ class Idle:
         del params, first
         return seated, jnp.zeros((obs.shape[0], 3), jnp.float32)
 
+    def names(self, seated: Any, n: int) -> list[str]:
+        del seated
+        return ["nobody"] * n
+
 
 class Persons:
-    """Persons of a gentle task (docs/persons.md): each simulation draws a new one each episode."""
+    """Persons (docs/persons.md): each simulation draws a new one for each episode."""
 
     def __init__(self, task: str, numbers: Sequence[int] | None = None) -> None:
         """Choose whom the simulations meet.
 
         Args:
-            task: A task that has persons.
+            task: Whose persons.
             numbers: Of persons; default all of the training side, 7,200.
 
         Raises:
-            ValueError: The task has no persons, or a number is unknown or of the test side.
+            ValueError: There is no such task, or a number is unknown or of the test side.
         """
-        rows = persons(task)
         if numbers is None:
             numbers = [number for number in range(COUNT) if side(number) == "training"]
         for number in numbers:
@@ -91,29 +98,29 @@ class Persons:
                 )
         if not len(numbers):
             raise ValueError("no person is named; give at least one number")
-        self.task, self._player = task, PersonPlayer(task)
-        self._rows = jnp.asarray(rows[np.asarray(numbers)])
+        rows = persons(task)[np.asarray(numbers)]
+        self._count, self._player = len(rows), PersonPlayer(task)
+        # Numbers [P], rows [P, 25], and what the environment needs to know of them [P].
+        self.params = jnp.asarray(numbers), jnp.asarray(rows), person_params(task, rows)
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return self._count
 
-    @property
-    def params(self) -> jax.Array:
-        """The rows [P, 25] of the persons."""
-        return self._rows
-
-    def begin(
-        self, params: jax.Array, key: jax.Array, before: Any, n: int
-    ) -> tuple[Any, EnvParams]:
+    def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
         """Draw N persons: all different where there are as many."""
         del before
-        rows: Any = jax.random.choice(key, params, (n,), replace=n > len(self))
-        return (rows, self._player.initial_carry((n,))), person_params(self.task, rows)
+        drawn = jax.random.choice(key, len(self), (n,), replace=n > len(self))
+        number, row, humans = jax.tree.map(lambda leaf: leaf[drawn], params)
+        return (number, row, self._player.initial_carry((n,))), humans
 
     def act(
         self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
         del params
-        rows, mind = seated
-        mind, action = self._player.act({"row": rows}, mind, obs, first)
-        return (rows, mind), action
+        number, row, mind = seated
+        mind, action = self._player.act({"row": row}, mind, obs, first)
+        return (number, row, mind), action
+
+    def names(self, seated: Any, n: int) -> list[str]:
+        del n
+        return [f"person-{number:05d}" for number in seated[0].tolist()]

@@ -206,9 +206,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
                 shape.
         """
         if missing := [role for role in self.possible_agents if role not in actions]:
-            raise ValueError(
-                f"no actions for the {missing[0]}; each step needs those of all agents"
-            )
+            raise ValueError(f"no actions of the {missing[0]}; give those of every agent")
         taken = {role: actions[role] for role in self.possible_agents}
         step, ended = self._host.step(self._rng, taken)
         step = self._host.out(step)

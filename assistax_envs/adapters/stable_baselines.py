@@ -8,7 +8,7 @@ import numpy as np
 from assistax_envs.adapters.gymnasium import AssistaxVectorEnv
 
 try:
-    from stable_baselines3.common.vec_env import VecEnv  # ty: ignore[import-not-found]
+    from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
         "this adapter needs the package stable-baselines3; install it with: pip install "
@@ -26,8 +26,8 @@ class AssistaxVecEnv(VecEnv):
 
     def __init__(self, env: AssistaxVectorEnv) -> None:
         """Take an environment that returns NumPy arrays."""
+        self.env = env  # first: SB3 asks it for its render mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self.env = env
         self._actions: np.ndarray | None = None
         self._succeeded = self._violated = np.zeros(env.num_envs, bool)
 

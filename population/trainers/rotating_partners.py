@@ -62,8 +62,8 @@ class RotatingPartners:
         carry, action = self.frozen.act(params, carry, obs, first, members=1)
         return (place, carry), jnp.roll(action, -place, axis=0)[:n]
 
-    def ids(self, seated: Any, n: int) -> list[str]:
-        """Return whom each simulation has as its partner."""
+    def names(self, seated: Any, n: int) -> list[str]:
+        """Return the id of each simulation's partner."""
         seats = self._seats(n)
         share, place = seats // len(self.frozen), int(seated[0])
         return [self.frozen.ids[(place + row) % seats // share] for row in range(n)]
