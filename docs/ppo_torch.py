@@ -32,13 +32,12 @@ class Agent(nn.Module):
 
 
 def mlp(inputs: int, outputs: int) -> nn.Sequential:
-    layers = nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh()
     last = nn.Linear(128, outputs)
     nn.init.orthogonal_(last.weight, 0.01 if outputs > 1 else 1.0)
-    return nn.Sequential(*layers, last)
+    return nn.Sequential(nn.Linear(inputs, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), last)
 
 
-def train(task: str, partners: str | None, envs: int, steps: int, rollout: int) -> Agent:
+def train(task: str, partners: str | None, envs: int, steps: int, rollout: int = 32) -> Agent:
     env = az.vector_env(task, envs, partners=partners, arrays="jax")
     agent = Agent(env.single_observation_space.shape[0], env.single_action_space.shape[0])
     adam = torch.optim.Adam(agent.parameters(), lr=1e-3)
@@ -61,20 +60,18 @@ def train(task: str, partners: str | None, envs: int, steps: int, rollout: int) 
                 if ended[0]:  # all end together, by time: the value of what comes next still counts
                     print(f"{time.time() - began:.0f} s, return {earned.mean():.1f}", flush=True)
                     earned = torch.zeros(envs)
-            obs_, action_, log_, value_, reward_, next_, ended_ = map(
-                torch.stack, zip(*rows, strict=True)
-            )
-            gains, gain = torch.zeros_like(value_), torch.zeros(envs)
+            seen, taken, log, worth, paid, then, end = map(torch.stack, zip(*rows, strict=True))
+            gains, gain = torch.zeros_like(worth), torch.zeros(envs)
             for t in reversed(range(rollout)):
-                delta = reward_[t] + 0.99 * next_[t] - value_[t]
-                gain = gains[t] = delta + 0.99 * 0.95 * gain * ~ended_[t]
-        batch = [x.flatten(0, 1) for x in (obs_, action_, log_, gains, gains + value_)]
+                delta = paid[t] + 0.99 * then[t] - worth[t]
+                gain = gains[t] = delta + 0.99 * 0.95 * gain * ~end[t]
+        batch = [x.flatten(0, 1) for x in (seen, taken, log, gains, gains + worth)]
         for part in (p for _ in range(4) for p in torch.randperm(envs * rollout).chunk(4)):
             o, a, old, gain, target = (x[part] for x in batch)
             policy, value = agent(o)
             ratio = (policy.log_prob(a).sum(-1) - old).exp()
             gain = (gain - gain.mean()) / (gain.std() + 1e-8)
-            loss = -torch.min(ratio * gain, ratio.clamp(0.7, 1.3) * gain).mean()
+            loss = -torch.min(ratio * gain, ratio.clamp(0.8, 1.2) * gain).mean()
             loss = loss + 0.5 * ((value - target) ** 2).mean() - 1e-3 * policy.entropy().mean()
             adam.zero_grad()
             loss.backward()
@@ -89,9 +86,8 @@ if __name__ == "__main__":
     parser.add_argument("--partners", help="teams of the training half, or persons; default all")
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=6_000_000)
-    parser.add_argument("--rollout", type=int, default=64)
     parser.add_argument("--out", default="agent.pt")
     args = parser.parse_args()
     torch.set_num_threads(1)  # the simulations have the other cores
     torch.manual_seed(0)
-    torch.save(train(args.task, args.partners, args.envs, args.steps, args.rollout), args.out)
+    torch.save(train(args.task, args.partners, args.envs, args.steps), args.out)
