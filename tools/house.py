@@ -24,7 +24,10 @@ FOLDERS = {
 APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
 # The plays hold drawing, reports and Ray too (some 1,000), which results and `engine` offer.
 CLOSURES = {("open_zoo", "Partner"): 2100, ("evaluate",): 8250, ("cross_play",): 8250}
-MOST_STATEMENTS, MOST_DEPENDENCIES = 22350, 20  # what stood when rooms were made, and vector adapters
+MOST_STATEMENTS, MOST_DEPENDENCIES = (
+    22350,
+    20,
+)  # what stood when rooms were made, and vector adapters
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
 OPTION = re.compile(r"--[a-z][\w-]*")
 # What may stand once, and where: a pattern of source text, and the one file that may hold it.
