@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         load_result,
     )
     from assistax_zoo.training import train, train_ego
+    from assistax_zoo.vector_envs import vector_env
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.cast.partners import Partner
     from evaluation.figures.planning import measure_spread, plan_evaluation
@@ -49,6 +50,7 @@ __all__ = [
     "train",
     "train_ego",
     "trajectories",
+    "vector_env",
 ]
 
 _HOMES = {
@@ -67,6 +69,7 @@ _HOMES = {
     "assistax_zoo.films": ("render",),
     "assistax_zoo.recording": ("trajectories",),
     "assistax_zoo.training": ("train", "train_ego"),
+    "assistax_zoo.vector_envs": ("vector_env",),
 }
 
 _WORKSHOP = "assistax_workshop"

@@ -57,7 +57,7 @@ class EvaluatorSpeed:
 def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
     """Measure env steps/s with uniform random actions, disability settings mixed."""
     began = time.perf_counter()
-    run = _open_loop(env, batch)
+    run = open_loop(env, batch)
     jax.block_until_ready(run(1))
     compile_seconds = time.perf_counter() - began
     calls = _calls(env, run, seconds)
@@ -85,7 +85,7 @@ def measure_evaluator(
     """
     egos, partners, episodes = shape
     simulations = egos * partners * episodes
-    run = _open_loop(env, simulations)
+    run = open_loop(env, simulations)
     jax.block_until_ready(run(1))
     steps = _calls(env, run, seconds) * CALL
     job = _untrained_job(env, shape)
@@ -122,7 +122,7 @@ def device_name(backend: str) -> str:
     return jax.devices()[0].device_kind
 
 
-def _open_loop(env: Any, batch: int) -> Any:
+def open_loop(env: Any, batch: int) -> Any:
     """Return a function that plays `calls` x `CALL` steps of random actions from a fresh reset."""
 
     @jax.jit

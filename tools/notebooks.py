@@ -27,7 +27,8 @@ def run(name: str, folder: Path, preface: str = "") -> Any:
         content.cells.insert(0, nbformat.v4.new_code_cell(preface))
     os.environ["PYTHONPATH"] = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     resources = {"metadata": {"path": str(folder)}}
-    absent = "" if importlib.util.find_spec("torch") else "torch"  # such cells keep their outputs
+    needed = importlib.util.find_spec("torch"), importlib.util.find_spec("stable_baselines3")
+    absent = "" if all(needed) else "torch"  # such cells keep their outputs
     client = NotebookClient(
         content, timeout=TIMEOUT, resources=resources, skip_cells_with_tag=absent
     )

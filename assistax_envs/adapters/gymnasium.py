@@ -1,10 +1,16 @@
-"""Gymnasium's `Env`: the robot is the agent, and somebody else sits in the human's seat."""
+"""Gymnasium's interfaces: the robot is the agent, and somebody else sits in the human's seat.
 
-from collections.abc import Callable
+`AssistaxEnv` is one simulation, `AssistaxVectorEnv` are hundreds at once.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch
+from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
 from assistax_envs.versions import VERSIONS
@@ -99,10 +105,125 @@ class AssistaxEnv(gymnasium.Env):
         return self._simulation.render()
 
 
+class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
+    """Hundreds of simulations of a task in one program; their partners sit inside.
+
+    Every episode brings each simulation a new partner. All simulations are truncated at the same
+    step, the 1000th, and that step returns the next episode's first observation (SAME_STEP): no
+    step is spent on a reset, which learners would have to mask. What the step led to is
+    `info["final_obs"]` [N, O], from which the value of the time limit is bootstrapped.
+
+    `info` holds force [N], distance [m], success, nonfinite, reward terms and, in gentle tasks,
+    violations, [N] each.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own type
+        "render_modes": [],
+        "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 512,
+        partners: Partners | None = None,
+        disability: str | Disability | Sequence[str | Disability] = "d1",
+        backend: str = "auto",
+        weights: dict[str, float] | None = None,
+        arrays: str = "numpy",
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            task: One of `assistax_envs.TASKS`.
+            num_envs: N, simulations.
+            partners: Who sits in the human's seats, such as `adapters.partners.Persons`; by
+                default humans who do nothing.
+            disability: Of humans who do nothing; of several, each episode draws one.
+            backend: See `assistax_envs.make`.
+            weights: Reward weights that replace those of the task.
+            arrays: What is returned: "numpy", or "jax", which `torch.from_dlpack` takes without a
+                copy and which must not be changed. Actions may be any of these.
+
+        Raises:
+            ValueError: An argument is not allowed.
+        """
+        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        self._host = HostBatch(batch, arrays)
+        self.num_envs, env = num_envs, batch.env
+        self.single_observation_space = bounded_box(
+            OBSERVATION_BOUND, env.observation_size["robot"]
+        )
+        self.single_action_space = bounded_box(1.0, env.action_size["robot"])
+        batched = gymnasium.vector.utils.batch_space
+        self.observation_space = batched(self.single_observation_space, num_envs)
+        self.action_space = batched(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in every simulation.
+
+        With a seed it and those after it are reproducible. `options` are not used.
+
+        Raises:
+            ValueError: Only some simulations are to be reset.
+        """
+        if options and "reset_mask" in options:
+            raise ValueError(
+                "options has a reset_mask, but all simulations begin together; leave it out"
+            )
+        super().reset(seed=seed)
+        return self._host.reset(self.np_random)["robot"], {}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Advance by 20 ms; actions [N, A] are clipped to [-1, 1]."""
+        step, ended = self._host.step(self.np_random, {"robot": actions})
+        info = step.info
+        if ended:
+            info = {"final_obs": step.final_obs["robot"], "final_info": info}
+        outcome = step.obs["robot"], step.reward, step.terminated, step.truncated, info
+        *values, info = self._host.out(outcome)
+        return *values, _masked(info, self._host.out(jax.numpy.ones(self.num_envs, bool)))
+
+    def partner_names(self) -> list[str]:
+        """Return what the partner of each simulation is called in this episode.
+
+        Raises:
+            ValueError: Nothing was reset yet.
+        """
+        return self._host.partner_names()
+
+
+def bounded_box(bound: float, size: int) -> gymnasium.spaces.Box:
+    """Return the space of `size` numbers between -bound and bound."""
+    return gymnasium.spaces.Box(-bound, bound, (size,), np.float32)
+
+
+def _masked(info: dict[str, Any], there: Any) -> dict[str, Any]:
+    """Add what Gymnasium puts beside every entry: which simulations have it. Here all do."""
+    return {
+        key: value
+        for name, entry in info.items()
+        for key, value in (
+            (name, _masked(entry, there) if isinstance(entry, dict) else entry),
+            (f"_{name}", there),
+        )
+    }
+
+
 def register() -> tuple[str, ...]:
-    """Register every task as `assistax/TASK-vVERSION` for `gymnasium.make`; return these ids."""
+    """Register every task as `assistax/TASK-vVERSION`; return these ids.
+
+    `gymnasium.make` then makes one simulation, and `gymnasium.make_vec` many at once.
+    """
     ids = {task: f"assistax/{task}-v{version}" for task, version in VERSIONS.items()}
     for task, name in ids.items():
         if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=f"{__name__}:AssistaxEnv", kwargs={"task": task})
+            gymnasium.register(
+                name,
+                entry_point=f"{__name__}:AssistaxEnv",
+                vector_entry_point=f"{__name__}:AssistaxVectorEnv",
+                kwargs={"task": task},
+            )
     return tuple(ids.values())

@@ -3,17 +3,19 @@
 Signatures are those of one simulation, as in JaxMARL. `jax.vmap` over them, which its trainers rely
 on, never maps over the physics: each level of vmap becomes rows of the environment's own batch.
 Batches of the form [N, ...] can be given without vmap too (`reset_batch`, `step_batch`), which
-compiles sooner.
+compiles sooner. `AssistaxMarlVectorEnv` has the batch inside, and partners who change each episode.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, BatchState
+from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.disability import Disability
 from assistax_envs.env import EnvState, disability_params, make, select
 
@@ -168,6 +170,88 @@ class AssistaxMarlEnv:
         _, after, rewards, dones, infos = self._step_env_batch(state, actions)
         after = select(dones["__all__"], reset_state, after)
         return self.get_obs(after), after, rewards, dones, infos
+
+
+class AssistaxMarlVectorEnv:
+    """Hundreds of simulations by JaxMARL's rules, with the batch inside: never map over it.
+
+    Signatures are JaxMARL's, with an axis N of simulations in front of every array but the key.
+    Every episode brings each simulation a new partner; all episodes end at the same step, which
+    returns the next one's start. All of it runs inside jit and scan.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 512,
+        partners: Partners | None = None,
+        disability: str | Disability | Sequence[str | Disability] = "d1",
+        backend: str = "auto",
+        weights: dict[str, float] | None = None,
+    ) -> None:
+        """Make the environment; with partners "robot" is the only agent.
+
+        Args:
+            task: One of `assistax_envs.TASKS`.
+            num_envs: N, simulations.
+            partners: Who sits in the human's seats; by default "human" is an agent too.
+            disability: Of an agent's human; of several, each episode draws one.
+            backend: See `assistax_envs.make`.
+            weights: Reward weights that replace those of the task.
+        """
+        self.batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        self.name, self.num_envs = f"assistax_{task}", num_envs
+        self.agents = ["robot"] if partners else ["robot", "human"]
+        self.num_agents = len(self.agents)
+        env = self.batch.env
+        self.observation_spaces = {
+            agent: Box(-OBSERVATION_BOUND, OBSERVATION_BOUND, (env.observation_size[agent],))
+            for agent in self.agents
+        }
+        self.action_spaces = {
+            agent: Box(-1.0, 1.0, (env.action_size[agent],)) for agent in self.agents
+        }
+
+    def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
+        """Begin an episode in every simulation; `key` is one key, typed or raw."""
+        obs, state = self.batch.reset(_typed(key))
+        return {agent: obs[agent] for agent in self.agents}, state
+
+    def step(
+        self, key: jax.Array, state: BatchState, actions: dict[str, jax.Array]
+    ) -> tuple[
+        dict[str, jax.Array],
+        BatchState,
+        dict[str, jax.Array],
+        dict[str, jax.Array],
+        dict[str, Any],
+    ]:
+        """Advance by 20 ms; `key` is of the next episode, should this step be the last one.
+
+        Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents].
+        """
+        taken = {agent: actions[agent] for agent in self.agents}
+        state, step = self.batch.step(_typed(key), state, taken)
+        names = (*self.agents, "__all__")
+        info = {**step.info["terms"], **step.info, "truncated": step.truncated}
+        del info["terms"]
+        return (
+            {agent: step.obs[agent] for agent in self.agents},
+            state,
+            dict.fromkeys(names, step.reward),
+            dict.fromkeys(names, step.terminated | step.truncated),
+            {name: jnp.stack([value] * self.num_agents, axis=-1) for name, value in info.items()},
+        )
+
+    def get_world_state(self, state: BatchState) -> jax.Array:
+        """Return the observations for central critics."""
+        return state.env.obs["global"]
+
+    def observation_space(self, agent: str) -> Box:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        return self.action_spaces[agent]
 
 
 def _batched(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,10 +1,15 @@
-"""PettingZoo's `ParallelEnv`: robot and human as its two agents."""
+"""PettingZoo's `ParallelEnv`: robot and human as its two agents.
 
-from collections.abc import Mapping
+`AssistaxParallelEnv` is one simulation, `AssistaxParallelVectorEnv` are hundreds at once.
+"""
+
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch
+from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
 
@@ -115,6 +120,113 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         return {role: self._simulation.info() for role in ROLES}
+
+
+class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
+    """Hundreds of simulations of a task in one program, for both agents or the robot alone.
+
+    The dictionaries are those of `ParallelEnv`, and every value in them has an axis N of
+    simulations in front: observations [N, O], rewards, terminated and truncated [N]. Spaces are
+    those of one simulation, as PettingZoo knows no batch. All simulations are truncated at the same
+    step, the 1000th, which returns the next episode's first observations; what the step led to is
+    `infos[agent]["final_obs"]`. So `agents` never becomes empty.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's own type
+        "name": "assistax_vector",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 512,
+        partners: Partners | None = None,
+        disability: str | Disability | Sequence[str | Disability] = "d1",
+        backend: str = "auto",
+        weights: dict[str, float] | None = None,
+        arrays: str = "numpy",
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            task: One of `assistax_envs.TASKS`.
+            num_envs: N, simulations.
+            partners: Who sits in the human's seats, a new one each episode; the robot is then the
+                only agent. By default both seats are agents.
+            disability: Of an agent's human; of several, each episode draws one.
+            backend: See `assistax_envs.make`.
+            weights: Reward weights that replace those of the task.
+            arrays: What is returned: "numpy", or "jax", which must not be changed.
+
+        Raises:
+            ValueError: An argument is not allowed.
+        """
+        self.render_mode = None
+        self.possible_agents = list(ROLES[:1] if partners else ROLES)
+        self.agents: list[str] = []
+        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        self._host, self._rng = HostBatch(batch, arrays), np.random.default_rng()
+        self.num_envs, env = num_envs, batch.env
+        self.observation_spaces = {
+            role: _box(OBSERVATION_BOUND, env.observation_size[role])
+            for role in self.possible_agents
+        }
+        self.action_spaces = {
+            role: _box(1.0, env.action_size[role]) for role in self.possible_agents
+        }
+        self.state_space = _box(OBSERVATION_BOUND, env.observation_size["global"])
+
+    def observation_space(self, agent: str) -> gymnasium.Space:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gymnasium.Space:
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Begin an episode in every simulation; `options` are not used."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        obs = self._host.reset(self._rng)
+        self.agents = list(self.possible_agents)
+        return {role: obs[role] for role in self.agents}, {role: {} for role in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, dict[str, Any]]
+    ]:
+        """Advance by 20 ms; actions [N, A] of each agent are clipped to [-1, 1].
+
+        Raises:
+            ValueError: Nothing was reset yet, or an agent's actions are missing or of the wrong
+                shape.
+        """
+        if missing := [role for role in self.possible_agents if role not in actions]:
+            raise ValueError(f"no actions of the {missing[0]}; give those of every agent")
+        taken = {role: actions[role] for role in self.possible_agents}
+        step, ended = self._host.step(self._rng, taken)
+        step = self._host.out(step)
+        infos = {role: dict(step.info) for role in self.agents}
+        if ended:
+            infos = {role: {**infos[role], "final_obs": step.final_obs[role]} for role in infos}
+        return (
+            {role: step.obs[role] for role in self.agents},
+            dict.fromkeys(self.agents, step.reward),
+            dict.fromkeys(self.agents, step.terminated),
+            dict.fromkeys(self.agents, step.truncated),
+            infos,
+        )
+
+    def state(self) -> Any:
+        """Return the observations for central critics, `global` [N, O]."""
+        return self._host.out(self._host.state.env.obs["global"])
+
+    def close(self) -> None:
+        """Do nothing: there is no window."""
 
 
 def parallel_env(task: str, **options: Any) -> AssistaxParallelEnv:

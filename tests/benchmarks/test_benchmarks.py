@@ -57,6 +57,19 @@ def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.Capt
     assert row["pairs_per_second"] == pytest.approx(row["env_steps_per_second"] / 2000)
 
 
+@pytest.mark.slow
+def test_adapters_are_held_to_the_bare_environment(capfd: pytest.CaptureFixture[str]):
+    words = ["--task", "scratch", "--backend", "native", "--num-envs", "2", "--seconds", "0.03"]
+    assert run(["adapters", *words, "--partners", "nobody,persons", "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert [(row["partners"], row["num_envs"]) for row in rows] == [("nobody", 2), ("persons", 2)]
+    for row in rows:
+        assert min(row["repeats"]) <= row["env_steps_per_second"] <= max(row["repeats"])
+        assert min(row["of_bare"], row["of_single"]) > 0 and len(row["load"]) == 2
+    assert run(["adapters", "--partners", "split,friends"]) == 1
+    assert "partners is 'friends'; allowed are split, persons, nobody" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

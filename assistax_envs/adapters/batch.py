@@ -1,0 +1,182 @@
+"""N simulations that begin and end together, partners within: what the vector adapters share.
+
+Everything is a pure function, to be compiled by whoever calls it. Episodes end by time only, so
+that all simulations end at the same step; that step already returns the next episode's start.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.adapters.partners import Partners
+from assistax_envs.env import EnvState, make
+
+# Vector forms cut observations there, so that their spaces are finite. Robots that strike at random
+# reach 1,133, a force in N; everything else is far smaller.
+OBSERVATION_BOUND = 10_000.0
+MOST_ENVS = 2**20
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BatchState:
+    """All simulations, and who sits in them."""
+
+    env: EnvState  # leaves [N, ...]
+    params: Any  # the partners' arrays, which never change
+    seated: Any  # this episode's partners, and what they remember
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BatchStep:
+    """What a step returns, [N, ...] each; observations by "robot", "human" and "global"."""
+
+    obs: dict[str, jax.Array]  # after a last step: of the next episode
+    final_obs: dict[str, jax.Array]  # that the step itself led to
+    reward: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    info: dict[str, Any]
+
+
+class Batch:
+    """N simulations of a task whose humans are `partners`, unless their actions are handed in."""
+
+    def __init__(
+        self,
+        task: str,
+        partners: Partners,
+        num_envs: int,
+        backend: str = "auto",
+        weights: dict[str, float] | None = None,
+    ) -> None:
+        if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST_ENVS:
+            raise ValueError(f"num_envs is {num_envs!r}; allowed is 1 to {MOST_ENVS}")
+        self.env, self.partners, self.num_envs = make(task, backend, weights), partners, num_envs
+
+    def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
+        """Begin an episode in every simulation; return the observations and the state."""
+        params = self.partners.params
+        seated, state = self._begin(params, key, None)
+        return _bounded(state.obs), BatchState(state, params, seated)
+
+    def step(
+        self, key: jax.Array, state: BatchState, actions: Mapping[str, jax.Array]
+    ) -> tuple[BatchState, BatchStep]:
+        """Advance by 20 ms; after an episode's last step begin the next, with new partners.
+
+        Args:
+            key: Of the next episode, should this step be the last one.
+            state: What `reset` or `step` returned.
+            actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own.
+        """
+        before, seated = state.env, state.seated
+        if "human" not in actions:
+            seated, action = self.partners.act(
+                state.params, seated, before.obs["human"], before.step == 0
+            )
+            actions = {**actions, "human": action}
+        after = self.env.step(before, {role: actions[role] for role in self.env.action_size})
+        new_seated, new = jax.lax.cond(
+            after.truncated[0],
+            lambda: self._begin(state.params, key, seated),
+            lambda: (seated, after),
+        )
+        step = BatchStep(
+            obs=_bounded(new.obs),
+            final_obs=_bounded(after.obs),
+            reward=after.reward,
+            terminated=after.terminated,
+            truncated=after.truncated,
+            info=_info(after),
+        )
+        return BatchState(new, state.params, new_seated), step
+
+    def _begin(self, params: Any, key: jax.Array, before: Any) -> tuple[Any, EnvState]:
+        of_partners, of_starts = jax.random.split(key)
+        seated, humans = self.partners.begin(params, of_partners, before, self.num_envs)
+        return seated, self.env.reset(jax.random.split(of_starts, self.num_envs), humans)
+
+
+class HostBatch:
+    """A batch that is stepped from outside JAX: compiled, with keys drawn from a generator."""
+
+    def __init__(self, batch: Batch, arrays: str = "numpy") -> None:
+        if arrays not in ("numpy", "jax"):
+            raise ValueError(f"arrays is {arrays!r}; allowed are 'numpy' and 'jax'")
+        self.batch, self._arrays = batch, arrays
+        self._reset, self._step = jax.jit(batch.reset), jax.jit(batch.step)
+        self._state: BatchState | None = None
+        self._key = jax.random.key(0)
+        self._steps = 0  # of this episode: counted here, no device needs to be asked
+
+    @property
+    def state(self) -> BatchState:
+        """The state of all simulations.
+
+        Raises:
+            ValueError: Nothing was reset yet.
+        """
+        if self._state is None:
+            raise ValueError("no episode runs yet; call reset() first")
+        return self._state
+
+    def reset(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Begin an episode in every simulation; return the observations."""
+        obs, self._state = self._reset(_draw(rng))
+        self._key, self._steps = _draw(rng), 0
+        return self.out(obs)
+
+    def step(self, rng: np.random.Generator, actions: Mapping[str, Any]) -> tuple[BatchStep, bool]:
+        """Advance by 20 ms; return the step, as JAX arrays, and whether it ended the episode."""
+        taken = {role: self._action(role, action) for role, action in actions.items()}
+        self._state, step = self._step(self._key, self.state, taken)
+        self._steps += 1
+        ended = self._steps == self.batch.env.episode_length
+        if ended:
+            self._key, self._steps = _draw(rng), 0
+        return step, ended
+
+    def partner_names(self) -> list[str]:
+        """Return what the partner of each simulation is called."""
+        return self.batch.partners.names(self.state.seated, self.batch.num_envs)
+
+    def out(self, tree: Any) -> Any:
+        """Return JAX arrays as callers want them; NumPy's are copies, which they may change."""
+        return tree if self._arrays == "jax" else jax.tree.map(np.array, tree)
+
+    def _action(self, role: str, action: Any) -> jax.Array:
+        """Return an own copy: what was handed in may be overwritten while the step still runs."""
+        if not isinstance(action, np.ndarray | jax.Array) and hasattr(action, "__dlpack__"):
+            action = jnp.from_dlpack(action)
+        copied = jax.block_until_ready(jnp.array(action, jnp.float32))
+        expected = self.batch.num_envs, self.batch.env.action_size[role]
+        if copied.shape != expected:
+            raise ValueError(
+                f"actions of the {role} have shape {copied.shape}; expected {expected}, values in "
+                "[-1, 1]"
+            )
+        return copied
+
+
+def _draw(rng: np.random.Generator) -> jax.Array:
+    return jax.random.key(rng.integers(2**32, dtype=np.uint32))
+
+
+def _bounded(obs: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    return {
+        name: jnp.clip(value, -OBSERVATION_BOUND, OBSERVATION_BOUND) for name, value in obs.items()
+    }
+
+
+def _info(state: EnvState) -> dict[str, Any]:
+    """Return what a step says beside its reward."""
+    measures = {name: getattr(state.measures, name) for name in ("force", "distance", "success")}
+    if state.measures.violated is not None:
+        measures["violated"] = state.measures.violated
+    return {**measures, "nonfinite": state.nonfinite, "terms": state.terms}

@@ -1,0 +1,126 @@
+"""Who sits in the human's seat of a batch of simulations, and for how long: one episode."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.disability import Disability
+from assistax_envs.humans import EnvParams, disability_params
+from assistax_envs.persons import PersonPlayer, person_params, persons
+from assistax_envs.persons.rows import COUNT, side
+
+
+class Partners(Protocol):
+    """A partner for each of N simulations, another one in each episode; pure functions.
+
+    `params` are arrays that `begin` and `act` are handed back, so that they are no constants of a
+    compiled program.
+    """
+
+    @property
+    def params(self) -> Any: ...
+
+    def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
+        """Seat the partners of an episode.
+
+        Args:
+            params: The partners' arrays.
+            key: Of the episode.
+            before: Who sat there in the episode before, as `act` returned them; None at first.
+            n: Simulations.
+
+        Returns:
+            Who sits there now, any pytree; and their bodies and preferences [N].
+        """
+        ...
+
+    def act(
+        self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        """Return who sits there, with what they remember, and the actions [N, 3] for obs [N, O]."""
+        ...
+
+    def names(self, seated: Any, n: int) -> list[str]:
+        """Return what the partner of each simulation is called."""
+        ...
+
+
+class Idle:
+    """Humans who do nothing: of several disability settings, each episode draws one."""
+
+    params = ()
+
+    def __init__(self, disability: str | Disability | Sequence[str | Disability] = "d1") -> None:
+        settings = [disability] if isinstance(disability, str | Disability) else disability
+        if not settings:
+            raise ValueError("no disability setting is named; give at least one, such as 'd1'")
+        self._bodies = disability_params(settings)
+
+    def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
+        del params, before
+        drawn = jax.random.randint(key, (n,), 0, self._bodies.strength.shape[0])
+        return (), jax.tree.map(lambda leaf: leaf[drawn], self._bodies)
+
+    def act(
+        self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        del params, first
+        return seated, jnp.zeros((obs.shape[0], 3), jnp.float32)
+
+    def names(self, seated: Any, n: int) -> list[str]:
+        del seated
+        return ["nobody"] * n
+
+
+class Persons:
+    """Persons (docs/persons.md): each simulation draws a new one for each episode."""
+
+    def __init__(self, task: str, numbers: Sequence[int] | None = None) -> None:
+        """Choose whom the simulations meet.
+
+        Args:
+            task: Whose persons.
+            numbers: Of persons; default all of the training side, 7,200.
+
+        Raises:
+            ValueError: There is no such task, or a number is unknown or of the test side.
+        """
+        if numbers is None:
+            numbers = [number for number in range(COUNT) if side(number) == "training"]
+        for number in numbers:
+            if not 0 <= number < COUNT or side(number) == "test":
+                raise ValueError(
+                    f"person {number} cannot be trained with; allowed are those of the training "
+                    "and validation sides, 0 to 7999, as the others are for testing"
+                )
+        if not len(numbers):
+            raise ValueError("no person is named; give at least one number")
+        rows = persons(task)[np.asarray(numbers)]
+        self._count, self._player = len(rows), PersonPlayer(task)
+        # Numbers [P], rows [P, 25], and what the environment needs to know of them [P].
+        self.params = jnp.asarray(numbers), jnp.asarray(rows), person_params(task, rows)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
+        """Draw N persons: all different where there are as many."""
+        del before
+        drawn = jax.random.choice(key, len(self), (n,), replace=n > len(self))
+        number, row, humans = jax.tree.map(lambda leaf: leaf[drawn], params)
+        return (number, row, self._player.initial_carry((n,))), humans
+
+    def act(
+        self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        del params
+        number, row, mind = seated
+        mind, action = self._player.act({"row": row}, mind, obs, first)
+        return (number, row, mind), action
+
+    def names(self, seated: Any, n: int) -> list[str]:
+        del n
+        return [f"person-{number:05d}" for number in seated[0].tolist()]

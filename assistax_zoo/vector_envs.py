@@ -1,0 +1,142 @@
+"""Environments for training with other libraries: hundreds of simulations, partners inside."""
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from assistax_base.errors import SplitError, listing, shorten
+from assistax_zoo.zoos import open_zoo
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from assistax_envs.adapters.partners import Partners
+    from assistax_zoo.zoos import Zoo
+    from zoo.schema import Split
+
+FORMS = ("gymnasium", "sb3", "pettingzoo", "jaxmarl")
+PERSONS = "persons"
+
+
+def vector_env(
+    task: str,
+    num_envs: int = 512,
+    *,
+    partners: str | Sequence[str] | None = None,
+    split: str | None = None,
+    preferences: Sequence[str] = (),
+    form: str = "gymnasium",
+    arrays: str = "numpy",
+    backend: str = "auto",
+    weights: Mapping[str, float] | None = None,
+    zoo: "str | Path | Zoo | None" = None,
+) -> Any:
+    """Return an environment in which a robot trains with the partners of a split's training half.
+
+    Every episode brings each simulation the next partner, under its own disability setting.
+    Partners of the test half are refused.
+
+    Args:
+        task: Task, such as "gentle_scratch".
+        num_envs: N, simulations; 512 keep two cores busy.
+        partners: Teams of the training half, such as ("scratch/ippo-d1-s1-v1",), or patterns of
+            them; default all. Or "persons": a new one of 7,200 each episode.
+        split: Split whose training half is meant; default the release's own.
+        preferences: What the humans of a gentle task like, such as ("p2", "p3"), drawn for each
+            episode; default those of the split's training half, or all. Persons have their own.
+        form: "gymnasium", a `VectorEnv`; "sb3", a `VecEnv` of Stable-Baselines3; "pettingzoo", a
+            `ParallelEnv` of batches; or "jaxmarl", pure functions of batches.
+        arrays: "numpy" or "jax", whose arrays `torch.from_dlpack` takes without a copy.
+        backend: Physics, or "auto" for the fastest one here.
+        weights: Reward weights that replace those of the task.
+        zoo: Where the partners come from, as in `open_zoo`.
+
+    Raises:
+        ValueError: An argument is not allowed.
+        ZooError: There is no such split, a partner is not of its training half, or cannot be read.
+        ImportError: The form's package is not installed.
+
+    Examples:
+        >>> env = vector_env("scratch", 4, partners="scratch/ippo-d1-*", backend="native")
+        >>> obs, info = env.reset(seed=0)
+        >>> obs.shape
+        (4, 34)
+    """
+    if form not in FORMS:
+        raise ValueError(f"form is {form!r}; allowed are {', '.join(FORMS)}")
+    if form in ("sb3", "jaxmarl") and arrays != "numpy":
+        raise ValueError(f"arrays is {arrays!r}, but form {form!r} has arrays of its own kind")
+    if partners == PERSONS:
+        if split or preferences:
+            raise ValueError("persons have no split and no preferences; leave these out")
+        from assistax_envs.adapters.partners import Persons
+
+        humans: Partners = Persons(task)
+    else:
+        humans = _published(task, partners, split, preferences, zoo)
+    how: dict[str, Any] = {"backend": backend, "weights": dict(weights) if weights else None}
+    if form == "jaxmarl":
+        from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
+
+        return AssistaxMarlVectorEnv(task, num_envs, humans, **how)
+    if form == "pettingzoo":
+        from assistax_envs.adapters.pettingzoo import AssistaxParallelVectorEnv
+
+        return AssistaxParallelVectorEnv(task, num_envs, humans, arrays=arrays, **how)
+    from assistax_envs.adapters.gymnasium import AssistaxVectorEnv
+
+    env = AssistaxVectorEnv(task, num_envs, humans, arrays=arrays, **how)
+    if form == "gymnasium":
+        return env
+    from assistax_envs.adapters.stable_baselines import AssistaxVecEnv
+
+    return AssistaxVecEnv(env)
+
+
+def _published(
+    task: str,
+    partners: str | Sequence[str] | None,
+    split: str | None,
+    preferences: Sequence[str],
+    zoo: "str | Path | Zoo | None",
+) -> "Partners":
+    """Return partners of a split's training half; nothing of the test half is loaded."""
+    from assistax_envs.preferences import PREFERENCES
+    from evaluation.ego_training import load_partners
+    from population.trainers.rotating_partners import RotatingPartners
+
+    opened = open_zoo(zoo)
+    chosen = opened.registry.split(task, split)
+    patterns = [partners] if isinstance(partners, str) else partners
+    names = chosen.train if patterns is None else _of_training_half(chosen, patterns)
+    if unknown := [name for name in preferences if name not in PREFERENCES]:
+        raise ValueError(f"preference is {unknown[0]!r}; allowed are {', '.join(PREFERENCES)}")
+    if opened.remote is not None:
+        opened.fetch([f"{team}/human" for team in names])
+    frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))
+    return RotatingPartners(frozen, tuple(preferences or chosen.preferences.get("train", ())))
+
+
+def _of_training_half(split: "Split", patterns: Sequence[str]) -> list[str]:
+    """Return the teams of a split's training half that match.
+
+    Raises:
+        SplitError: A pattern matches none, or is the name of a team outside the training half.
+    """
+    teams: dict[str, None] = {}
+    for pattern in patterns:
+        team = pattern.removesuffix("/human")
+        matching = fnmatch.filter(split.train, team)
+        if not matching:
+            tested = fnmatch.filter(split.test, team)
+            raise SplitError(
+                f"partner {shorten(pattern)}",
+                f"of the training half of {split.id}, such as {listing(split.train, 2)}",
+                "one of its test half" if tested else "none there",
+                "name others, or choose another split",
+                "nothing was loaded",
+            )
+        teams |= dict.fromkeys(matching)
+    if not teams:
+        raise ValueError("no partner is named; leave partners out to have all")
+    return list(teams)

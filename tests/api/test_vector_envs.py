@@ -1,0 +1,95 @@
+"""The front door's environments for training: whom they seat, and whom they refuse."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import assistax_zoo as az
+from assistax_base.errors import SplitError
+from zoo.parameters import storage
+from zoo.registry import load_registry
+
+TASK, TEAM = "scratch", "scratch/ippo-d1-s1-v1"
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 3)
+
+
+def test_the_test_half_is_refused_and_never_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = []
+
+    def noted(registry, entries):
+        read.extend(entry.team for entry in entries)
+        return storage.load_stacks(registry, entries)
+
+    monkeypatch.setattr("evaluation.ego_training.load_stacks", noted)
+    split = load_registry().split(TASK)
+    env = az.vector_env(TASK, 2, backend="native")
+    assert set(read) == set(split.train) and not {*read} & {*split.test}
+    env.reset(seed=0)
+    assert {name.removesuffix("/human") for name in env.partner_names()} <= set(split.train)
+    for name in (split.test[0], f"{split.test[0]}/human", [split.train[0], split.test[0]]):
+        with pytest.raises(SplitError, match=f"of the training half of {split.id}.*its test half"):
+            az.vector_env(TASK, 2, partners=name, backend="native")
+    with pytest.raises(SplitError, match="found none there"):
+        az.vector_env(TASK, 2, partners="scratch/nobody-*", backend="native")
+    assert not {*read} & {*split.test}
+
+
+def test_partners_act_as_the_zoo_has_them() -> None:
+    split = load_registry().split(TASK)
+    names = split.train[:2]
+    env = az.vector_env(TASK, 2, partners=names, form="jaxmarl", backend="native")
+    both = az.vector_env(TASK, 2, partners=names, backend="native")
+    _, state = jax.jit(env.reset)(jax.random.key(0))
+    seated = [f"{name}/human" for name in names]
+    partners = [az.open_zoo().partner(name) for name in seated]
+    robot = jnp.full((2, 7), 0.3)
+    for _ in range(2):
+        human = np.asarray(state.env.obs["human"])
+        _, after, *_ = jax.jit(env.step)(jax.random.key(1), state, {"robot": robot})
+        orders = [[0, 1], [1, 0]]
+        fits = [
+            np.stack([partners[row].act(human[i]) for i, row in enumerate(order)])
+            for order in orders
+        ]
+        played = [
+            jax.jit(env.batch.env.step)(state.env, {"robot": robot, "human": jnp.asarray(fit)})
+            for fit in fits
+        ]
+        errors = [float(jnp.abs(p.obs["human"] - after.env.obs["human"]).max()) for p in played]
+        assert min(errors) < 1e-5 < max(errors)
+        state = after
+    both.reset(seed=0)
+    first = both.partner_names()
+    for _ in range(3):
+        both.step(np.zeros((2, 7)))
+    assert both.partner_names() == first[::-1] and set(first) == set(seated)
+
+
+def test_a_splits_preferences_are_those_of_its_training_half() -> None:
+    env = az.vector_env("gentle_scratch", 8, form="jaxmarl", backend="native")
+    _, state = jax.jit(env.reset)(jax.random.key(0))
+    allowed = load_registry().split("gentle_scratch").preferences["train"]
+    assert set(np.asarray(state.env.params.preference).tolist()) <= {int(p[1:]) for p in allowed}
+
+
+def test_forms_and_wrong_arguments() -> None:
+    pettingzoo = az.vector_env(TASK, 2, partners=TEAM, form="pettingzoo", backend="native")
+    obs, _ = pettingzoo.reset(seed=0)
+    assert list(obs) == ["robot"] and obs["robot"].shape == (2, 34)
+    with pytest.raises(ValueError, match="form is 'rllib'; allowed are gymnasium, sb3"):
+        az.vector_env(TASK, form="rllib")
+    with pytest.raises(ValueError, match="preference is 'p0'; allowed are p1"):
+        az.vector_env(TASK, preferences=("p0",))
+    with pytest.raises(ValueError, match="persons have no split and no preferences"):
+        az.vector_env("gentle_scratch", partners="persons", preferences=("p1",))
+    with pytest.raises(ValueError, match="no partner is named"):
+        az.vector_env(TASK, partners=())
+    with pytest.raises(ValueError, match=re.escape("arrays is 'jax', but form 'sb3'")):
+        az.vector_env(TASK, form="sb3", arrays="jax")

@@ -1,0 +1,307 @@
+"""The vector adapters: against the environment itself, and by other libraries' own checks."""
+
+import warnings
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pettingzoo
+import pytest
+
+import assistax_envs
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch
+from assistax_envs.adapters.gymnasium import AssistaxVectorEnv
+from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
+from assistax_envs.adapters.partners import Idle, Persons
+from assistax_envs.adapters.pettingzoo import ROLES, AssistaxParallelVectorEnv
+from assistax_envs.persons import PersonPlayer, person
+
+TASK, LENGTH = "scratch", 4
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Episodes of four steps, of environments that a test makes."""
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", LENGTH)
+
+
+@pytest.fixture(scope="module")
+def vector() -> AssistaxVectorEnv:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("assistax_envs.env.EPISODE_LENGTH", LENGTH)
+        return AssistaxVectorEnv(TASK, 3, disability=("d1", "d5", "d9"), backend="native")
+
+
+def actions(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (n, 7)).astype(np.float32)
+
+
+def test_the_batch_is_the_environment():
+    batch, env = Batch(TASK, Idle("d3"), 2, "native"), assistax_envs.make(TASK, "native")
+    obs, state = jax.jit(batch.reset)(jax.random.key(7))
+    _, of_starts = jax.random.split(jax.random.key(7))
+    humans = assistax_envs.disability_params(["d3", "d3"])
+    expected = jax.jit(env.reset)(jax.random.split(of_starts, 2), humans)
+    np.testing.assert_array_equal(obs["robot"], expected.obs["robot"])
+    robot = jnp.asarray(actions(2))
+    state, step = jax.jit(batch.step)(jax.random.key(0), state, {"robot": robot})
+    expected = jax.jit(env.step)(expected, {"robot": robot, "human": jnp.zeros((2, 3))})
+    np.testing.assert_allclose(step.obs["robot"], expected.obs["robot"], atol=1e-6)
+    np.testing.assert_allclose(step.reward, expected.reward, atol=1e-6)
+    np.testing.assert_allclose(step.info["terms"]["scratch"], expected.terms["scratch"], atol=1e-6)
+
+
+def test_gymnasium_resets_in_the_same_step_and_keeps_the_last_observation(vector):
+    assert vector.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    start, _ = vector.reset(seed=4)
+    for step in range(1, 2 * LENGTH + 1):
+        obs, reward, terminated, truncated, info = vector.step(actions(3, step))
+        ended = step % LENGTH == 0
+        assert truncated.tolist() == [ended] * 3 and not terminated.any()
+        assert ("final_obs" in info) == ("final_info" in info) == ended
+        assert obs in vector.observation_space and reward.shape == (3,)
+    last, final = info["final_obs"], info["final_info"]
+    assert not np.allclose(last, obs) and info["_final_obs"].all()
+    # A start is at rest, as the first one was; what a robot moved is not.
+    assert np.abs(obs - start).max() < np.abs(last - start).max()
+    np.testing.assert_allclose(sum(v for k, v in final["terms"].items() if k[0] != "_"), reward)
+
+
+def test_gymnasium_is_reproducible_and_finite(vector):
+    def play(seed: int | None) -> np.ndarray:
+        seen = [vector.reset(seed=seed)[0]]
+        seen += [vector.step(actions(3, step))[0] for step in range(LENGTH + 1)]
+        return np.stack(seen)
+
+    first, other, again = play(11), play(None), play(11)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    for space in (vector.observation_space, vector.action_space):
+        assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
+    assert vector.single_observation_space.high[0] == OBSERVATION_BOUND
+    # What was returned is the caller's own.
+    obs, _ = vector.reset(seed=1)
+    obs[:] = np.nan
+    assert np.isfinite(vector.step(actions(3))[0]).all()
+
+
+def test_gymnasium_takes_its_own_wrappers(vector):
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(vector)
+    env.reset(seed=2)
+    rewards = []
+    for step in range(LENGTH):
+        _, reward, _, _, info = env.step(actions(3, step))
+        rewards.append(reward)
+    np.testing.assert_allclose(info["episode"]["r"], np.sum(rewards, axis=0), rtol=1e-5)
+    assert info["episode"]["l"].tolist() == [LENGTH] * 3
+    listed = gymnasium.wrappers.vector.DictInfoToList(vector)
+    listed.reset(seed=2)
+    infos = [listed.step(actions(3, step))[4] for step in range(LENGTH)]
+    assert len(infos[0]) == 3 and set(infos[0][1]) >= {"force", "success", "terms"}
+    assert infos[-1][2]["final_obs"].shape == (34,)
+
+
+def test_gymnasium_makes_it_by_its_id():
+    from assistax_envs.adapters.gymnasium import register
+
+    names = register()
+    try:
+        env = gymnasium.make_vec(f"assistax/{TASK}-v1", 2, backend="native", disability="d9")
+        assert isinstance(env.unwrapped, AssistaxVectorEnv) and env.num_envs == 2
+    finally:
+        for name in names:
+            del gymnasium.registry[name]
+
+
+class Row(gymnasium.Env):
+    """The one simulation of a vector environment, for checks that know no batch."""
+
+    def __init__(self) -> None:
+        self.vector = AssistaxVectorEnv(TASK, 1, backend="native")
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        obs, info = self.vector.reset(seed=seed, options=options)
+        return obs[0], info
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = self.vector.step(action[None])
+        return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+
+def test_gymnasium_passes_the_check_of_environments():
+    from gymnasium.utils.env_checker import check_env
+
+    with warnings.catch_warnings():  # that it was not made by an id
+        warnings.filterwarnings("ignore", message=".*spec")
+        check_env(Row(), skip_render_check=True)
+
+
+class ParallelRow(pettingzoo.ParallelEnv):
+    """Likewise for PettingZoo, whose agents go when an episode ends."""
+
+    def __init__(self, vector: AssistaxParallelVectorEnv) -> None:
+        self.vector, self.agents = vector, []
+        self.possible_agents = vector.possible_agents
+        self.metadata = vector.metadata
+
+    def observation_space(self, agent):
+        return self.vector.observation_space(agent)
+
+    def action_space(self, agent):
+        return self.vector.action_space(agent)
+
+    def reset(self, seed=None, options=None):
+        obs, infos = self.vector.reset(seed, options)
+        self.agents = list(self.vector.agents)
+        return {agent: value[0] for agent, value in obs.items()}, infos
+
+    def step(self, actions):
+        *values, infos = self.vector.step({role: value[None] for role, value in actions.items()})
+        values = [{agent: value[0] for agent, value in by_agent.items()} for by_agent in values]
+        if any(values[3].values()):
+            self.agents = []
+        return *values, infos
+
+
+@pytest.mark.slow
+def test_pettingzoo_passes_its_own_test():
+    from pettingzoo.test import parallel_api_test
+
+    for partners in (None, Idle("d2")):
+        vector = AssistaxParallelVectorEnv(TASK, 1, partners, backend="native")
+        parallel_api_test(ParallelRow(vector), num_cycles=3 * LENGTH)
+
+
+def test_pettingzoo_has_batches_of_both_seats():
+    env = AssistaxParallelVectorEnv(TASK, 2, disability="d3", backend="native")
+    with pytest.raises(ValueError, match=r"call reset\(\) first"):
+        env.state()
+    obs, infos = env.reset(seed=3)
+    assert {role: value.shape for role, value in obs.items()} == {
+        "robot": (2, 34),
+        "human": (2, 38),
+    }
+    assert env.state().shape == (2, 52) and infos == {"robot": {}, "human": {}}
+    still = {"robot": np.zeros((2, 7)), "human": np.zeros((2, 3))}
+    moved = {"robot": np.zeros((2, 7)), "human": np.ones((2, 3))}
+    results = []
+    for human in (still, moved):
+        env.reset(seed=3)
+        results.append([env.step(human) for _ in range(LENGTH)])
+    assert not np.allclose(results[0][0][0]["human"], results[1][0][0]["human"])
+    obs, rewards, _, truncated, infos = results[1][-1]
+    assert truncated["human"].tolist() == [True, True] and env.agents == list(ROLES)
+    assert not np.allclose(infos["human"]["final_obs"], obs["human"])
+    np.testing.assert_array_equal(rewards["robot"], rewards["human"])
+    with pytest.raises(ValueError, match="no actions of the human; give those of every agent"):
+        env.step({"robot": np.zeros((2, 7))})
+
+
+def test_jaxmarl_scans_over_ends_of_episodes():
+    env = AssistaxMarlVectorEnv(TASK, 2, disability=("d1", "d9"), backend="native")
+    still = {"robot": jnp.zeros((2, 7)), "human": jnp.zeros((2, 3))}
+
+    @jax.jit
+    def play(key: jax.Array) -> Any:
+        def body(state: Any, key: jax.Array) -> tuple[Any, Any]:
+            obs, state, rewards, dones, infos = env.step(key, state, still)
+            return state, (obs, rewards["__all__"], dones["__all__"], infos, state.env.step)
+
+        _, state = env.reset(key)
+        return jax.lax.scan(body, state, jax.random.split(key, LENGTH + 1))[1]
+
+    obs, rewards, dones, infos, steps = play(jax.random.PRNGKey(5))  # raw, as JaxMARL's are
+    assert dones[:, 0].tolist() == [False, False, False, True, False]
+    assert steps[:, 1].tolist() == [1, 2, 3, 0, 1] and rewards.shape == (LENGTH + 1, 2)
+    assert {value.shape for value in infos.values()} == {(LENGTH + 1, 2, 2)}
+    assert env.observation_space("human").contains(obs["human"])
+    assert AssistaxMarlVectorEnv(TASK, 2, Idle(), backend="native").agents == ["robot"]
+
+
+def test_arrays_pass_without_copies():
+    env = AssistaxVectorEnv(TASK, 2, backend="native", arrays="jax")
+    obs, _ = env.reset(seed=0)
+    shared = np.from_dlpack(obs)
+    assert shared.__array_interface__["data"][0] == obs.unsafe_buffer_pointer()
+
+    class Tensor:  # what PyTorch's has
+        def __init__(self, values: np.ndarray) -> None:
+            self.values = values
+
+        def __dlpack__(self, **options: Any) -> Any:
+            return self.values.__dlpack__(**options)
+
+        def __dlpack_device__(self) -> Any:
+            return self.values.__dlpack_device__()
+
+    results = []
+    for given in (actions(2), jnp.asarray(actions(2)), Tensor(actions(2))):
+        env.reset(seed=0)
+        results.append(np.asarray(env.step(given)[0]))
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_array_equal(results[0], results[2])
+
+
+def test_wrong_arguments_say_what_is_allowed(vector):
+    with pytest.raises(ValueError, match="num_envs is 0; allowed is 1 to"):
+        AssistaxVectorEnv(TASK, 0)
+    with pytest.raises(ValueError, match="arrays is 'torch'; allowed are 'numpy' and 'jax'"):
+        AssistaxVectorEnv(TASK, 2, arrays="torch")
+    with pytest.raises(ValueError, match="no disability setting is named"):
+        AssistaxVectorEnv(TASK, 2, disability=())
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match=r"have shape \(2, 7\); expected \(3, 7\)"):
+        vector.step(np.zeros((2, 7)))
+    with pytest.raises(ValueError, match="all simulations begin together"):
+        vector.reset(options={"reset_mask": np.ones(3, bool)})
+
+
+@pytest.mark.slow
+def test_every_episode_brings_new_persons():
+    people = Persons("gentle_scratch")
+    env = AssistaxVectorEnv("gentle_scratch", 4, people, backend="native", arrays="jax")
+    assert len(people) == 7200
+    env.reset(seed=0)
+    first = env.partner_names()
+    for step in range(LENGTH):
+        env.step(actions(4, step))
+    second = env.partner_names()
+    assert len({*first, *second}) == 8
+    assert all(person("gentle_scratch", int(name[7:])).side == "training" for name in first)
+
+
+@pytest.mark.slow
+def test_a_person_acts_as_itself():
+    task, someone = "gentle_scratch", person("gentle_scratch", 42)
+    batch = Batch(task, Persons(task, [42]), 2, "native")
+    _, state = jax.jit(batch.reset)(jax.random.key(1))
+    np.testing.assert_allclose(state.env.params.likes.force[0], someone.row[18])
+    player = PersonPlayer(task)
+    human = jax.jit(player.act)(
+        {"row": jnp.asarray(someone.row)},
+        player.initial_carry((2,)),
+        state.env.obs["human"],
+        jnp.ones(2, bool),
+    )[1]
+    robot = jnp.asarray(actions(2))
+    step = jax.jit(batch.step)
+    with_person = step(jax.random.key(0), state, {"robot": robot})[1]
+    by_hand = step(jax.random.key(0), state, {"robot": robot, "human": human})[1]
+    idle = step(jax.random.key(0), state, {"robot": robot, "human": jnp.zeros((2, 3))})[1]
+    np.testing.assert_allclose(with_person.obs["human"], by_hand.obs["human"], atol=1e-5)
+    assert np.abs(with_person.obs["human"] - idle.obs["human"]).max() > 1e-3
+
+
+def test_persons_of_the_test_side_are_refused():
+    for number in (8000, 9500, 10_000, -1):
+        with pytest.raises(ValueError, match=f"person {number} cannot be trained with"):
+            Persons("gentle_scratch", [1, number])
+    with pytest.raises(ValueError, match="task is 'swim'; allowed are "):
+        Persons("swim")
+    with pytest.raises(ValueError, match="no person is named"):
+        Persons("gentle_bath", [])
