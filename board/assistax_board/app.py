@@ -10,8 +10,10 @@ from assistax_board.api import live as live
 from assistax_board.api import operations, public, submitting, working
 from assistax_board.api.desk import Desk
 from assistax_board.api.errors import add_error_handlers
-from assistax_board.api.guards import BodyLimit, HeadAsGet, Limiter
+from assistax_board.api.guards import BodyLimit, HeadAsGet
+from assistax_board.api.rates import Limiter
 from assistax_board.live.rooms import Rooms
+from assistax_board.live.seats import Seats
 from assistax_board.pages import add_pages
 from assistax_board.pages.security import SecurityHeaders
 from assistax_board.service import Service
@@ -39,10 +41,13 @@ def create_app(service: Service, **pages: Any) -> FastAPI:
         redoc_url=None,
         middleware=list(MIDDLEWARE),
     )
-    app.state.service, app.state.limiter, app.state.desk = service, Limiter(), Desk()
-    app.state.rooms, app.state.metrics = Rooms(), operations.Metrics()
+    app.state.service, app.state.desk = service, Desk()
+    app.state.limiter = Limiter(service.database, service.signer.secret("rates"))
+    app.state.rooms = Rooms(Seats(service.database, service.clock))
+    app.state.metrics = operations.Metrics()
     for router in ROUTERS:
         app.include_router(router)
     add_error_handlers(app)
+    pages.setdefault("form_key", service.signer.secret("forms"))
     add_pages(app, service, **pages)
     return app

@@ -8,7 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_board.clock import Clock, system_clock
-from assistax_board.live.rooms import GONE_SECONDS, LIFE_SECONDS, Rooms
+from assistax_board.live.seats import Seats
 from assistax_board.problems import Problem
 from assistax_board.rules import (
     closing,
@@ -67,14 +67,13 @@ class Service:
             self._reveal(connection, submission)
 
     def lease(
-        self, worker: str, versions: Sequence[str], rooms: Rooms | None = None
+        self, worker: str, versions: Sequence[str], seats: Seats | None = None
     ) -> Work | None:
-        """Give a worker the next job that it can do; `rooms` say which live clients are there."""
+        """Give a worker the next job that it can do; `seats` say which live clients are gone."""
         closing.close_due(self.database, self.clock())
-        connected = () if rooms is None else rooms.connected()
-        if rooms is not None:
-            self._end_absent(rooms)
-        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock(), connected)
+        for submission in () if seats is None else seats.gone():
+            self._fail(submission, "client_gone")
+        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
         for submission in exhausted:
             self._fail(submission, "worker_errors")
         return None if lease is None else self._work(lease)
@@ -219,16 +218,6 @@ class Service:
     def adopt_version(self) -> int:
         """Score anew what was scored by other versions; return how many submissions that is."""
         return upgrading.adopt_version(self)
-
-    def _end_absent(self, rooms: Rooms) -> None:
-        """End live submissions whose clients have not come for too long."""
-        live = sa.select(SUBMISSION.id, SUBMISSION.created_at).where(SUBMISSION.kind == "live")
-        with self.database.read() as connection:
-            waiting = connection.execute(live.where(SUBMISSION.state.not_in(FINAL_STATES))).all()
-        for row in waiting:
-            is_old = self.clock() - row.created_at > LIFE_SECONDS
-            if is_old or rooms.away_for(row.id) > GONE_SECONDS:
-                self._fail(row.id, "client_gone")
 
     def _fail(self, submission: str, reason: str) -> None:
         now = self.clock()

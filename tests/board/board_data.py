@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from assistax_board.api.errors import add_error_handlers
-from assistax_board.api.guards import Limiter
+from assistax_board.api.rates import Limiter
 from assistax_board.pages import add_pages
 from assistax_board.pages.security import SecurityHeaders
 from assistax_board.store import schema

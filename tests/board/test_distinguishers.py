@@ -312,7 +312,7 @@ def test_a_planted_leak_of_time_is_found(
     assert len(set(values.values())) == 2
 
     def attempts(self: Queries, season: str) -> Any:
-        time.sleep(0.05 * (values[id(self._database)] - 1.0))
+        time.sleep(0.05 * (values[id(self.database)] - 1.0))
         return real(self, season)
 
     monkeypatch.setattr(Queries, "attempts", attempts)

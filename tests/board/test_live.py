@@ -15,14 +15,24 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from assistax_board.client import Client
 from assistax_board.live import client as live_client
-from assistax_board.live import rooms
+from assistax_board.live import seats
 from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows
 from assistax_board.live.robot import LiveRobot
 from assistax_board.live.rooms import BankEmpty, Rooms
+from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
-from tests.board.fakes import TASK, FakeScorer, advance, draft, new_service, new_submitter, shown
+from tests.board.fakes import (
+    TASK,
+    FakeScorer,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    shown,
+    take,
+)
 from tests.board.running import served
 from tests.board.test_season import open_season
 
@@ -65,21 +75,25 @@ class Dropping:
             raise ConnectionError("lost after it was sent")
 
 
-def play(service: Service, robot: Any, connect: Any = None, **fields: Any) -> str:
-    """Submit and play a live robot with one worker; return the submission's id."""
+def play(service: Service, robot: Any, connect: Any = None, workers: int = 1, **fields: Any) -> str:
+    """Submit and play a live robot; return the submission's id."""
     with served(service) as server:
         submitter, working = server.client("submit"), server.client("work")
         fields = {"request_id": "request-1", **FIELDS, **fields}
         id = submitter.submit(b"", **fields)["id"]
         live = lambda work: LiveRobot(working, work)  # noqa: E731
-        worker = Worker(working, FakeScorer(), live=live, idle=0.05, beat=1.0)
-        thread = threading.Thread(target=worker.run)
-        thread.start()
+        those = [
+            Worker(working, FakeScorer(), live=live, idle=0.05, beat=1.0) for _ in range(workers)
+        ]
+        threads = [threading.Thread(target=worker.run) for worker in those]
+        for thread in threads:
+            thread.start()
         try:
             live_client.play_live(submitter, id, robot, connect=connect)
         finally:
-            worker.stop()
-            thread.join()
+            for worker, thread in zip(those, threads, strict=True):
+                worker.stop()
+                thread.join()
     return id
 
 
@@ -216,7 +230,7 @@ def test_who_leaves_while_no_question_waits_is_missed(tmp_path: Path, gently: bo
 def test_one_token_cannot_take_all_connections(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rooms, "SEATS_OF_OWNER", 3)
+    monkeypatch.setattr(seats, "SEATS_OF_OWNER", 3)
     with served(new_service(tmp_path)) as server:
         owner = server.client("submit")
         names = [handed_in(owner, number) for number in range(4)]
@@ -293,39 +307,78 @@ def ask_once(robot: LiveRobot) -> None:
         robot(np.zeros((2, 4), np.float32))
 
 
-def test_time_away_is_taken_from_the_bank() -> None:
-    """A client that is there for moments only would think for ever otherwise."""
+def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
+    """A client that is there for moments only, at one server or the other, thinks for ever else."""
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    houses = [Rooms(places_of(service), bank=0.3) for _ in range(2)]
 
     async def flicker() -> None:
-        house = Rooms(resume=60.0, bank=0.3)
-        asking = asyncio.create_task(house.ask("s", ("batch", 0), b"", 5.0))
-        while not asking.done():
-            house.leave(house.take_seat("s", "lab"))
+        seat = await houses[0].take_seat(id, "lab")
+        work = take(service)
+        asked = Asked(id, work.job, work.lease, ("run.1", 0), b"")
+        asking = asyncio.create_task(houses[0].ask(asked, 5.0))
+        for turn in range(1000):
+            await houses[turn % 2].leave(seat)
+            if asking.done():
+                break
             await asyncio.sleep(0.05)
+            seat = await houses[(turn + 1) % 2].take_seat(id, "lab")
         await asking
 
     with pytest.raises(BankEmpty):
-        asyncio.run(asyncio.wait_for(flicker(), 5.0))
+        asyncio.run(asyncio.wait_for(flicker(), 20.0))
+
+
+def places_of(service: Service) -> Seats:
+    return Seats(service.database, service.clock)
 
 
 def test_who_comes_and_goes_without_playing_is_gone_after_a_day(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft(data=None, kind="live"))
-    house = Rooms()
+    places = places_of(service)
     for _ in range(25):
-        house.leave(house.take_seat(id, "lab"))
-        service.lease("w", FakeScorer().versions(), house)
+        places.leave(id, places.take(id, "lab"), 0.0)
+        service.lease("w", FakeScorer().versions(), places)
         assert shown(service, id).state == "queued"
         advance(service, 3600.0)
-    service.lease("w", FakeScorer().versions(), house)
+    service.lease("w", FakeScorer().versions(), places)
     assert (shown(service, id).state, shown(service, id).reason) == ("failed", "client_gone")
 
 
-def test_a_client_has_time_to_come_however_long_the_server_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    service, house, began = new_service(tmp_path), Rooms(), time.monotonic()
-    monkeypatch.setattr(rooms.time, "monotonic", lambda: began + 2 * rooms.GONE_SECONDS)
+def test_a_client_has_time_to_come_however_long_the_server_runs(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    places, versions = places_of(service), FakeScorer().versions()
+    advance(service, 2 * seats.GONE_SECONDS)
     id = service.submit(new_submitter(service), draft(data=None, kind="live"))
-    service.lease("w", FakeScorer().versions(), house)
+    service.lease("w", versions, places)
     assert shown(service, id).state == "queued"
+    advance(service, 2 * seats.GONE_SECONDS)
+    service.lease("w", versions, places_of(service))  # of a server that has only just begun
+    assert shown(service, id).state == "queued"
+    service.lease("w", versions, places)
+    assert shown(service, id).reason == "client_gone"
+
+
+def test_a_live_robot_plays_one_job_after_another(tmp_path: Path) -> None:
+    """Two workers that asked it in turns would each get what it answered to the other."""
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    places_of(service).take(id, "lab")
+    work = take(service)
+    assert service.lease("another", FakeScorer().versions()) is None
+    service.give_back(work.job, work.lease)
+    assert take(service).submission == id
+
+
+def test_several_workers_do_not_show(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    alone, several = new_service(tmp_path / "a"), new_service(tmp_path / "b")
+    ids = play(alone, Counting()), play(several, Counting(), workers=3)
+    scores = [
+        service.queries.scores(submission=id)[0].figures["mean"]
+        for service, id in zip((alone, several), ids, strict=True)
+    ]
+    assert scores[0] == scores[1]

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 from starlette.testclient import TestClient
 
 from assistax_board.app import create_app
@@ -13,7 +14,7 @@ from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.receipts import verify_receipt
-from assistax_board.store.schema import METADATA
+from assistax_board.store.schema import JOB, METADATA
 from tests.board.fakes import (
     TASK,
     FakeScorer,
@@ -132,6 +133,19 @@ def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
     advance(service, jump)
     work_off(service)
     assert shown(service, id).state == "scored"
+
+
+def test_a_lease_by_a_clock_that_is_a_little_ahead_stands(tmp_path: Path) -> None:
+    """Of another server, or of a request that waited for the database with the time it had."""
+    service = new_service(tmp_path)
+    service.submit(new_submitter(service), draft())
+    advance(service, 5.0)
+    work = take(service)
+    advance(service, -5.0)
+    take(service)
+    with service.database.read() as connection:
+        assert set(connection.execute(sa.select(JOB.failures)).scalars()) == {0}
+    assert service.beat(work.job, work.lease)
 
 
 def test_a_job_that_fails_too_often_ends_its_submission(tmp_path: Path) -> None:

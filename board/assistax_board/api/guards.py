@@ -1,17 +1,13 @@
 """What stands before every request: size, rate, and who asks."""
 
 import asyncio
-import math
-import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import Depends, Request, Security
 from fastapi.exceptions import RequestValidationError
 from fastapi.security import HTTPBearer
-from limits import RateLimitItem, parse
-from limits.storage import MemoryStorage
-from limits.strategies import MovingWindowRateLimiter
+from limits import parse
 from pydantic import BaseModel, ValidationError
 
 from assistax_board.problems import CODES, Problem
@@ -33,28 +29,6 @@ PAGES = parse("3000/minute")  # one address may be a whole institute's
 FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
 FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
 UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
-
-
-class Limiter:
-    """Counts requests in moving windows, in this process's memory."""
-
-    def __init__(self) -> None:
-        self._windows = MovingWindowRateLimiter(MemoryStorage())
-
-    def hit(self, rate: RateLimitItem, who: str) -> None:
-        """Count a request.
-
-        Raises:
-            Problem: It is one too many.
-        """
-        if not self._windows.hit(rate, str(rate), who):
-            wait = self._windows.get_window_stats(rate, str(rate), who).reset_time - time.time()
-            message = f"more than {rate}; wait and try again"
-            raise Problem("too_many_requests", message, max(1, math.ceil(wait)))
-
-    def left(self, rate: RateLimitItem, who: str) -> int:
-        """Return how many requests may still be made now."""
-        return self._windows.get_window_stats(rate, str(rate), who).remaining
 
 
 class HeadAsGet:

@@ -15,14 +15,13 @@ from assistax_board.api.submitting import whole_body
 from assistax_board.api.working import LeaseSecret
 from assistax_board.live.messages import decode, encode, unpack_rows
 from assistax_board.live.rooms import Away, BankEmpty, Room, Seat
+from assistax_board.live.seats import Asked
 from assistax_board.problems import CODES, Problem
 from assistax_board.rules.tokens import authenticate
-from assistax_board.vocabulary import FINAL_STATES
 
 router = APIRouter(prefix="/api", tags=["live"], responses=RESPONSES)
 asking = APIRouter(prefix="/api/work", tags=["live"], responses=RESPONSES)
 WAIT_SECONDS = 20.0  # of one question of a worker, which then asks again
-LOOK_SECONDS = 1.0  # between two looks at whether the submission has ended
 TAKE_SECONDS = 60.0  # for a client to take a question
 POLICY_VIOLATION = 1008  # a WebSocket's closing code
 
@@ -45,7 +44,7 @@ async def ask(
         raise Problem("invalid", str(error)) from None
     step = message["batch"], message["step"]
     try:
-        answer = await rooms.ask(submission, step, body, WAIT_SECONDS)
+        answer = await rooms.ask(Asked(submission, job, lease, step, body), WAIT_SECONDS)
     except Away:
         await run_in_threadpool(service.live_away, job, lease)
         raise Problem("lease_lost", "the client is away; the job goes back") from None
@@ -63,7 +62,7 @@ async def live(socket: WebSocket, submission: str) -> None:
     rooms = socket.app.state.rooms
     try:
         owner = await run_in_threadpool(_check_owner, socket, submission)
-        seat = rooms.take_seat(submission, owner)
+        seat = await rooms.take_seat(submission, owner)
     except Problem as problem:
         headers = {"Retry-After": str(problem.retry_after or 10)}
         answer = Response(problem.message, CODES[problem.code], headers)
@@ -74,13 +73,12 @@ async def live(socket: WebSocket, submission: str) -> None:
         await _first_to_end(
             _talk(socket, rooms.room(submission), seat),
             _listen(socket, rooms.room(submission), seat),
-            _watch(socket, submission),
-            seat.replaced.wait(),
+            _end(socket, seat),
         )
     except (WebSocketDisconnect, RuntimeError, TimeoutError):
         pass  # it may come again
     finally:
-        rooms.leave(seat)
+        await rooms.leave(seat)
 
 
 async def _first_to_end(*parts: Coroutine[Any, Any, Any]) -> None:
@@ -122,16 +120,11 @@ async def _listen(socket: WebSocket, room: Room, seat: Seat) -> None:
         await _hear(socket, room, seat, message.get("bytes"))
 
 
-async def _watch(socket: WebSocket, submission: str) -> None:
-    """Tell the client when its submission has ended."""
-    state = socket.app.state
-    while True:
-        ended = await run_in_threadpool(state.service.queries.state, submission)
-        if ended is None or ended in FINAL_STATES:
-            await socket.send_bytes(encode("end", state=ended or "failed"))
-            state.rooms.close(submission)
-            return
-        await asyncio.sleep(LOOK_SECONDS)
+async def _end(socket: WebSocket, seat: Seat) -> None:
+    """Tell the client when its submission has ended, or hang up if it came by another way."""
+    await seat.over.wait()
+    if seat.state is not None:
+        await socket.send_bytes(encode("end", state=seat.state))
 
 
 async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -> None:
@@ -151,8 +144,7 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         refuse = socket.app.state.service.live_refused
         await run_in_threadpool(refuse, seat.submission, code)
     elif is_asked:  # otherwise a new worker has begun anew
-        room.answer = data
-        room.wake()
+        await socket.app.state.rooms.hear(seat.submission, data)
 
 
 def _check_owner(socket: WebSocket, submission: str) -> str:

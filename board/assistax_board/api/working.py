@@ -51,7 +51,7 @@ def lease(
     service: TheService, request: Request, worker: Worker, body: Annotated[Any, _LEASE]
 ) -> Any:
     """Take the next job, or 204 where nothing waits."""
-    work: Work | None = service.lease(body.worker, body.versions, request.app.state.rooms)
+    work: Work | None = service.lease(body.worker, body.versions, request.app.state.rooms.seats)
     return Response(status_code=204) if work is None else work
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
+Step = tuple[str, int]  # a batch and the number of a step in it
 MAX_BYTES = 4 * 1024 * 1024
 MAX_ROWS = 65_536
 # The fields of each message and their types.
@@ -40,6 +41,16 @@ def decode(data: Any, *kinds: str) -> dict[str, Any]:
     if wrong := [name for name, kind in fields.items() if type(message[name]) is not kind]:
         raise ValueError(f"field {wrong[0]} has another type")
     return message
+
+
+def is_newer(step: Step, known: Step | None) -> bool:
+    """Return whether a step comes after another: a request that is late must not undo one.
+
+    Batches of one player are RUN.000001, RUN.000002; another player begins anew.
+    """
+    if known is None or step[0].partition(".")[0] != known[0].partition(".")[0]:
+        return True
+    return step > known
 
 
 def pack_rows(rows: np.ndarray) -> dict[str, Any]:

@@ -15,15 +15,18 @@ class LiveRobot:
 
     def __init__(self, client: Client, work: Work) -> None:
         self._client, self._work = client, work
-        self._batch, self._step = new_id(), 0
+        self._run, self._batches = new_id(), 0
+        self._step = 0
 
     def reset(self, rows: int) -> None:
         """Begin a batch of episodes."""
-        self._batch, self._step = new_id(), 0
+        self._batches += 1
+        self._step = 0
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         """Return the client's actions; wait for as long as the server allows it."""
-        message = encode("observe", batch=self._batch, step=self._step, **pack_rows(obs))
+        batch = f"{self._run}.{self._batches:06d}"
+        message = encode("observe", batch=batch, step=self._step, **pack_rows(obs))
         self._step += 1
         headers: dict[str, Any] = {"X-Lease": self._work.lease}
         while True:

@@ -1,21 +1,29 @@
-"""Where a worker and a live client meet: one room a submission, in the server's memory.
+"""Where a worker and a live client meet: one room a submission, in the memory of a server.
 
-Everything here runs in the server's event loop, so nothing needs a lock. A server that restarts
-forgets the rooms; worker and client both come again, and the step is sent again.
+Everything here runs in the server's event loop, so nothing needs a lock. Which server has the
+connection, and what was asked at another one, is in the database: see `seats`. A server that
+restarts forgets the rooms; worker and client both come again, and the step is sent again.
 """
 
 import asyncio
+import contextlib
 import dataclasses
 import time
 
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
+
+from assistax_board.live.messages import Step, is_newer
+from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
+from assistax_board.vocabulary import FINAL_STATES
 
 TIME_BANK = 900.0  # seconds that steps may wait for a robot in all, also while it is away
 RESUME_SECONDS = 60.0  # for a lost connection to come back within a batch
-GONE_SECONDS = 600.0  # for a client to come at all
-LIFE_SECONDS = 86_400.0  # for a live submission to end, however its client comes and goes
-SEATS_OF_OWNER = 16  # connections of one lab at once
-SEATS = 400  # of all labs: requests need room beside them
+SEATS = 400  # connections of all labs here: requests need room beside them
+POLL_SECONDS = 0.05  # between two looks at what was asked, or answered, at another server
+LOOK_SECONDS = 1.0  # between two looks at which connections have ended
+BOOK_SECONDS = 1.0  # of thinking that are written down together
 
 
 class Away(Exception):
@@ -31,23 +39,38 @@ class Seat:
     """One connection of a client to its room."""
 
     submission: str
-    owner: str
+    name: str
     owed: int = 0  # questions that were sent and not answered
-    replaced: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
+    over: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
+    state: str | None = None  # in which its submission ended; None if another took the place
+
+    def end(self, state: str | None) -> None:
+        """Let the connection be closed."""
+        self.state = state
+        self.over.set()
 
 
 @dataclasses.dataclass
 class Room:
     """One live submission: the step that waits for an answer, and the last answer."""
 
-    seen_at: float  # when the client was last connected
-    seat: Seat | None = None  # the newest connection of its client
+    seat: Seat | None = None  # the newest connection of its client, if it is here
     changed: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
-    step: tuple[str, int] | None = None  # batch and number
+    step: Step | None = None
     question: bytes | None = None
     answer: bytes | None = None
-    thought: float = 0.0
-    closed: bool = False
+    thought: float = 0.0  # seconds that are not written down yet
+    elsewhere: Step | None = None  # the last step that was asked at another server
+
+    def put(self, step: Step, question: bytes) -> None:
+        """Let a step wait for its answer, unless it is there or a later one was put."""
+        if is_newer(step, self.step):
+            self.step, self.question, self.answer = step, question, None
+            self.wake()
+
+    def answer_to(self, step: Step) -> bytes | None:
+        """Return the answer to a step."""
+        return self.answer if self.step == step else None
 
     def wake(self) -> None:
         """Let everybody who waits look again."""
@@ -58,85 +81,131 @@ class Room:
 class Rooms:
     """All rooms of this server."""
 
-    def __init__(self, *, resume: float = RESUME_SECONDS, bank: float = TIME_BANK) -> None:
+    def __init__(
+        self, seats: Seats, *, resume: float = RESUME_SECONDS, bank: float = TIME_BANK
+    ) -> None:
+        self.seats = seats
         self._rooms: dict[str, Room] = {}
-        self._seats: set[Seat] = set()
+        self._here: dict[str, Seat] = {}
+        self._keeping: asyncio.Task[None] | None = None
         self._resume, self._bank = resume, bank
 
     def room(self, submission: str) -> Room:
         """Return the room of a submission."""
-        return self._rooms.setdefault(submission, Room(seen_at=time.monotonic()))
+        return self._rooms.setdefault(submission, Room())
 
-    def take_seat(self, submission: str, owner: str) -> Seat:
+    async def take_seat(self, submission: str, owner: str) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.
 
         Raises:
             Problem: The lab, or all labs together, have too many connections.
         """
-        others = [seat for seat in self._seats if seat.submission != submission]
-        own = sum(seat.owner == owner for seat in others)
-        if own >= SEATS_OF_OWNER or len(others) >= SEATS:
-            message = f"at most {SEATS_OF_OWNER} live robots of a lab play at once; try again later"
+        if sum(seat.submission != submission for seat in self._here.values()) >= SEATS:
+            message = f"at most {SEATS} live robots play here at once; try again later"
             raise Problem("too_many_requests", message)
-        room, seat = self.room(submission), Seat(submission, owner)
+        name = await run_in_threadpool(self.seats.take, submission, owner)
+        room, seat = self.room(submission), Seat(submission, name)
         if room.seat is not None:
-            room.seat.replaced.set()
-        room.seat = seat
-        self._seats.add(seat)
+            room.seat.end(None)
+        room.seat = self._here[name] = seat
+        if self._keeping is None or self._keeping.done():
+            self._keeping = asyncio.create_task(self._keep())
         return seat
 
-    def leave(self, seat: Seat) -> None:
+    async def leave(self, seat: Seat) -> None:
         """Note that a connection is over."""
-        self._seats.discard(seat)
-        room = self._rooms.get(seat.submission)
+        del self._here[seat.name]
+        room, thought = self._rooms.get(seat.submission), 0.0
         if room is not None and room.seat is seat:
-            room.seat, room.seen_at = None, time.monotonic()
-
-    def connected(self) -> tuple[str, ...]:
-        """Return the submissions whose clients are there: only their jobs are given out."""
-        return tuple(name for name, room in list(self._rooms.items()) if room.seat)
-
-    def away_for(self, submission: str) -> float:
-        """Return for how many seconds nobody has been in a room."""
-        room = self.room(submission)
-        return 0.0 if room.seat else time.monotonic() - room.seen_at
-
-    def close(self, submission: str) -> None:
-        """Forget a room whose submission has ended."""
-        if room := self._rooms.pop(submission, None):
-            room.closed = True
+            del self._rooms[seat.submission]
+            thought, room.thought = room.thought, 0.0
             room.wake()
+        await run_in_threadpool(self.seats.leave, seat.submission, seat.name, thought)
 
-    async def ask(
-        self, submission: str, step: tuple[str, int], question: bytes, wait: float
-    ) -> bytes | None:
+    async def hear(self, submission: str, answer: bytes) -> None:
+        """Take a client's answer to the step that waits."""
+        room = self.room(submission)
+        room.answer = answer
+        room.wake()
+        if room.elsewhere is not None and room.elsewhere == room.step:
+            await run_in_threadpool(self.seats.answered, submission, room.step, answer)
+
+    async def ask(self, asked: Asked, wait: float) -> bytes | None:
         """Put a step to the client; return its answer, or None if it takes longer than `wait`.
 
-        The same step may be put again, also after it was answered.
+        The same step may be put again, also after it was answered, and at any server.
 
         Raises:
             Away: The client has not come back for too long.
             BankEmpty: Its time is used up.
         """
-        room, end = self.room(submission), time.monotonic() + wait
-        if room.step != step:
-            room.step, room.question, room.answer = step, question, None
-            room.wake()
-        while room.answer is None:
-            began = time.monotonic()
-            if began >= end or room.closed:
-                return None
-            await self._change(room, min(end - began, 1.0))
-            # Also while it is away: short connections would cost no time otherwise.
-            room.thought += time.monotonic() - began
-            if self.away_for(submission) > self._resume:
+        end, is_put = time.monotonic() + wait, False
+        while True:
+            began, room = time.monotonic(), self._rooms.get(asked.submission)
+            left, away = max(0.0, min(end - began, LOOK_SECONDS)), 0.0
+            if room is not None:
+                answer = await self._ask_here(room, asked, left)
+            else:
+                if not is_put and not await run_in_threadpool(self.seats.put, asked):
+                    return None
+                is_put = True
+                answer, away = await run_in_threadpool(
+                    self.seats.answer, asked.submission, asked.step
+                )
+                if answer is None:
+                    await asyncio.sleep(min(left, POLL_SECONDS))
+            await self._think(asked.submission, room, time.monotonic() - began)
+            if away > self._resume:
                 raise Away
-            if room.thought > self._bank:
-                raise BankEmpty
-        return room.answer
+            if answer is not None or time.monotonic() >= end:
+                return answer
 
-    async def _change(self, room: Room, seconds: float) -> None:
-        try:
-            await asyncio.wait_for(room.changed.wait(), seconds)
-        except TimeoutError:
-            return
+    async def _ask_here(self, room: Room, asked: Asked, seconds: float) -> bytes | None:
+        room.put(asked.step, asked.question)
+        if room.answer_to(asked.step) is None:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(room.changed.wait(), seconds)
+        return room.answer_to(asked.step)
+
+    async def _think(self, submission: str, room: Room | None, seconds: float) -> None:
+        """Count time, also while the client is away: short connections would cost none otherwise.
+
+        Raises:
+            BankEmpty: There is none left.
+        """
+        if room is not None and self._rooms.get(submission) is room:
+            room.thought += seconds
+            if room.thought < BOOK_SECONDS:
+                return
+            seconds, room.thought = room.thought, 0.0
+        if await run_in_threadpool(self.seats.think, submission, seconds) > self._bank:
+            raise BankEmpty
+
+    async def _keep(self) -> None:
+        """Keep the places of all connections here, and take in what was asked elsewhere."""
+        looked = -LOOK_SECONDS
+        while self._here:
+            with contextlib.suppress(SQLAlchemyError):  # it is away; places last for a while
+                if time.monotonic() - looked >= LOOK_SECONDS:
+                    looked = time.monotonic()
+                    await self._look(list(self._here))
+                await self._take_in(list(self._here))
+            await asyncio.sleep(POLL_SECONDS)
+
+    async def _look(self, names: list[str]) -> None:
+        """End the connections that lost their places, or whose submissions have ended."""
+        states = await run_in_threadpool(self.seats.keep, names)
+        for name in names:
+            seat, state = self._here.get(name), states.get(name)
+            if seat is not None and (state is None or state in FINAL_STATES):
+                seat.end(state)
+
+    async def _take_in(self, names: list[str]) -> None:
+        for row in await run_in_threadpool(self.seats.pending, names):
+            room, step = self._rooms.get(row.submission), (row.batch, row.step)
+            if room is None:
+                continue
+            room.elsewhere = step
+            room.put(step, row.question)
+            if answer := room.answer_to(step):
+                await run_in_threadpool(self.seats.answered, row.submission, step, answer)

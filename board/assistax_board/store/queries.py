@@ -34,7 +34,6 @@ from assistax_board.store.shown import (
     Season,
     Submission,
 )
-from assistax_board.vocabulary import SubmissionState
 
 STATEMENT = (
     "The partners are trained policies in simulation. They are not validated models of people: "
@@ -46,7 +45,7 @@ class Queries:
     """The questions that pages and the API may ask."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self.database = database
 
     def submissions(
         self,
@@ -71,22 +70,15 @@ class Queries:
         ):
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             queue = Queue(connection)
             return [queue.describe(row) for row in connection.execute(query)]
 
     def submission(self, id: str) -> Submission | None:
         """Return one submission, if there is one of this id."""
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             row = connection.execute(_submission_query().where(SUBMISSION.id == id)).first()
             return None if row is None else Queue(connection).describe(row)
-
-    def state(self, id: str) -> SubmissionState | None:
-        """Return the state of a submission alone: cheap enough to be asked every second."""
-        with self._database.read() as connection:
-            return connection.execute(
-                sa.select(SUBMISSION.state).where(SUBMISSION.id == id)
-            ).scalar()
 
     def scores(
         self,
@@ -131,7 +123,7 @@ class Queries:
         for column, value in conditions:
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             return [_score(row) for row in connection.execute(query)][::-1]
 
     def partner_scores(
@@ -144,7 +136,7 @@ class Queries:
             .order_by(PARTNER_SCORE.submission, PARTNER_SCORE.version, PARTNER_SCORE.partner)
         )
         query = query if version is None else query.where(PARTNER_SCORE.version == version)
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             rows = connection.execute(query).mappings()
             return [_partner_score(row) for row in rows]
 
@@ -155,19 +147,19 @@ class Queries:
             .where(VERSION.task == task)
             .order_by(VERSION.created_at.desc())
         )
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             return [(row.id, row.identity) for row in connection.execute(query)]
 
     def seasons(self, task: str | None = None) -> list[Season]:
         """Return the seasons, the newest first."""
         query = sa.select(schema.seasons).order_by(SEASON.created_at.desc())
         query = query if task is None else query.where(SEASON.task == task)
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             return [_season(row) for row in connection.execute(query).mappings()]
 
     def season(self, id: str) -> Season | None:
         """Return one season by its id or its name."""
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             query = sa.select(schema.seasons).where((SEASON.id == id) | (SEASON.name == id))
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
@@ -199,7 +191,7 @@ class Queries:
         if submitter is not None:
             query = query.where(SUBMISSION.submitter == submitter)
         counts: dict[str, dict[str, int]] = {}
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             for name, attempt, budget, count in connection.execute(query):
                 counts.setdefault(name, {"budget": budget})[attempt] = count
         return [
@@ -210,7 +202,7 @@ class Queries:
     def ledger(self, after: int = 0, limit: int = 1000) -> list[LedgerEntry]:
         """Return the entries behind number `after`, in order."""
         query = sa.select(schema.ledger).where(ENTRY.seq > after).order_by(ENTRY.seq)
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             rows = connection.execute(query.limit(limit)).mappings()
             return [LedgerEntry(**row) for row in rows]
 
@@ -219,7 +211,7 @@ class Queries:
         query = sa.select(RECEIPT.content, RECEIPT.signature).where(
             RECEIPT.submission == submission
         )
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             row = connection.execute(query.order_by(RECEIPT.created_at.desc())).first()
         return None if row is None else {"content": row.content, "signature": row.signature}
 

@@ -5,6 +5,7 @@ starts, and lies in its data folder.
 """
 
 import base64
+import hmac
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from assistax_base.digest import canonical_json
-from assistax_base.files import atomic_write
+from assistax_base.files import atomic_write, exclusive
 
 KEY_FILE = "signing-key.pem"
 
@@ -30,6 +31,10 @@ class Signer:
         raw = self._key.public_key().public_bytes_raw()
         return base64.b64encode(raw).decode("ascii")
 
+    def secret(self, purpose: str) -> bytes:
+        """Return a secret of all servers that have this key, another one for each purpose."""
+        return hmac.digest(self._key.private_bytes_raw(), purpose.encode(), "sha256")
+
     def sign(self, content: dict[str, Any]) -> str:
         """Return the signature of a content, as base64."""
         return base64.b64encode(self._key.sign(canonical_json(content))).decode("ascii")
@@ -38,15 +43,16 @@ class Signer:
 def load_signer(folder: Path) -> Signer:
     """Return the signer of a data folder; a new folder gets a key that only its owner can read."""
     path = folder / KEY_FILE
-    if not path.is_file():
-        key = Ed25519PrivateKey.generate()
-        pem = key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
-        atomic_write(path, pem)
-        path.chmod(0o600)
+    with exclusive(path):  # two servers that start at once have one key
+        if not path.is_file():
+            key = Ed25519PrivateKey.generate()
+            pem = key.private_bytes(
+                serialization.Encoding.PEM,
+                serialization.PrivateFormat.PKCS8,
+                serialization.NoEncryption(),
+            )
+            atomic_write(path, pem)
+            path.chmod(0o600)
     loaded = serialization.load_pem_private_key(path.read_bytes(), None)
     if not isinstance(loaded, Ed25519PrivateKey):
         raise ValueError(f"{path} holds no Ed25519 key; restore it from a backup")

@@ -202,10 +202,45 @@ notices = sa.Table(
     sa.Column("last_at", sa.Float, nullable=False),
 )
 
+# The connection of a live submission, which lives in one server's process; see `live.seats`.
+seats = sa.Table(
+    "seats",
+    METADATA,
+    sa.Column("submission", sa.ForeignKey("submissions.id"), primary_key=True),
+    sa.Column("owner", sa.String(32), nullable=False),
+    sa.Column("seat", sa.String(32), index=True),  # random name of the connection
+    sa.Column("until", sa.Float, nullable=False),  # when it ends if its server says nothing more
+    sa.Column("seen_at", sa.Float, nullable=False),
+    sa.Column("thought", sa.Float, nullable=False),  # seconds of the time bank
+    # What a worker asked at another server.
+    sa.Column("batch", sa.Text),
+    sa.Column("step", sa.Integer),
+    sa.Column("question", sa.LargeBinary),
+    sa.Column("answer", sa.LargeBinary),
+)
+
+# Requests of one address or token in one window, counted by all servers; `name` is a keyed hash.
+rates = sa.Table(
+    "rates",
+    METADATA,
+    sa.Column("name", sa.String(120), primary_key=True),
+    sa.Column("count", sa.Integer, nullable=False),
+    sa.Column("changed_at", sa.Float, nullable=False),
+    sa.Column("expires_at", sa.Float, nullable=False),
+)
+
+# What took long to compute and follows from other tables, such as a board: see `store.computed`.
+computed = sa.Table(
+    "computed",
+    METADATA,
+    sa.Column("name", sa.String(160), primary_key=True),
+    sa.Column("value", sa.Text, nullable=False),
+)
+
 # Columns, for queries: `JOB.state == "waiting"`.
 SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
 SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
-NOTICE = notices.c
+NOTICE, SEAT, RATE, COMPUTED = notices.c, seats.c, rates.c, computed.c
 
 MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded

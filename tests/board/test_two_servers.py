@@ -1,0 +1,233 @@
+"""Two servers behind one address, as processes with one SQLite file, are one service."""
+
+import contextlib
+import csv
+import dataclasses
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+import sqlalchemy as sa
+from websockets.exceptions import ConnectionClosed
+
+from assistax_board.api.guards import FORM, SIGN_IN
+from assistax_board.api.rates import SHARE_SECONDS
+from assistax_board.client import Client
+from assistax_board.live import client as live_client
+from assistax_board.live.robot import LiveRobot
+from assistax_board.serve import free_port
+from assistax_board.service import Service
+from assistax_board.store import schema
+from assistax_board.vocabulary import Scope
+from assistax_board.work.worker import Worker
+from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, shown, work_off
+from tests.board.faulty import LEASE_SECONDS, SEAT_SECONDS, real_service
+from tests.board.test_faults_processes import Process
+from tests.board.test_live import Counting, handed_in, is_present, play, soon, websocket
+
+pytestmark = pytest.mark.slow
+
+
+class Either:
+    """What a proxy does: every request goes to the next server that answers."""
+
+    def __init__(self, servers: list[httpx2.Client]) -> None:
+        self._servers = servers
+        self._turn = 0
+        self.asked = [0, 0]  # questions to a live robot
+
+    def request(self, method: str, path: str, **options: Any) -> Any:
+        for _ in self._servers:
+            self._turn += 1
+            number = self._turn % len(self._servers)
+            with contextlib.suppress(httpx2.ConnectError):
+                answer = self._servers[number].request(method, path, **options)
+                self.asked[number] += path.endswith("/ask")
+                return answer
+        raise httpx2.ConnectError("no server answers")
+
+
+@dataclasses.dataclass
+class Pair:
+    """Two servers, and the service that both have."""
+
+    service: Service
+    addresses: list[str]
+    processes: list[Process]
+    stack: contextlib.ExitStack  # ends what a test opens
+
+    def http(self, server: int) -> httpx2.Client:
+        client = httpx2.Client(base_url=self.addresses[server], timeout=60.0)
+        return self.stack.enter_context(client)
+
+    def client(self, server: int, scope: Scope) -> Client:
+        owner = "lab" if scope == "submit" else None
+        token = self.service.create_token((scope,), submitter=owner)
+        return Client("", token, transport=self.http(server), patience=60.0)
+
+    def owner(self, server: int) -> Client:
+        client = self.client(server, "submit")
+        client.address = self.addresses[server]  # of its WebSockets
+        return client
+
+    def worker(self) -> tuple[Worker, Either]:
+        """Return a worker whose requests go to both in turns."""
+        either = Either([self.http(server) for server in (0, 1)])
+        client = Client("", self.service.create_token(("work",)), transport=either, patience=60.0)
+        live = lambda work: LiveRobot(client, work)  # noqa: E731
+        return Worker(client, FakeScorer(), live=live, idle=0.05, beat=LEASE_SECONDS / 4), either
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[Pair]:
+    url = f"sqlite:///{tmp_path / 'service.db'}"
+    service = real_service(tmp_path, url)
+    ports = [free_port("127.0.0.1", 0) for _ in range(2)]
+    with contextlib.ExitStack() as stack:
+        processes = [Process("serve", tmp_path, url, port) for port in ports]
+        for process in processes:
+            stack.callback(process.kill)
+        addresses = [f"http://127.0.0.1:{port}" for port in ports]
+        both = Pair(service, addresses, processes, stack)
+        for server in (0, 1):
+            both.client(server, "work").about()
+        yield both
+    service.database.close()
+
+
+def test_rates_hold_across_both(pair: Pair) -> None:
+    def guess(server: int) -> int:
+        headers = {"Authorization": "Bearer azt_guess"}
+        return httpx2.get(f"{pair.addresses[server]}/api/limits", headers=headers).status_code
+
+    guesses = [guess(0) for _ in range(SIGN_IN.amount - 5)]
+    time.sleep(3 * SHARE_SECONDS)
+    guesses += [guess(1) for _ in range(10)]
+    assert guesses == [401] * SIGN_IN.amount + [429] * 5
+    time.sleep(3 * SHARE_SECONDS)
+    assert guess(0) == 429
+    with pair.service.database.read() as connection:
+        assert "127.0.0.1" not in str(connection.execute(sa.select(schema.rates)).all())
+
+
+def test_a_form_of_one_server_is_answered_by_the_other(pair: Pair) -> None:
+    first, second = pair.http(0), pair.http(1)
+    page = first.get("/submit")
+    field = re.search(r'name="form_token" value="(\w+)"', page.text)
+    assert field is not None and FORM.amount
+    form = {"form_token": field[1], "account_token": "azt_wrong", "task": TASK}
+    sent = {"Cookie": f"assistax_form={page.cookies['assistax_form']}"}
+    answer = second.post("/submit", data=form, files={"file": b"robot 1"}, headers=sent)
+    assert answer.status_code == 401  # the token is wrong; the form is right
+
+
+def test_a_submission_has_one_connection_across_both(pair: Pair) -> None:
+    owners = [pair.owner(server) for server in (0, 1)]
+    working = pair.client(0, "work")
+    id = handed_in(owners[0])
+    first = websocket(owners[0], id)
+    with contextlib.closing(websocket(owners[1], id)):
+        with pytest.raises(ConnectionClosed):
+            first.recv(5.0)
+        assert is_present(working)
+    assert soon(lambda: not is_present(working))
+
+
+def test_a_killed_servers_connections_end(pair: Pair) -> None:
+    owners = [pair.owner(server) for server in (0, 1)]
+    working = pair.client(1, "work")
+    id = handed_in(owners[0])
+    websocket(owners[0], id)
+    assert soon(lambda: is_present(working))
+    pair.processes[0].kill()
+    assert soon(lambda: not is_present(working), 2 * SEAT_SECONDS + 5.0)
+    with contextlib.closing(websocket(owners[1], id)):
+        assert soon(lambda: is_present(working))
+
+
+class Killing(Counting):
+    """A robot during whose game the server that it is connected to is killed."""
+
+    def __init__(self, kill: Any) -> None:
+        self._kill, self._calls = kill, 0
+
+    def __call__(self, obs: Any) -> Any:
+        self._calls += 1
+        if self._calls == 9:
+            self._kill()
+        return super().__call__(obs)
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_a_live_robot_is_asked_through_both(pair: Pair, tmp_path: Path, dies: bool) -> None:
+    alone = new_service(tmp_path / "alone")
+    calm = alone.queries.scores(submission=play(alone, Counting()))[0].figures["mean"]
+    worker, either = pair.worker()
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    owners = [pair.owner(server) for server in (0, 1)]
+    id = handed_in(owners[0])
+
+    def connect(_: Client, submission: str) -> Any:
+        for owner in owners:
+            with contextlib.suppress(OSError):
+                return live_client._connect(owner, submission)  # private: as a client does it
+        raise OSError("no server answers")
+
+    robot = Killing(pair.processes[0].kill) if dies else Counting()
+    try:
+        assert live_client.play_live(owners[0], id, robot, connect=connect) == "scored"
+    finally:
+        worker.stop()
+        thread.join()
+    assert min(either.asked) > 3
+    assert pair.service.queries.scores(submission=id)[0].figures["mean"] == calm
+
+
+def test_a_board_that_one_computed_is_shown_by_the_other(pair: Pair) -> None:
+    pair.service.submit(new_submitter(pair.service), draft(1.0))
+    work_off(pair.service)
+    mean = shown_mean(pair, 0)
+    assert mean < 10.0
+    with pair.service.database.write() as connection:  # a figure that nobody would compute
+        text = connection.execute(sa.select(schema.computed.c.value)).scalar_one()
+        [(key, row)] = json.loads(text).items()
+        row["m_test"]["mean"] = 4321.0
+        changed = json.dumps({key: row})
+        connection.execute(sa.update(schema.computed).values(value=changed))
+    assert shown_mean(pair, 1) == 4321.0
+    assert shown_mean(pair, 0) == mean
+
+
+def shown_mean(pair: Pair, server: int) -> float:
+    """Return M_test of the first row of a server's board, once it is there."""
+    address, end = f"/tasks/{TASK}.csv", time.monotonic() + 60.0
+    while time.monotonic() < end:
+        text = pair.http(server).get(address).text
+        rows = list(csv.DictReader(line for line in text.splitlines() if line[:1] != "#"))
+        if rows and "m_test" in rows[0]:
+            return float(rows[0]["m_test"])
+        time.sleep(0.5)
+    pytest.fail(f"no board: {text}")
+
+
+def test_two_workers_of_two_servers_lose_nothing(pair: Pair) -> None:
+    lab = new_submitter(pair.service)
+    ids = [pair.service.submit(lab, draft(float(n), f"r{n}")) for n in range(8)]
+    workers = [pair.worker()[0] for _ in range(3)]
+    threads = [
+        threading.Thread(target=worker.run, kwargs={"until_empty": True}) for worker in workers
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {shown(pair.service, id).state for id in ids} == {"scored"}
+    with pair.service.database.read() as connection:
+        assert set(connection.execute(sa.select(schema.jobs.c.failures)).scalars()) == {0}
