@@ -75,7 +75,8 @@ class Env:
         self._task: Task = of_task(self.model, weights, **options)
         self._sensors: Sensors = self._task.sensors
         rules = getattr(self._task, "rules", None)
-        self._felt, self._stops = rules is not None, rules is not None and rules.stops
+        # Whether a violation ends the episode.
+        self._felt, self.stops = rules is not None, rules is not None and rules.stops
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
@@ -175,7 +176,7 @@ class Env:
             reward=sum(weighted.values(), start=jnp.zeros_like(state.reward)),
             terms=weighted,
             measures=measures,
-            terminated=measures.violated if self._stops else state.terminated,
+            terminated=measures.violated if self.stops else state.terminated,
             truncated=step >= self.episode_length,
             step=step,
             nonfinite=nonfinite,

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.adapters.partners import Partners
-from assistax_envs.env import EnvState, make
+from assistax_envs.env import EnvState, make, select
 
 # Vector forms cut observations there, so that their spaces are finite. Robots that strike at random
 # reach 1,133, a force in N; everything else is far smaller.
@@ -29,6 +29,7 @@ class BatchState:
     env: EnvState  # leaves [N, ...]
     params: Any  # the partners' arrays, which never change
     seated: Any  # this episode's partners, and what they remember
+    first: jax.Array  # [N] bool: an episode begins
 
 
 @jax.tree_util.register_dataclass
@@ -63,29 +64,33 @@ class Batch:
         """Begin an episode in every simulation; return the observations and the state."""
         params = self.partners.params
         seated, state = self._begin(params, key, None)
-        return _bounded(state.obs), BatchState(state, params, seated)
+        return _bounded(state.obs), BatchState(state, params, seated, state.step == 0)
 
     def step(
         self, key: jax.Array, state: BatchState, actions: Mapping[str, jax.Array]
     ) -> tuple[BatchState, BatchStep]:
         """Advance by 20 ms; after an episode's last step begin the next, with new partners.
 
+        All simulations reach the time limit at the same step. Where a protective stop ended an
+        episode before, the next one begins with the same partner, and lasts until then.
+
         Args:
-            key: Of the next episode, should this step be the last one.
+            key: Of episodes that begin after this step.
             state: What `reset` or `step` returned.
             actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own.
         """
         before, seated = state.env, state.seated
         if "human" not in actions:
             seated, action = self.partners.act(
-                state.params, seated, before.obs["human"], before.step == 0
+                state.params, seated, before.obs["human"], state.first
             )
             actions = {**actions, "human": action}
         after = self.env.step(before, {role: actions[role] for role in self.env.action_size})
+        limit, stopped = after.truncated[0], after.terminated
         new_seated, new = jax.lax.cond(
-            after.truncated[0],
+            limit,
             lambda: self._begin(state.params, key, seated),
-            lambda: (seated, after),
+            lambda: (seated, self._after_stops(key, after)),
         )
         step = BatchStep(
             obs=_bounded(new.obs),
@@ -95,7 +100,17 @@ class Batch:
             truncated=after.truncated,
             info=_info(after),
         )
-        return BatchState(new, state.params, new_seated), step
+        return BatchState(new, state.params, new_seated, stopped | limit), step
+
+    def _after_stops(self, key: jax.Array, after: EnvState) -> EnvState:
+        """Begin episodes anew where a protective stop ended them, as late as the others are."""
+
+        def anew() -> EnvState:
+            fresh = self.env.reset(jax.random.split(key, self.num_envs), after.params)
+            fresh = dataclasses.replace(fresh, step=after.step)
+            return select(after.terminated, fresh, after)
+
+        return jax.lax.cond(after.terminated.any(), anew, lambda: after)
 
     def _begin(self, params: Any, key: jax.Array, before: Any) -> tuple[Any, EnvState]:
         of_partners, of_starts = jax.random.split(key)
@@ -110,7 +125,7 @@ class HostBatch:
         if arrays not in ("numpy", "jax"):
             raise ValueError(f"arrays is {arrays!r}; allowed are 'numpy' and 'jax'")
         self.batch, self._arrays = batch, arrays
-        self._reset, self._step = jax.jit(batch.reset), jax.jit(batch.step)
+        self._reset, self._step = jax.jit(batch.reset), jax.jit(self._stepped)
         self._state: BatchState | None = None
         self._key = jax.random.key(0)
         self._steps = 0  # of this episode: counted here, no device needs to be asked
@@ -132,15 +147,25 @@ class HostBatch:
         self._key, self._steps = _draw(rng), 0
         return self.out(obs)
 
-    def step(self, rng: np.random.Generator, actions: Mapping[str, Any]) -> tuple[BatchStep, bool]:
-        """Advance by 20 ms; return the step, as JAX arrays, and whether it ended the episode."""
+    def step(
+        self, rng: np.random.Generator, actions: Mapping[str, Any]
+    ) -> tuple[BatchStep, np.ndarray]:
+        """Advance by 20 ms; return the step, as JAX arrays, and which episodes it ended [N]."""
         taken = {role: self._action(role, action) for role, action in actions.items()}
-        self._state, step = self._step(self._key, self.state, taken)
+        self._state, step = self._step(self._key, np.int32(self._steps), self.state, taken)
         self._steps += 1
-        ended = self._steps == self.batch.env.episode_length
-        if ended:
+        limit = self._steps == self.batch.env.episode_length
+        ended = np.full(self.batch.num_envs, limit)
+        if limit:
             self._key, self._steps = _draw(rng), 0
+        elif self.batch.env.stops:
+            ended = np.asarray(step.terminated)
         return step, ended
+
+    def _stepped(
+        self, key: jax.Array, number: jax.Array, state: BatchState, actions: dict[str, jax.Array]
+    ) -> tuple[BatchState, BatchStep]:
+        return self.batch.step(jax.random.fold_in(key, number), state, actions)
 
     def partner_names(self) -> list[str]:
         """Return what the partner of each simulation is called."""

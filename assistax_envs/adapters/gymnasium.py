@@ -108,10 +108,12 @@ class AssistaxEnv(gymnasium.Env):
 class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
     """Hundreds of simulations of a task in one program; their partners sit inside.
 
-    Every episode brings each simulation a new partner. All simulations are truncated at the same
-    step, the 1000th, and that step returns the next episode's first observation (SAME_STEP): no
-    step is spent on a reset, which learners would have to mask. What the step led to is
-    `info["final_obs"]` [N, O], from which the value of the time limit is bootstrapped.
+    Every 1000 steps bring each simulation a new partner. All simulations are truncated at the same
+    step, the 1000th. A protective stop of the gentle tasks ends an episode before; the next one
+    lasts until then, with the same partner. A step that ends an episode returns the next episode's
+    first observation (SAME_STEP): no step is spent on a reset, which learners would have to mask.
+    What such a step led to is `info["final_obs"]` [N, O], from which the value of the time limit is
+    bootstrapped.
 
     `info` holds force [N], distance [m], success, nonfinite, reward terms and, in gentle tasks,
     violations, [N] each.
@@ -179,12 +181,16 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Advance by 20 ms; actions [N, A] are clipped to [-1, 1]."""
         step, ended = self._host.step(self.np_random, {"robot": actions})
-        info = step.info
-        if ended:
-            info = {"final_obs": step.final_obs["robot"], "final_info": info}
-        outcome = step.obs["robot"], step.reward, step.terminated, step.truncated, info
+        outcome = step.obs["robot"], step.reward, step.terminated, step.truncated, step.info
         *values, info = self._host.out(outcome)
-        return *values, _masked(info, self._host.out(jax.numpy.ones(self.num_envs, bool)))
+        final: dict[str, Any] = {}
+        if ended.any():
+            final = {"final_obs": self._host.out(step.final_obs["robot"]), "final_info": info}
+        running = {} if ended.all() else _masked(info, self._mask(~ended))
+        return *values, running | _masked(final, self._mask(ended))
+
+    def _mask(self, which: np.ndarray) -> Any:
+        return self._host.out(jax.numpy.asarray(which))
 
     def partner_names(self) -> list[str]:
         """Return what the partner of each simulation is called in this episode.
@@ -201,7 +207,7 @@ def bounded_box(bound: float, size: int) -> gymnasium.spaces.Box:
 
 
 def _masked(info: dict[str, Any], there: Any) -> dict[str, Any]:
-    """Add what Gymnasium puts beside every entry: which simulations have it. Here all do."""
+    """Add what Gymnasium puts beside every entry: which simulations have it."""
     return {
         key: value
         for name, entry in info.items()

@@ -128,8 +128,9 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
     The dictionaries are those of `ParallelEnv`, and every value in them has an axis N of
     simulations in front: observations [N, O], rewards, terminated and truncated [N]. Spaces are
     those of one simulation, as PettingZoo knows no batch. All simulations are truncated at the same
-    step, the 1000th, which returns the next episode's first observations; what the step led to is
-    `infos[agent]["final_obs"]`. So `agents` never becomes empty.
+    step, the 1000th; a protective stop ends one before. Such a step returns the next episode's
+    first observations, and what it led to is `infos[agent]["final_obs"]`. So `agents` never becomes
+    empty.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's own type
@@ -211,7 +212,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         step, ended = self._host.step(self._rng, taken)
         step = self._host.out(step)
         infos = {role: dict(step.info) for role in self.agents}
-        if ended:
+        if ended.any():
             infos = {role: {**infos[role], "final_obs": step.final_obs[role]} for role in infos}
         return (
             {role: step.obs[role] for role in self.agents},

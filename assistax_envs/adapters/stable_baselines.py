@@ -44,7 +44,8 @@ class AssistaxVecEnv(VecEnv):
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Advance by 20 ms."""
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
-        return obs, rewards, terminated | truncated, self._infos(info)
+        ended = terminated | truncated
+        return obs, rewards, ended, self._infos(info, ended, terminated)
 
     def close(self) -> None:
         self.env.close()
@@ -61,23 +62,20 @@ class AssistaxVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> Sequence[bool]:
         return [False] * len(list(self._get_indices(indices)))
 
-    def _infos(self, info: dict[str, Any]) -> list[dict[str, Any]]:
+    def _infos(
+        self, info: dict[str, Any], ended: np.ndarray, terminated: np.ndarray
+    ) -> list[dict[str, Any]]:
         """Return a dictionary for each simulation."""
         final = info.get("final_info", info)
         self._succeeded = self._succeeded | final["success"]
         self._violated = self._violated | final.get("violated", False)
-        if "final_obs" not in info:
-            return [{} for _ in range(self.num_envs)]
-        infos = [
-            {
-                "terminal_observation": obs,
-                "TimeLimit.truncated": True,
-                "is_success": bool(success),
-                "violated": bool(violated),
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for place in np.flatnonzero(ended):
+            infos[place] = {
+                "terminal_observation": info["final_obs"][place],
+                "TimeLimit.truncated": not terminated[place],
+                "is_success": bool(self._succeeded[place]),
+                "violated": bool(self._violated[place]),
             }
-            for obs, success, violated in zip(
-                info["final_obs"], self._succeeded, self._violated, strict=True
-            )
-        ]
-        self._succeeded = self._violated = np.zeros(self.num_envs, bool)
+        self._succeeded, self._violated = self._succeeded & ~ended, self._violated & ~ended
         return infos

@@ -7,7 +7,7 @@ import pytest
 
 from assistax_base.errors import RegistryVersionError, UnknownIdError
 from evaluation import evaluate
-from evaluation.cast.cast import check_env_version, choose_partners, in_release
+from evaluation.cast.cast import choose_partners, env_version, in_release
 from evaluation.cast.egos import EgoError
 from evaluation.play.how import How
 from tests.studies import evaluate_policies
@@ -51,11 +51,20 @@ def test_a_cache_that_cannot_be_written_is_named_with_its_variable(tmp_path: Pat
 
 def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
     registry = load_registry()
-    check_env_version(registry, registry.select("arm_assist/*", release="v1"))
+    assert env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v1")) == 2
     with pytest.raises(
         RegistryVersionError, match=r"version 2 .* trained on version 1; .* \(here v1\)"
     ):
-        check_env_version(registry, registry.select("arm_assist/*", release="v0"))
+        env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v0"))
+
+
+def test_partners_of_an_older_version_are_played_in_it_and_never_beside_newer_ones() -> None:
+    registry, task = load_registry(), "gentle_scratch"
+    teams = registry.select(f"{task}/ippo-d1-*", release="v2", role="human")
+    persons = registry.known([f"{task}/person-00042-v3/human"])
+    assert [env_version(registry, task, some) for some in (teams, persons, [])] == [2, 3, 3]
+    with pytest.raises(RegistryVersionError, match=r"expected .*version 2 .*as .*ippo-d1"):
+        env_version(registry, task, [*teams, *persons])
 
 
 def test_a_robot_that_cannot_play_is_told_before_anything_compiles(

@@ -166,13 +166,13 @@ class Queries:
 
     def unplayed(self, season: str) -> list[str]:
         """Return the submissions that workers could not play on a season's panel B."""
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             return list(unplayed_b(connection, season))
 
     def is_kept(self, artefact: str) -> bool:
         """Return whether a file that was handed in is still there: it was not erased."""
         query = sa.select(ARTEFACT.sha256).where(ARTEFACT.sha256 == artefact)
-        with self._database.read() as connection:
+        with self.database.read() as connection:
             kept = connection.execute(query.where(ARTEFACT.erased_at.is_(None)))
             return kept.first() is not None
 
