@@ -11,14 +11,15 @@ from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.shell.console import print_json, stdout_is_data
 from benchmarks.adapters import adapters
-from benchmarks.pages import pages, service
+from benchmarks.pages import pages, service, storm
 from benchmarks.timing import check_seconds
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, adapters, fetch, ladder, ranks, pages, service, starts):
+    commands = env, evaluate, train, adapters, fetch, ladder, ranks, pages, service, storm, starts
+    for command in commands:
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")

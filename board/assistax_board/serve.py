@@ -10,8 +10,10 @@ DIR/worker-token    of the local workers; only the owner can read it
 
 import asyncio
 import contextlib
+import ctypes
 import ipaddress
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -40,6 +42,8 @@ WORKER_TOKEN_FILE = "worker-token"
 _stopping = threading.Event()
 SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
+CONNECTIONS = 4000  # of all kinds; each may have a file beside it
+TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given back
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
 CLOSE_SECONDS = 10.0  # for a live client to take the last message
@@ -147,6 +151,9 @@ def run_server(
     from assistax_board.app import create_app
 
     log_to_stderr()
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    enough = 2 * CONNECTIONS if hard == resource.RLIM_INFINITY else min(2 * CONNECTIONS, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, enough), hard))
     _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
 
 
@@ -177,10 +184,11 @@ def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvico
         log_level="warning",
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
-        limit_concurrency=1000,
+        limit_concurrency=CONNECTIONS,
         http=_IdleTimeout,
         ws=_Brief,
         ws_max_size=4 * 1024 * 1024,
+        ws_per_message_deflate=False,  # a third of a megabyte a connection
         server_header=False,
         proxy_headers=proxy is not None,
         forwarded_allow_ips=proxy or "",
@@ -226,6 +234,12 @@ class _Server(uvicorn.Server):
     async def main_loop(self) -> None:
         if not _stopping.is_set():
             await super().main_loop()
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % TRIM_TICKS == 0:  # what a crowd left behind would stay for ever
+            with contextlib.suppress(AttributeError):  # another system's library
+                await asyncio.to_thread(ctypes.CDLL(None).malloc_trim, 0)
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await asyncio.to_thread(self._stop_workers)

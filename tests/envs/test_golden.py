@@ -9,11 +9,13 @@ import json
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
-from assistax_envs import TASKS, VERSIONS
-from tests.envs.conftest import backends, play, random_actions, start
+from assistax_envs import TASKS, VERSIONS, disability_params, make
+from assistax_envs.versions import PLAYABLE
+from tests.envs.conftest import backends, random_actions
 
 FOLDER = Path(__file__).parent / "golden"
 SETTINGS = ["d1", "d9", "d3", "d7"]
@@ -28,16 +30,20 @@ TOLERANCES = {
 FIRST_ANGLES = 5e-3  # rad, of either backend over the first 10 steps
 
 
-def trajectory(task: str, backend: str) -> dict:
+GAMES = [(task, version) for task in TASKS for version in PLAYABLE[task]]
+
+
+def trajectory(task: str, backend: str, version: int) -> dict:
     """Return observations and rewards at `STEPS`, and the return so far, rounded to what is
     pinned.
     """
-    states = play(
-        task,
-        backend,
-        start(task, backend, SETTINGS, seed=20),
-        random_actions(4, max(STEPS), seed=20),
-    )
+    env = make(task, backend, version=version)
+    keys = jax.random.split(jax.random.key(20), len(SETTINGS))
+    state, states = jax.jit(env.reset)(keys, disability_params(SETTINGS)), []
+    step = jax.jit(env.step)
+    for actions in random_actions(4, max(STEPS), seed=20):
+        state = step(state, actions)
+        states.append(state)
     picked = [states[step - 1] for step in STEPS]
     seen = {
         "global": [state.obs["global"] for state in picked],
@@ -47,24 +53,27 @@ def trajectory(task: str, backend: str) -> dict:
     rounded = {
         name: np.asarray(values, np.float64).round(6).tolist() for name, values in seen.items()
     }
-    return {"version": VERSIONS[task], **rounded}
+    return {"version": version, **rounded}
+
+
+def pinned_in(task: str, version: int) -> Path:
+    """Return the file of a task's trajectory; those of older versions have theirs in the name."""
+    return FOLDER / (f"{task}.json" if version == VERSIONS[task] else f"{task}-v{version}.json")
 
 
 @pytest.mark.parametrize(
-    ("task", "backend"),
+    ("task", "version", "backend"),
     [
-        pytest.param(task, tolerance, marks=[pytest.mark.slow] * (tolerance == "mjx"))
-        for task in TASKS
+        pytest.param(task, version, tolerance, marks=[pytest.mark.slow] * (tolerance == "mjx"))
+        for task, version in GAMES
         for tolerance in TOLERANCES
         if tolerance in backends(task)
     ],
 )
-def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> None:
-    golden = json.loads((FOLDER / f"{task}.json").read_text())
-    assert golden["version"] == VERSIONS[task], (
-        "the version was raised: renew the golden trajectory"
-    )
-    now = trajectory(task, backend)
+def test_behaviour_changes_only_with_the_version(task: str, version: int, backend: str) -> None:
+    golden = json.loads(pinned_in(task, version).read_text())
+    assert golden["version"] == version, "the version was raised: renew the golden trajectory"
+    now = trajectory(task, backend, version)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)
     seen, pinned = (np.array(trajectory["global"])[:2, :, ANGLES] for trajectory in (now, golden))
@@ -73,7 +82,6 @@ def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> Non
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for name_of_task in sys.argv[1:] or TASKS:
-        (FOLDER / f"{name_of_task}.json").write_text(
-            json.dumps(trajectory(name_of_task, "native")) + "\n"
-        )
+    for game in GAMES:
+        if game[0] in (sys.argv[1:] or TASKS):
+            pinned_in(*game).write_text(json.dumps(trajectory(game[0], "native", game[1])) + "\n")

@@ -61,7 +61,8 @@ async def live(socket: WebSocket, submission: str) -> None:
     """Connect a live robot: the server sends `observe`, the client answers `act`, until `end`."""
     rooms = socket.app.state.rooms
     try:
-        owner = await run_in_threadpool(_check_owner, socket, submission)
+        token = _count(socket)
+        owner = await run_in_threadpool(_check_owner, socket, token, submission)
         seat = await rooms.take_seat(submission, owner)
     except Problem as problem:
         headers = {"Retry-After": str(problem.retry_after or 10)}
@@ -147,17 +148,27 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         await socket.app.state.rooms.hear(seat.submission, data)
 
 
-def _check_owner(socket: WebSocket, submission: str) -> str:
-    """Return the lab that a live submission is of, if the token that came is of that lab."""
-    state, address = socket.app.state, socket.client.host if socket.client else "unknown"
-    state.limiter.hit(READ, address)
+def _count(socket: WebSocket) -> str:
+    """Count an upgrade before anything is done for it, and return the token that came."""
+    limiter = socket.app.state.limiter
+    limiter.hit(READ, _address(socket))
     kind, _, token = socket.headers.get("authorization", "").partition(" ")
+    limiter.hit(UPGRADE, token)
+    return token if kind.lower() == "bearer" else ""
+
+
+def _address(socket: WebSocket) -> str:
+    return socket.client.host if socket.client else "unknown"
+
+
+def _check_owner(socket: WebSocket, token: str, submission: str) -> str:
+    """Return the lab that a live submission is of, if the token that came is of that lab."""
+    state = socket.app.state
     try:
-        principal = authenticate(state.service.database, token if kind.lower() == "bearer" else "")
+        principal = authenticate(state.service.database, token)
     except Problem:
-        state.limiter.hit(SIGN_IN, address)
+        state.limiter.hit(SIGN_IN, _address(socket))
         raise
-    state.limiter.hit(UPGRADE, principal.token)
     owner = principal.submitter
     if owner is None or not state.service.owns_live(submission, owner):
         raise Problem("not_found", "you have no live submission of this id")

@@ -1,0 +1,349 @@
+"""A server under attack: sockets, hostile files, slow bodies and readers at once; who is lost?
+
+The server is the real one, in a process of its own, with a worker beside it that brings made-up
+returns. Labs that hand in as they should are there all the while, one of them with a live robot.
+"""
+
+import asyncio
+import contextlib
+import dataclasses
+import itertools
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+
+from assistax_board.client import Client
+from assistax_board.robots.limited import resident_bytes
+from benchmarks.pages import PageSpeed, read_pages
+from benchmarks.service import ROBOT, SPAWN, TASK, serving, work_made_up
+
+LABS = 20  # that attack, each with a token of its own
+ROOMS = 20  # live submissions of each
+HONEST = 5
+CALM_SECONDS = 10.0  # before memory is looked at the first time
+PAUSE = 3.0  # before a socket that was refused comes again
+LAST_SECONDS = 90.0  # for memory to come back
+WIDE = 65_536
+ELSEWHERE = "127.0.0.2"  # where sockets and slow bodies come from: rates are by address
+
+
+@dataclasses.dataclass(frozen=True)
+class Storm:
+    """What a server did in a storm."""
+
+    seconds: float
+    health: dict[str, float]  # milliseconds: median, p99, most; and how many failed of how many
+    pages: PageSpeed
+    sockets: dict[str, int]  # how attempts to connect ended
+    files: dict[str, int]  # how hostile files ended
+    bodies: dict[str, int]  # how slow bodies ended
+    honest: dict[str, int]  # in which states submissions of honest labs ended
+    memory: tuple[float, float, float]  # MB of the server and its children: before, most, after
+    calm_after: float  # seconds until memory was within a fifth of what it had been
+    load: tuple[float, float]
+
+
+def measure_storm(sockets: int, files: int, bodies: int, readers: int, seconds: float) -> Storm:
+    """Let all of them strike a new server for a while, and look at what is left."""
+    from assistax_board.serve import open_service
+    from assistax_board.submitting import read_file
+
+    before, robot = os.getloadavg()[0], read_file(Path(ROBOT))
+    with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
+        with serving(Path(folder)) as (process, address):
+            service = open_service(Path(folder))
+            tokens = {
+                name: service.create_token(("submit",), submitter=name)
+                for name in [*names("hostile", LABS), *names("honest", HONEST)]
+            }
+            worker = (address, service.create_token(("work",), label="made up"))
+            rooms = [(room, tokens[lab]) for lab in names("hostile", LABS) for room in range(ROOMS)]
+            rooms = [(_live(address, token, room), token) for room, token in rooms]
+            hand_in(address, tokens["honest 0"], robot, "first")
+            bad = [tokens[lab] for lab in names("hostile", LABS)]
+            with _alongside(work_made_up, *worker) as _:
+                read_pages([address], 20, CALM_SECONDS)
+                calm, tree = memory_of(process.pid), Peak(process.pid)
+                end = time.time() + seconds
+                with contextlib.ExitStack() as stack:
+                    answers = [
+                        stack.enter_context(_alongside(attack, *args))
+                        for attack, *args in (
+                            (hold_sockets, address, rooms, sockets, end),
+                            (hand_in_hostile, address, bad, files, end),
+                            (send_slowly, address, bad, bodies, end),
+                            (be_honest, address, [tokens[n] for n in names("honest", HONEST)], end),
+                            (probe, address, end),
+                        )
+                    ]
+                    pages = read_pages([address], readers, seconds)[-1]
+                    ended = [answer.get(timeout=900) for answer in answers]
+                calm_after = tree.wait_for(1.2 * calm)
+        states = Counter(
+            submission.state
+            for submission in service.queries.submissions(limit=100_000)
+            if submission.submitter.startswith("honest")
+        )
+        service.database.close()
+    held, refused, slow, handed_in, health = ended
+    lost = {"handed in": handed_in["handed in"] + 1, **states}
+    memory = (calm / 1e6, tree.most / 1e6, tree.last / 1e6)
+    load = (before, os.getloadavg()[0])
+    return Storm(seconds, health, pages, held, refused, slow, lost, memory, calm_after, load)
+
+
+def names(kind: str, count: int) -> list[str]:
+    """Return the names of labs."""
+    return [f"{kind} {number}" for number in range(count)]
+
+
+class Peak:
+    """The most memory that a process and its children have had."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid, self._over = pid, threading.Event()
+        self.most = self.last = memory_of(pid)
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _look(self) -> None:
+        while not self._over.wait(0.5):
+            self.last = memory_of(self._pid)
+            self.most = max(self.most, self.last)
+
+    def wait_for(self, bytes_: float) -> float:
+        """Return after how many seconds no more than this is held."""
+        began = time.monotonic()
+        while self.last > bytes_ and time.monotonic() - began < LAST_SECONDS:
+            time.sleep(0.5)
+        self._over.set()
+        return time.monotonic() - began
+
+
+def memory_of(pid: int) -> float:
+    """Return the bytes of a process and its children."""
+    children = Path(f"/proc/{pid}/task/{pid}/children")
+    total = float(resident_bytes(pid))
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            total += sum(memory_of(int(child)) for child in task.read_text().split())
+    return total if children.exists() else 0.0
+
+
+@contextlib.contextmanager
+def _alongside(function: Callable[..., Any], *args: Any) -> Any:
+    """Run a function in a process of its own; yield the queue into which its answer comes."""
+    answers: Any = SPAWN.Queue()
+    process = SPAWN.Process(target=_answering, args=(answers, function, args), daemon=True)
+    process.start()
+    try:
+        yield answers
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _answering(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    answers.put(function(*args))
+
+
+def _live(address: str, token: str, number: int) -> str:
+    client = Client(address, token)
+    fields = {"task": TASK, "method": f"live {number}", "kind": "live"}
+    id = client.submit(b"", request_id=f"request-{number:04d}", **fields)["id"]
+    client.close()
+    return id
+
+
+def hold_sockets(
+    address: str, rooms: list[tuple[str, str]], count: int, end: float
+) -> dict[str, int]:
+    """Hold so many connections to live submissions, each newly opened whenever it is closed.
+
+    Whoever is asked something answers with a text, which is no answer.
+    """
+    from websockets.asyncio.client import connect
+    from websockets.exceptions import InvalidStatus
+
+    ended: Counter[str] = Counter()
+
+    async def hold(number: int) -> None:
+        id, token = rooms[number % len(rooms)]
+        to = address.replace("http", "ws", 1) + f"/api/live/{id}"
+        await asyncio.sleep(PAUSE * number / count)
+        while time.time() < end:
+            try:
+                headers = {"Authorization": f"Bearer {token}"}
+                options: dict[str, Any] = {"local_addr": (ELSEWHERE, 0), "open_timeout": 30.0}
+                async with connect(to, additional_headers=headers, **options) as connection:
+                    ended["opened"] += 1
+                    async with asyncio.timeout(max(0.0, end - time.time())):
+                        await connection.recv()
+                        await connection.send("no answer")
+                        await connection.recv()
+            except InvalidStatus as error:
+                ended[f"refused {error.response.status_code}"] += 1
+            except Exception as error:
+                ended[type(error).__name__] += 1
+            await asyncio.sleep(PAUSE)
+
+    async def all_of_them() -> None:
+        await asyncio.gather(*map(hold, range(count)))
+
+    asyncio.run(all_of_them())
+    return dict(ended)
+
+
+def hand_in_hostile(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
+    """Hand in files that would take hours or gigabytes, all at once."""
+    ended: Counter[str] = Counter()
+
+    def hand(number: int) -> None:
+        client = Client(address, tokens[number % len(tokens)], patience=600.0)
+        try:
+            fields = {"task": TASK, "method": f"file {number}"}
+            data = hostile_file(number)
+            id = client.submit(data, request_id=f"hostile-{number}", **fields)["id"]
+            submission = client.submission(id)
+            ended[str(submission["reason"] or submission["state"])] += 1
+        except ValueError as error:
+            ended[str(error)[:60]] += 1
+        finally:
+            client.close()
+
+    _all_at_once(hand, count)
+    return dict(ended)
+
+
+def hostile_file(number: int) -> bytes:
+    """Return an ONNX robot of scratch: wide and long, or of many shapes, or random bytes in one."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    constants = {"w": np.full((34, 7), 0.01, np.float32)}
+    nodes = [helper.make_node("MatMul", ["obs", "w"], ["action"])]
+    if number % 3 == 0:  # hours
+        constants = {"w": np.ones((34, 1), np.float32), "o": np.ones((1, WIDE), np.float32)}
+        constants |= {"s": np.array([0]), "e": np.array([7]), "a": np.array([1])}
+        chain = ["wide", *(f"t{place}" for place in range(280))]
+        nodes = [helper.make_node("MatMul", ["obs", "w"], ["x"])]
+        nodes.append(helper.make_node("Mul", ["x", "o"], ["wide"]))
+        nodes += [helper.make_node("Tanh", [a], [b]) for a, b in itertools.pairwise(chain)]
+        nodes.append(helper.make_node("Slice", [chain[-1], "s", "e", "a"], ["action"]))
+    elif number % 3 == 1:  # a compiler's minutes
+        for place in range(150 + number):
+            constants[f"c{place}"] = np.ones((1, 2 + place), np.float32)
+            nodes.append(helper.make_node("Tanh", [f"c{place}"], [f"t{place}"]))
+            nodes.append(helper.make_node("Softmax", [f"t{place}"], [f"s{place}"]))
+    tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    obs = helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["N", 34])
+    action = helper.make_tensor_value_info("action", TensorProto.FLOAT, None)
+    graph = helper.make_graph(nodes, "g", [obs], [action], tensors)
+    opsets = [helper.make_opsetid("", 17)]
+    data = helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
+    if number % 3 == 2:
+        rng, damaged = np.random.default_rng(number), bytearray(data)
+        for place in rng.integers(len(data), size=8):
+            damaged[place] = rng.integers(256)
+        data = bytes(damaged)
+    return data
+
+
+def send_slowly(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
+    """Send bodies of a megabyte, a byte each second."""
+    ended: Counter[str] = Counter()
+    host, port = address.rpartition("/")[2].split(":")
+    to = host, int(port)
+
+    def send(number: int) -> None:
+        token = tokens[number % len(tokens)]
+        query = f"task={TASK}&method=slow&request_id=slow-request-{number}"
+        head = f"POST /api/submissions?{query} HTTP/1.1\r\nHost: {host}\r\n"
+        head += f"Authorization: Bearer {token}\r\nContent-Length: 1000000\r\n\r\n"
+        while time.time() < end:
+            source: dict[str, Any] = {"timeout": 10.0, "source_address": (ELSEWHERE, 0)}
+            with contextlib.suppress(OSError), socket.create_connection(to, **source) as line:
+                line.sendall(head.encode())
+                line.settimeout(1.0)
+                ended[_drip(line, end)] += 1
+            time.sleep(1.0)
+
+    _all_at_once(send, count)
+    return dict(ended)
+
+
+def _drip(line: socket.socket, end: float) -> str:
+    while time.time() < end:
+        line.sendall(b"x")
+        with contextlib.suppress(TimeoutError):
+            answer = line.recv(100).split()
+            return f"answered {answer[1].decode()}" if len(answer) > 1 else "hung up on"
+    return "still sending"
+
+
+def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:
+    """Hand in robots one after another and wait for each; the last lab has a live one."""
+    from assistax_board.live.client import play_live
+    from assistax_board.submitting import read_file
+
+    robot, ended = read_file(Path(ROBOT)), Counter[str]()
+
+    def lab(number: int) -> None:
+        count = 0
+        while count == 0 or time.time() < end:
+            ended["handed in"] += 1
+            if number == len(tokens) - 1:
+                client = Client(address, tokens[number], patience=600.0)
+                id = _live(address, tokens[number], count)
+                ended[play_live(client, id, lambda obs: np.zeros((len(obs), 7), np.float32))] += 1
+                client.close()
+            else:
+                ended[hand_in(address, tokens[number], robot, f"robot {count}")] += 1
+            count += 1
+            time.sleep(5.0)
+
+    _all_at_once(lab, len(tokens))
+    return dict(ended)
+
+
+def hand_in(address: str, token: str, data: bytes, name: str) -> str:
+    """Hand a robot in and wait for its end, as a submitter would; a worker may come later."""
+    client = Client(address, token, patience=600.0)
+    id = client.submit(data, request_id=f"honest-{name}", task=TASK, method=name)["id"]
+    state = client.submission(id)["state"]
+    while name != "first" and state not in ("scored", "refused", "failed", "retracted"):
+        time.sleep(2.0)
+        state = client.submission(id)["state"]
+    client.close()
+    return state
+
+
+def probe(address: str, end: float) -> dict[str, float]:
+    """Ask for the server's health ten times a second, each time as somebody new."""
+    times, failed = [], 0
+    while time.time() < end:
+        began = time.monotonic()
+        try:
+            failed += httpx2.get(f"{address}/api/health", timeout=10.0).status_code != 200
+        except httpx2.HTTPError:
+            failed += 1
+        times.append(1000 * (time.monotonic() - began))
+        time.sleep(0.1)
+    median, p99 = np.quantile(times, [0.5, 0.99])
+    most = max(times)
+    return {"median": median, "p99": p99, "most": most, "failed": failed, "asked": len(times)}
+
+
+def _all_at_once(function: Callable[[int], None], count: int) -> None:
+    threads = [threading.Thread(target=function, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
