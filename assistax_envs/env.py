@@ -22,7 +22,7 @@ from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import PLAYABLE, TASKS, VERSIONS, engine
+from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
@@ -64,7 +64,8 @@ class Env:
         of_task: Any = TASK_CLASSES[task] if isinstance(task, str) else task
         self.task = of_task.name
         self.backend = resolve_backend(backend)
-        self.version = _version(task, version)
+        # 0, of no release, for a class from outside
+        self.version = playable_version(task, version) if isinstance(task, str) else 0
         if isinstance(task, str) and len(PLAYABLE[task]) > 1:
             options["version"] = self.version
         scene = getattr(of_task, "scene", self.task)
@@ -323,18 +324,6 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
     """
     rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
     return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
-
-
-def _version(task: str | type, version: int | None) -> int:
-    """Return the version that is meant; 0, of no release, for a class from outside."""
-    if not isinstance(task, str):
-        return 0
-    if version is None:
-        return VERSIONS[task]
-    if version not in PLAYABLE[task]:
-        allowed = ", ".join(map(str, PLAYABLE[task]))
-        raise ValueError(f"version of {task} is {version}; this installation plays {allowed}")
-    return version
 
 
 def _check_scene(task: str, backend: str) -> None:

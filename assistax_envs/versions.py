@@ -21,6 +21,21 @@ TASKS: tuple[str, ...] = tuple(REGISTERED)
 PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
 GENTLE_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.felt)
 
+
+def playable_version(task: str, version: int | None = None) -> int:
+    """Return the version of a task's environment that is meant: the newest if none is named.
+
+    Raises:
+        ValueError: It cannot be played here.
+    """
+    if version is None:
+        return VERSIONS[task]
+    if version not in PLAYABLE[task]:
+        allowed = ", ".join(map(str, PLAYABLE[task]))
+        raise ValueError(f"version of {task} is {version}; this installation plays {allowed}")
+    return version
+
+
 # Of the fused engine's generator: goes up whenever any number that a program computes changes.
 FUSED_VERSION = 1
 

@@ -105,13 +105,12 @@ def prepare(
     trainer = preset(ALGORITHMS[algorithm], **changes)
     chosen = _chosen_split(registry, task, split, partners)
     frozen = _load_frozen(registry, chosen, preferences)
-    shared = shared_out(trainer, len(frozen), keep="num_envs" in changes)
     config = make_run(
         task,
         algorithm,
-        tuple(Member(seed, MIXED) for seed in numbered(seeds)),
+        [Member(seed, MIXED) for seed in numbered(seeds)],
         steps,
-        shared,
+        shared_out(trainer, len(frozen), keep="num_envs" in changes),
         self_play_episodes=0,
         checkpoint_every=checkpoint_every,
         updates_per_call=updates_per_call,

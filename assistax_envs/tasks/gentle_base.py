@@ -91,7 +91,10 @@ class TouchSensors(Sensors):
         base = super().read(values)
         force, normal, tangent = jnp.split(values[:, self._touch], 3, axis=-1)  # [N, pairs, 3] each
         size = jnp.linalg.norm(force, axis=-1)
-        peaks = values[:, self._peaks :]  # of each pair, and of their sum
+        # Of each pair, and of their sum; what pictures are drawn from has the sensors alone.
+        peaks = values[:, self._peaks :]
+        if values.shape[1] == self._peaks:
+            peaks = jnp.concatenate([size, size.sum(axis=1, keepdims=True)], axis=1)
         worst = peaks[:, :-1] if self._every_substep else size
         bent = jnp.abs(base.human_position[:, self._trunk] - self._rest[None]).max(axis=1)
         fields = {field.name: getattr(base, field.name) for field in dataclasses.fields(Readings)}
@@ -123,12 +126,12 @@ class _Head:
 
     def distance(self, angles: jax.Array, point: jax.Array) -> jax.Array:
         """Return the distance [N] of points [N, 3] from its surface, m; `angles` [N, 3] in rad."""
-        centre = jnp.broadcast_to(jnp.asarray(self._centre, jnp.float32), point.shape)
+        centre = jnp.broadcast_to(jnp.asarray(self._centre, jnp.float32)[None], point.shape)
         for joint in reversed(range(angles.shape[1])):  # each joint moves what those after it moved
             half = 0.5 * angles[:, joint : joint + 1]
             axis = jnp.asarray(self._axis[joint], jnp.float32)[None]
             turn = jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1)
-            anchor = jnp.asarray(self._anchor[joint], jnp.float32)
+            anchor = jnp.asarray(self._anchor[joint], jnp.float32)[None]
             centre = anchor + rotate(turn, centre - anchor)
         return jnp.linalg.norm(point - centre, axis=-1) - self._radius
 

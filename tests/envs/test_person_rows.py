@@ -28,10 +28,10 @@ from assistax_envs.versions import TASKS
 TABLES = {
     "scratch": "33ef462c02265f7ff6896aa86e401559fe5f6421c569d2f973c2d41925a37d08",
     "bed_bath": "d9a02e82f8f60240bfac49d81c1c08593e1b73d838afb9cd47169a5dc1a987cb",
-    "arm_assist": "50e5f820227420a95cd82c9fa58a3771c4303cebec6d2aa6c0db44284b38944d",
+    "arm_assist": "60bae69990237bf8fb9f9faa42ad31fd25ba88e34533435540796510a91cb537",
     "gentle_scratch": "018edcf029b6a7c411c739a74cc8bafcf260b25a4484e75e86c161b325bccb69",
     "gentle_bath": "6c73358893d5b7b705499b4b54d54b8366a4dc79ad94c09b204c042165659970",
-    "gentle_lift": "821bef195b3ccf1bf65323ad3afd9087e9a3f25ffc87afbacd116c85f704e72b",
+    "gentle_lift": "9c7292f6121872b320933a39ccc21bd03159473e9c36242a61286dd1d6ee8813",
 }
 
 

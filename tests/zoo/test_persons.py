@@ -135,7 +135,7 @@ def test_no_person_stands_on_two_sides(official: Registry) -> None:
 @pytest.mark.parametrize(
     ("fields", "error", "words"),
     [
-        ({"program": 2}, RegistryVersionError, "program 2"),
+        ({"program": 3}, RegistryVersionError, "program 3"),
         ({"sha256": "0" * 64}, IntegrityError, "sha256 000"),
         ({"count": 9999}, IntegrityError, "9999 rows"),
     ],
@@ -157,7 +157,7 @@ def test_verify_counts_persons_and_published_ones_never_change(
     report = verify(official)
     assert report.ok and report.persons == 3 * COUNT
     assert f"persons {TASK}" in leaves(official.data, "v3")
-    other = changed(official, tmp_path, program=2)
+    other = changed(official, tmp_path, program=3)
     assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]
 
 

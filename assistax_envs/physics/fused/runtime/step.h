@@ -46,7 +46,7 @@ FN void simulate(const Arrays& a, long long first) {
   for (int k = 0; k < NV; ++k) lo[k] = range[2 * k], hi[k] = range[2 * k + 1];
   unsigned warm[NWARM * W] = {0};
   Report report;
-  for (int k = 0; k < NPEAK; ++k) sensors[NSENS + k] = splat(0.0f);
+  for (int k = 0; k < NPEAK; ++k) LANES(l) lane(sensors[NSENS + k], l) = 0.0f;
   for (int s = 0; s < a.substeps; ++s)
     substep(q, qd, u, lo, hi, sensors, sensors + NSENS, s == a.substeps - 1, warm, report);
   spoil(qd, report.flags, NV);
