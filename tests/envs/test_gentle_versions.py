@@ -1,0 +1,103 @@
+"""What the versions of the gentle tasks' environments differ in: contacts, limits, the stop."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import assistax_envs
+from assistax_envs.models import build_model
+from assistax_envs.physics import SUBSTEPS, PhysicsState
+from assistax_envs.physics.base import felt_sensors
+from assistax_envs.scripted import scripted_robot
+from assistax_envs.tasks import gentle_base
+from assistax_envs.tasks.base import HUMAN_JOINTS
+from assistax_envs.tasks.gentle_rules import HARD
+from tests.envs.conftest import environment
+from tests.envs.fused.scenes import touching_states
+
+
+@pytest.mark.parametrize("backend", ["native", "fused"])
+def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backend: str) -> None:
+    task = "gentle_lift"
+    env, states = environment(task, backend), touching_states(task)
+    model = env.model
+    rows, pairs = slice(0, 64), len(felt_sensors(model))
+    n = len(states.qpos[rows])
+    still = jnp.zeros((n, model.nv), jnp.float32)
+    physics = PhysicsState(jnp.asarray(states.qpos[rows], jnp.float32), still, still)
+    ranges = jnp.broadcast_to(
+        jnp.asarray(model.jnt_range, jnp.float32), (n, *model.jnt_range.shape)
+    )
+    control = jnp.zeros((n, model.nu), jnp.float32)
+    _, values = env._physics.step(physics, control, ranges)
+    last = np.asarray(values[:, : model.nsensordata])
+    peaks = np.asarray(values[:, model.nsensordata :])
+    assert peaks.shape == (n, pairs + 1)
+    at = model.sensor_adr[felt_sensors(model)][:, None] + np.arange(3)
+    size = np.linalg.norm(last[:, at], axis=-1)
+    assert (peaks[:, :-1] >= size - 1e-3).all()
+    assert (peaks[:, -1] >= size.sum(axis=1) - 1e-3).all()
+    # Skin that was pressed in pushes back: the first steps' forces are larger than the last one's.
+    data, largest = mujoco.MjData(model), np.zeros((n, pairs))
+    for i in range(n):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = states.qpos[rows][i]
+        for _ in range(SUBSTEPS):
+            mujoco.mj_step(model, data)
+            largest[i] = np.maximum(largest[i], np.linalg.norm(data.sensordata[at], axis=-1))
+    assert (largest.max(axis=1) > size.max(axis=1) + 1.0).sum() >= 3
+    wrong = np.abs(peaks[:, :-1] - largest) / (1.0 + largest)
+    assert np.median(wrong[largest > 1.0]) < 1e-2
+
+
+def test_a_violation_ends_the_episode_in_version_3_alone() -> None:
+    task = "gentle_scratch"
+    for version in (2, 3):
+        env = assistax_envs.make(task, "native", version=version)
+        assert env.version == version and env.stops == (version == 3)
+        # A limit that every touch breaks.
+        env._task.sensors._limits = np.full_like(env._task.sensors._limits, 1e-3)
+        robot = scripted_robot(task, env.model)
+        state = jax.jit(env.reset)(
+            jax.random.split(jax.random.key(0), 8), assistax_envs.disability_params(["d1"] * 8)
+        )
+        step, stopped = jax.jit(env.step), np.zeros(8, bool)
+        for _ in range(150):
+            before = np.asarray(state.measures.violated)
+            state = step(state, {"robot": robot(state.obs["robot"]), "human": jnp.zeros((8, 3))})
+            stopped |= np.asarray(state.terminated)
+        assert before.any() and stopped.any() == (version == 3)
+        np.testing.assert_array_equal(state.terminated, state.measures.violated & (version == 3))
+
+
+def test_limits_are_those_of_the_part_that_is_touched() -> None:
+    env = assistax_envs.make("gentle_scratch", "native")
+    limits = dict(zip(_touched_parts(env.model), env._task.sensors._limits.tolist(), strict=True))
+    assert limits["human_head"] == 32.5 and limits["human_right_lower_arm"] == 80.0
+    older = assistax_envs.make("gentle_scratch", "native", version=2)
+    assert set(older._task.sensors._limits.tolist()) == {HARD}
+    with pytest.raises(
+        ValueError, match="version of gentle_scratch is 1; this installation plays 2, 3"
+    ):
+        assistax_envs.make("gentle_scratch", "native", version=1)
+
+
+def _touched_parts(model: mujoco.MjModel) -> list[str]:
+    return [model.geom(int(model.sensor(i).refid[0])).name for i in felt_sensors(model)]
+
+
+def test_the_head_is_where_mujoco_has_it() -> None:
+    model, rng = build_model("gentle_scratch"), np.random.default_rng(2)
+    data, joints = mujoco.MjData(model), [n for n in HUMAN_JOINTS if "abdomen" in n]
+    for _ in range(5):
+        angles = rng.uniform(-0.3, 0.3, 3)
+        data.qpos[[model.joint(name).qposadr[0] for name in joints]] = angles
+        mujoco.mj_kinematics(model, data)
+        head, point = model.geom("human_head"), rng.uniform(-1.0, 1.0, 3)
+        expected = np.linalg.norm(point - data.geom_xpos[head.id]) - head.size[0]
+        near = gentle_base._Head(model).distance(
+            jnp.asarray(angles, jnp.float32)[None], jnp.asarray(point, jnp.float32)[None]
+        )
+        np.testing.assert_allclose(near, [expected], atol=1e-5)
