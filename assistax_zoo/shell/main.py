@@ -71,7 +71,8 @@ GROUPS = {  # words that are no command alone
 # distributions'.
 AUDIENCES = {
     "Take partners": "list show fetch add remove export verify lock split cite",
-    "Evaluate": "evaluate crossplay compare report plot render trajectories strategies replay",
+    "Evaluate": "evaluate crossplay compare report plot render trajectories strategies persons "
+    "replay",
     "Train": "train train-ego sweep",
     "Publish, make releases and tasks": "publish audit gates",
     "Boards": "submit serve worker token season receipt ledger service",

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
-from assistax_envs.versions import VERSIONS
 from evaluation.cast.cast import env_version
 from evaluation.cast.egos import call_ego, read_egos
 from evaluation.cast.partners import Partner, zoo_partner
@@ -77,8 +76,10 @@ def seat_policy(
     return _seated(policy, role, env, task)
 
 
-def version_of(references: Mapping[str, str], task: str, registry: Callable[[], Registry]) -> int:
-    """Return the version of the environment that policies of a zoo play together.
+def version_of(
+    references: Mapping[str, str], task: str, registry: Callable[[], Registry]
+) -> int | None:
+    """Return the version in which policies of a zoo play together; None if none is named.
 
     Args:
         references: By role, as in `seat_policy`.
@@ -91,7 +92,7 @@ def version_of(references: Mapping[str, str], task: str, registry: Callable[[], 
     named = {role: parse_reference(reference) for role, reference in references.items()}
     sources = [(role, name.source) for role, name in named.items() if name.kind == "zoo"]
     entries = [entry for role, source in sources for entry in registry().select(source, role=role)]
-    return env_version(registry(), task, entries) if entries else VERSIONS[task]
+    return env_version(registry(), task, entries) if entries else None
 
 
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:

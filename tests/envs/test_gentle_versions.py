@@ -31,6 +31,7 @@ def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backen
         jnp.asarray(model.jnt_range, jnp.float32), (n, *model.jnt_range.shape)
     )
     control = jnp.zeros((n, model.nu), jnp.float32)
+    # What the engine gives before a task reads it.
     _, values = env._physics.step(physics, control, ranges)
     last = np.asarray(values[:, : model.nsensordata])
     peaks = np.asarray(values[:, model.nsensordata :])
@@ -97,6 +98,7 @@ def test_the_head_is_where_mujoco_has_it() -> None:
         mujoco.mj_kinematics(model, data)
         head, point = model.geom("human_head"), rng.uniform(-1.0, 1.0, 3)
         expected = np.linalg.norm(point - data.geom_xpos[head.id]) - head.size[0]
+        # Its distance is a measure; here it is held against MuJoCo.
         near = gentle_base._Head(model).distance(
             jnp.asarray(angles, jnp.float32)[None], jnp.asarray(point, jnp.float32)[None]
         )

@@ -217,7 +217,7 @@ def gentle(tmp_path_factory: pytest.TempPathFactory) -> Registry:
 def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     gentle: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("assistax_envs.make", lambda task, backend: Fond())
+    monkeypatch.setattr("assistax_envs.make", lambda task, backend, version=None: Fond())
     split = gentle.split("gentle_lift")
 
     def evaluate(name: str, split: str, **changes: Any) -> tuple[Any, dict[str, set[str]]]:

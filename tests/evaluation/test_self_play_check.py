@@ -76,7 +76,7 @@ def check(
         registry,
         registry.select(pattern),
         episodes=2,
-        make_env=lambda task, backend: made,
+        make_env=lambda task, backend, version=None: made,
         **arguments,
     )
 

@@ -17,7 +17,7 @@ def toy(monkeypatch):
     """A toy in the place of a task."""
     env = ToyEnv(match)
     env.task = "scratch"
-    monkeypatch.setattr(assistax_envs, "make", lambda task, backend: env)
+    monkeypatch.setattr(assistax_envs, "make", lambda task, backend, version=None: env)
 
 
 def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):

@@ -296,11 +296,12 @@ def use_toy(monkeypatch):
     """Train on a toy in 4 seconds, whatever the machine."""
     monkeypatch.setattr("population.runs.train.round", lambda seconds, digits: 4.0, raising=False)
     monkeypatch.setattr(
-        "assistax_envs.make", lambda task, backend: ToyScratch(constant, episode_length=8)
+        "assistax_envs.make",
+        lambda task, backend, version=None: ToyScratch(constant, episode_length=8),
     )
 
 
-def unwanted(task, backend):
+def unwanted(task, backend, version=None):
     raise AssertionError("nothing was to be trained")
 
 
