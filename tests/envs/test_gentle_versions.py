@@ -1,5 +1,7 @@
 """What the versions of the gentle tasks' environments differ in: contacts, limits, the stop."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -56,7 +58,7 @@ def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backen
 def test_a_violation_ends_the_episode_in_version_3_alone() -> None:
     task = "gentle_scratch"
     for version in (2, 3):
-        env = assistax_envs.make(task, "native", version=version)
+        env: Any = assistax_envs.make(task, "native", version=version)
         assert env.version == version and env.stops == (version == 3)
         # A limit that every touch breaks.
         env._task.sensors._limits = np.full_like(env._task.sensors._limits, 1e-3)
@@ -74,10 +76,10 @@ def test_a_violation_ends_the_episode_in_version_3_alone() -> None:
 
 
 def test_limits_are_those_of_the_part_that_is_touched() -> None:
-    env = assistax_envs.make("gentle_scratch", "native")
+    env: Any = assistax_envs.make("gentle_scratch", "native")
     limits = dict(zip(_touched_parts(env.model), env._task.sensors._limits.tolist(), strict=True))
     assert limits["human_head"] == 32.5 and limits["human_right_lower_arm"] == 80.0
-    older = assistax_envs.make("gentle_scratch", "native", version=2)
+    older: Any = assistax_envs.make("gentle_scratch", "native", version=2)
     assert set(older._task.sensors._limits.tolist()) == {HARD}
     with pytest.raises(
         ValueError, match="version of gentle_scratch is 1; this installation plays 2, 3"
