@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_base.errors import SplitError, UnknownIdError
+from assistax_base.errors import RegistryVersionError, SplitError, UnknownIdError
 from assistax_envs import Disability, make
 from assistax_envs.persons import numbers, person, person_params, persons
 from assistax_envs.persons.parameters import index
@@ -22,7 +22,9 @@ from evaluation.play.runner import Runner
 from evaluation.play.study import make_job
 from evaluation.play.tiles import plan
 from evaluation.replay.replay import replay_folder
+from tests.untrained import params_of
 from zoo.met.claims import claimed_met, declared_met, side_met
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import load_registry
 
 TASK, EGO = "gentle_scratch", "gentle_scratch/ppo-ego-s0-v2/robot"
@@ -146,29 +148,26 @@ def test_a_person_plays_the_same_beside_others() -> None:
 @pytest.mark.slow
 def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
     options = {"episodes": 1, "backend": "fused", "progress": False}
+    # An untrained robot of the published one's sizes, which was trained in an older version.
+    spec = load_registry().policy(EGO).spec
+    robot = tmp_path / "robot.safetensors"
+    write_policy_file(robot, spec, params_of(spec, 0), {"task": TASK})
+    out = tmp_path / "out"
     result = evaluate(
-        EGO, task=TASK, partners="persons", persons=6, references=False, out=tmp_path, **options
+        str(robot), task=TASK, partners="persons", persons=6, references=False, out=out, **options
     )
     assert result.episodes.height == 6 and "preference" not in result.episodes.columns
     assert set(result.episodes["side"]) == {"test"}
     assert set(result.episodes["partner_algorithm"]) <= {"spring", "muscle"}
-    report = replay_folder(tmp_path, load_registry(), sample=2, seed=0)
+    report = replay_folder(out, load_registry(), sample=2, seed=0)
     assert report.ok and report.exact, report.problems
 
 
-@pytest.mark.slow
-def test_a_cross_play_takes_persons(tmp_path: Path) -> None:
-    options = {"episodes": 1, "backend": "fused", "progress": False}
-    result = cross_play(
-        ["gentle_scratch/ippo-d1-s[01]-v2"],
-        "persons",
-        task=TASK,
-        persons=3,
-        out=tmp_path,
-        **options,
-    )
-    assert result.pairs.height == 6
-    assert (tmp_path / "crossplay.png").is_file()
+def test_teams_of_an_older_version_do_not_meet_persons(tmp_path: Path) -> None:
+    with pytest.raises(RegistryVersionError, match="version 2 of environment gentle_scratch"):
+        cross_play(
+            ["gentle_scratch/ippo-d1-s[01]-v2"], "persons", task=TASK, persons=3, out=tmp_path
+        )
 
 
 def test_a_robot_that_trains_with_persons_says_whom_it_meets() -> None:
