@@ -72,9 +72,11 @@ def vector_env(
         from assistax_envs.adapters.partners import Persons
 
         humans: Partners = Persons(task)
+        version = None
     else:
-        humans = _published(task, partners, split, preferences, zoo)
+        humans, version = _published(task, partners, split, preferences, zoo)
     how: dict[str, Any] = {"backend": backend, "weights": dict(weights) if weights else None}
+    how["version"] = version
     if form == "jaxmarl":
         from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
 
@@ -99,10 +101,13 @@ def _published(
     split: str | None,
     preferences: Sequence[str],
     zoo: "str | Path | Zoo | None",
-) -> "Partners":
-    """Return partners of a split's training half; nothing of the test half is loaded."""
+) -> "tuple[Partners, int | None]":
+    """Return partners of a split's training half, and the version of the environment they play.
+
+    Nothing of the test half is loaded.
+    """
     from assistax_envs.preferences import PREFERENCES
-    from evaluation.ego_training import load_partners
+    from evaluation.ego_training import load_partners, older_version
     from population.trainers.rotating_partners import RotatingPartners
 
     opened = open_zoo(zoo)
@@ -114,7 +119,8 @@ def _published(
     if opened.remote is not None:
         opened.fetch([f"{team}/human" for team in names])
     frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))
-    return RotatingPartners(frozen, tuple(preferences or chosen.preferences.get("train", ())))
+    likes = tuple(preferences or chosen.preferences.get("train", ()))
+    return RotatingPartners(frozen, likes), older_version(opened.registry, chosen)
 
 
 def _of_training_half(split: "Split", patterns: Sequence[str]) -> list[str]:

@@ -116,7 +116,7 @@ def prepare(
         updates_per_call=updates_per_call,
         partners=frozen.ids,
         preferences=preferences or chosen.preferences.get("train", ()),
-        env_version=_older_version(registry, chosen),
+        env_version=older_version(registry, chosen),
     )
     return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
 
@@ -198,7 +198,7 @@ def _chosen_split(registry: Registry, task: str, split: str | None, partners: st
     return chosen
 
 
-def _older_version(registry: Registry, split: Split) -> int | None:
+def older_version(registry: Registry, split: Split) -> int | None:
     """Return the version of the environment that a split's partners play; None for the newest."""
     from evaluation.cast.cast import env_version
 

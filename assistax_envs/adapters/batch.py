@@ -1,7 +1,8 @@
 """N simulations that begin and end together, partners within: what the vector adapters share.
 
-Everything is a pure function, to be compiled by whoever calls it. Episodes end by time only, so
-that all simulations end at the same step; that step already returns the next episode's start.
+Everything is a pure function, to be compiled by whoever calls it. All simulations reach the time
+limit at the same step; a protective stop ends an episode before. A step that ends an episode
+already returns the next one's start.
 """
 
 import dataclasses
@@ -55,10 +56,12 @@ class Batch:
         num_envs: int,
         backend: str = "auto",
         weights: dict[str, float] | None = None,
+        version: int | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST_ENVS:
             raise ValueError(f"num_envs is {num_envs!r}; allowed is 1 to {MOST_ENVS}")
-        self.env, self.partners, self.num_envs = make(task, backend, weights), partners, num_envs
+        self.env = make(task, backend, weights, version)
+        self.partners, self.num_envs = partners, num_envs
 
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
         """Begin an episode in every simulation; return the observations and the state."""

@@ -46,6 +46,7 @@ class AssistaxEnv(gymnasium.Env):
         weights: dict[str, float] | None = None,
         render_mode: str | None = None,
         camera: str | None = None,
+        version: int | None = None,
     ) -> None:
         """Make the environment.
 
@@ -58,6 +59,8 @@ class AssistaxEnv(gymnasium.Env):
             weights: reward weights that replace those of Table 5.
             render_mode: None or "rgb_array".
             camera: of the pictures; the scene's first if not given.
+            version: of the environment; by default the partner's own `env_version`, where it has
+                one, else the newest.
         """
         if partner is not None and not callable(partner):
             raise TypeError(
@@ -67,7 +70,10 @@ class AssistaxEnv(gymnasium.Env):
         self.render_mode = render_mode
         self.partner = partner
         impairment = disability or getattr(partner, "setting", None) or "d1"
-        self._simulation = Simulation(task, impairment, backend, weights, render_mode, camera)
+        version = version or getattr(partner, "env_version", None)
+        self._simulation = Simulation(
+            task, impairment, backend, weights, render_mode, camera, version
+        )
         env = self._simulation.env
         self.observation_space = gymnasium.spaces.Box(
             -np.inf, np.inf, (env.observation_size["robot"],), np.float32
@@ -133,6 +139,7 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         backend: str = "auto",
         weights: dict[str, float] | None = None,
         arrays: str = "numpy",
+        version: int | None = None,
     ) -> None:
         """Make the environment.
 
@@ -146,11 +153,12 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
             weights: Reward weights that replace those of the task.
             arrays: What is returned: "numpy", or "jax", which `torch.from_dlpack` takes without a
                 copy and which must not be changed. Actions may be any of these.
+            version: Of the environment; the newest if not given.
 
         Raises:
             ValueError: An argument is not allowed.
         """
-        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights, version)
         self._host = HostBatch(batch, arrays)
         self.num_envs, env = num_envs, batch.env
         self.single_observation_space = bounded_box(

@@ -188,6 +188,7 @@ class AssistaxMarlVectorEnv:
         disability: str | Disability | Sequence[str | Disability] = "d1",
         backend: str = "auto",
         weights: dict[str, float] | None = None,
+        version: int | None = None,
     ) -> None:
         """Make the environment; with partners "robot" is the only agent.
 
@@ -198,8 +199,9 @@ class AssistaxMarlVectorEnv:
             disability: Of an agent's human; of several, each episode draws one.
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
+            version: Of the environment; the newest if not given.
         """
-        self.batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        self.batch = Batch(task, partners or Idle(disability), num_envs, backend, weights, version)
         self.name, self.num_envs = f"assistax_{task}", num_envs
         self.agents = ["robot"] if partners else ["robot", "human"]
         self.num_agents = len(self.agents)

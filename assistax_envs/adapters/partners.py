@@ -11,6 +11,7 @@ from assistax_envs.disability import Disability
 from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.persons import PersonPlayer, person_params, persons
 from assistax_envs.persons.rows import COUNT, side
+from assistax_envs.persons.rows import numbers as of_side
 
 
 class Partners(Protocol):
@@ -89,7 +90,7 @@ class Persons:
             ValueError: There is no such task, or a number is unknown or of the test side.
         """
         if numbers is None:
-            numbers = [number for number in range(COUNT) if side(number) == "training"]
+            numbers = of_side("training").tolist()
         for number in numbers:
             if not 0 <= number < COUNT or side(number) == "test":
                 raise ValueError(

@@ -148,6 +148,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         backend: str = "auto",
         weights: dict[str, float] | None = None,
         arrays: str = "numpy",
+        version: int | None = None,
     ) -> None:
         """Make the environment.
 
@@ -160,6 +161,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
             arrays: What is returned: "numpy", or "jax", which must not be changed.
+            version: Of the environment; the newest if not given.
 
         Raises:
             ValueError: An argument is not allowed.
@@ -167,7 +169,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         self.render_mode = None
         self.possible_agents = list(ROLES[:1] if partners else ROLES)
         self.agents: list[str] = []
-        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights)
+        batch = Batch(task, partners or Idle(disability), num_envs, backend, weights, version)
         self._host, self._rng = HostBatch(batch, arrays), np.random.default_rng()
         self.num_envs, env = num_envs, batch.env
         self.observation_spaces = {

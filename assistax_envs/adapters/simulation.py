@@ -23,12 +23,13 @@ class Simulation:
         weights: dict[str, float] | None = None,
         render_mode: str | None = None,
         camera: str | None = None,
+        version: int | None = None,
     ) -> None:
         """See `assistax_envs.make`; `disability` is the human's, "d1".."d9" or a `Disability`."""
         if render_mode not in (None, "rgb_array"):  # without a window nothing else can be drawn
             raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
         self.render_mode, self._camera = render_mode, camera
-        self.env = make(task, backend, weights)
+        self.env = make(task, backend, weights, version)
         self._params = disability_params([disability])
         self._reset, self._step = jax.jit(self.env.reset), jax.jit(self.env.step)
         self._state: EnvState | None = None
@@ -56,7 +57,7 @@ class Simulation:
             ValueError: no episode runs, it has ended, or an action is missing or of the wrong
                 shape.
         """
-        if bool(self.state.truncated[0]):
+        if bool(self.state.truncated[0] | self.state.terminated[0]):
             raise ValueError(
                 f"the episode ended at step {int(self.state.step[0])}; call reset() first"
             )

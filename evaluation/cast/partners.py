@@ -49,6 +49,11 @@ class Partner:
         self._carry: Any = None
 
     @property
+    def env_version(self) -> int | None:
+        """The version of the environment that it plays; None of a file's."""
+        return None if self.card is None else self.card.training.env_version
+
+    @property
     def humans(self) -> Any:
         """A person's own `EnvParams` [1], its body and wishes; None of others."""
         own = getattr(self.spec, "humans", None)

@@ -9,6 +9,7 @@ import pytest
 
 import assistax_zoo as az
 from assistax_base.errors import SplitError
+from assistax_envs.adapters.gymnasium import AssistaxEnv
 from zoo.parameters import storage
 from zoo.registry import load_registry
 
@@ -93,3 +94,14 @@ def test_forms_and_wrong_arguments() -> None:
         az.vector_env(TASK, partners=())
     with pytest.raises(ValueError, match=re.escape("arrays is 'jax', but form 'sb3'")):
         az.vector_env(TASK, form="sb3", arrays="jax")
+
+
+def test_partners_play_the_version_of_the_environment_in_which_they_were_trained() -> None:
+    team = "gentle_scratch/ippo-d1-s10-v2"
+    env = az.vector_env("gentle_scratch", 2, partners=team, backend="native")
+    # No interface shows the version.
+    assert env._host.batch.env.version == 2
+    partner = az.open_zoo().partner(team)
+    assert partner.env_version == 2
+    # Nor does this one.
+    assert AssistaxEnv("gentle_scratch", partner)._simulation.env.version == 2
