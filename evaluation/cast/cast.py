@@ -166,28 +166,34 @@ def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -
         RegistryVersionError: They were trained in several versions, or in one that cannot be played
             here.
     """
-    playable, version = PLAYABLE[task], VERSIONS[task]
-    for place, entry in enumerate(entries):
-        trained = registry.env_version(entry)
-        if trained == version or (place == 0 and trained in playable):
-            version = trained
-            continue
-        fitting = [
-            name
-            for name, release in registry.data.releases.items()
-            if release.environments.get(task) in ((version,) if place else playable)
-        ]
-        others = f"as {entries[0].id} was trained" if place else "as installed"
-        raise RegistryVersionError(
-            f"policy {entry.id}",
-            expected=f"version {version if place else listing(map(str, playable))} of environment "
-            f"{task}, {others}",
-            found=f"release {entry.release}, trained on version {trained}",
-            done="nothing was evaluated",
-            next_step="choose policies of a release of this version (here "
-            f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
-        )
+    if not entries:
+        return VERSIONS[task]
+    first, version = entries[0], registry.env_version(entries[0])
+    if version not in PLAYABLE[task]:
+        raise _unfit(registry, first, PLAYABLE[task], "as installed")
+    for entry in entries:
+        if registry.env_version(entry) != version:
+            raise _unfit(registry, entry, (version,), f"as {first.id} was trained")
     return version
+
+
+def _unfit(
+    registry: Registry, entry: PolicyEntry, versions: Sequence[int], why: str
+) -> RegistryVersionError:
+    """Return the error of a policy that was trained in none of some versions."""
+    fitting = [
+        name
+        for name, release in registry.data.releases.items()
+        if release.environments.get(entry.task) in versions
+    ]
+    return RegistryVersionError(
+        f"policy {entry.id}",
+        expected=f"version {listing(map(str, versions))} of environment {entry.task}, {why}",
+        found=f"release {entry.release}, trained on version {registry.env_version(entry)}",
+        done="nothing was evaluated",
+        next_step="choose policies of a release of this version (here "
+        f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
+    )
 
 
 def entries_of(
