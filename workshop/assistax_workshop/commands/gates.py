@@ -132,6 +132,8 @@ def persons(
     seeds: str = "16",
     steps: str = "",
     single: int = 50,
+    tries: int = 200,
+    models: int = 64,
     set_: Changes = (),
     backend: str = "auto",
     json: bool = False,
@@ -139,7 +141,8 @@ def persons(
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
     Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
-    (trained with persons who do nothing), best (one robot for each of some persons) and script.
+    (trained with persons who do nothing), best (one robot for each of some persons), script, and
+    search (the best numbers for the script; nothing is changed by it).
     Each has a run and a file in FOLDER; what is there is not done again, so stages may run on
     several machines. The table is of all that the folder holds.
 
@@ -150,6 +153,8 @@ def persons(
         seeds: Robots of each kind: how many, or which.
         steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
         single: Persons with a best response.
+        tries: Of the search over the script's numbers.
+        models: Persons whom each try plays with.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         json: Print the gates as JSON.
@@ -170,6 +175,8 @@ def persons(
         parse_seeds(seeds),
         parse_steps(steps) if steps else None,
         single,
+        tries,
+        models,
         parse_changes(set_),
         backend,
     )

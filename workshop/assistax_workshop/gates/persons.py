@@ -60,8 +60,8 @@ ROBOTS: Mapping[str, Robots] = {
     "idle": Robots(partners=IdlePersons),
     "best": Robots(changes=FEW, partners=OnePersonEach, steps=10_000_000),
 }
-SCRIPT = "script"
-STAGES = (*ROBOTS, SCRIPT)
+SCRIPT, SEARCH = "script", "search"
+STAGES = (*ROBOTS, SCRIPT, SEARCH)
 # Sides of persons that no robot met, by name: the first number, how far apart, and the family.
 STRANGERS = {
     "validation": (9, 10, "spring"),
@@ -85,6 +85,8 @@ class Plan:
         seeds: Of the robots; those of single persons have a person's number.
         steps: Environment steps of each robot; the kind's own if not given.
         single: How many persons have a best response.
+        tries: Of the search over the script's numbers.
+        models: Persons whom each try plays with.
         changes: Of hyperparameters, for all kinds.
         backend: Physics.
         horizon: Steps of an episode that is played; the environment's if not given.
@@ -95,6 +97,8 @@ class Plan:
     seeds: Sequence[int] = range(16)
     steps: int | None = None
     single: int = 50
+    tries: int = 200
+    models: int = 64
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     backend: str = "auto"
     horizon: int | None = None
@@ -116,11 +120,21 @@ def run_stages(
     if unknown := [name for name in stages if name not in STAGES]:
         raise ValueError(f"stage is {unknown[0]!r}; allowed are {', '.join(STAGES)}")
     for name in stages:
-        earned = play_script(plan) if name == SCRIPT else play_robots(plan, name)
+        earned = _stage(plan, name, progress)
         write_json(plan.folder / f"{name}.json", earned)
         for side, figures in earned["sides"].items():
             mean, safe = (np.mean(figures[what]) for what in ("return", "safe_success"))
             progress(f"{name} with {side}: return {mean:.1f}, safe success {safe:.0%}")
+
+
+def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    if name == SCRIPT:
+        return play_script(plan)
+    if name == SEARCH:
+        from assistax_workshop.gates.script_search import search_script
+
+        return search_script(plan, progress)
+    return play_robots(plan, name)
 
 
 def play_robots(plan: Plan, name: str) -> dict[str, Any]:
@@ -133,23 +147,21 @@ def play_robots(plan: Plan, name: str) -> dict[str, Any]:
     if kind.partners is OnePersonEach:
         sides[SINGLE] = _play_single(plan, env, policy, params)
     else:
-        for side, (first, apart, family) in STRANGERS.items():
-            met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
-            sides[side] = _play(plan, env, policy, params, met, family, EPISODES)
-    return {"about": _about(plan, env, run.config.steps, run.config.trainer), "sides": sides}
+        for side in STRANGERS:
+            sides[side] = play_strangers(plan, env, policy, params, side)
+    return {"about": about(plan, env, run.config.steps, run.config.trainer), "sides": sides}
 
 
 def play_script(plan: Plan) -> dict[str, Any]:
     """Return what the task's script earns with strangers, and with those of best responses."""
     env = make(plan.task, plan.backend)
     sizes = env.observation_size["robot"], env.action_size["robot"]
-    [stack] = script_roster(plan.task, *sizes).stacks
+    [stack] = script_roster(plan.task, *sizes, env.version).stacks
     policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
     sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}
-    for side, (first, apart, family) in STRANGERS.items():
-        met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
-        sides[side] = _play(plan, env, policy, params, met, family, EPISODES)
-    return {"about": _about(plan, env), "sides": sides}
+    for side in STRANGERS:
+        sides[side] = play_strangers(plan, env, policy, params, side)
+    return {"about": about(plan, env), "sides": sides}
 
 
 def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
@@ -174,33 +186,40 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
         return train(config, env, folder, partners=partners, progress=line)
 
 
+def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
+    """Play robots with persons of a side that none of them met; see `play_persons`."""
+    first, apart, family = STRANGERS[side]
+    met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
+    rollout = rollout_with_persons(plan, env, policy, family)
+    return play_persons(rollout, plan.task, params, met, EPISODES)
+
+
 def _play_single(
     plan: Plan, env: Env, policy: Any, params: Any, alone: bool = False
 ) -> dict[str, Any]:
     """Play robot i with person i of the sample, or one robot with all of them."""
-    met, episodes = np.array(plan.sample), SINGLE_EPISODES
-    return _play(plan, env, policy, params, met, "spring", episodes, paired=not alone)
+    rollout = rollout_with_persons(plan, env, policy, paired=not alone)
+    return play_persons(rollout, plan.task, params, np.array(plan.sample), SINGLE_EPISODES)
 
 
-def _play(
-    plan: Plan,
-    env: Env,
-    policy: Any,
-    params: Any,
-    met: np.ndarray,
-    family: str,
-    episodes: int,
-    paired: bool = False,
+def rollout_with_persons(
+    plan: Plan, env: Env, policy: Any, family: str = "spring", paired: bool = False
+) -> Rollout:
+    """Return what plays robots of one form with persons of a family."""
+    human = PersonPlayer(plan.task, family)
+    return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
+
+
+def play_persons(
+    rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
 ) -> dict[str, Any]:
     """Return what robots [M] earn in each episode with persons [P] of these numbers.
 
-    "return" and "safe_success" are [M, P, K]; M is 1 where robot i is `paired` with person i.
+    "return" and "safe_success" are [M, P, K]; M is 1 where robot i is paired with person i.
     """
-    human = PersonPlayer(plan.task, family)
-    rollout = Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
     keys = jax.random.split(jax.random.key(99), (len(met), episodes))
-    rows = persons(plan.task)[met]
-    body, stack = person_params(plan.task, rows), {"row": jnp.asarray(rows)}
+    rows = persons(task)[met]
+    body, stack = person_params(task, rows), {"row": jnp.asarray(rows)}
     tally = rollout.run([params], [stack], body, keys)
     safe = tally.success & ~tally.violated
     return {
@@ -210,7 +229,7 @@ def _play(
     }
 
 
-def _about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
+def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
     """Return what the figures of a stage are of."""
     return {
         "task": plan.task,
