@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import assistax_envs
+from assistax_envs.gentle_scripts import script_of
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import INNER, persons
-from assistax_envs.scripted import scripted_robot
 from assistax_envs.tasks.gentle_base import FELT
 from assistax_envs.versions import GENTLE_TASKS
 
@@ -37,7 +37,7 @@ CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head
 def _program(task: str, robot: str, human: str, family: str, steps: int) -> tuple[Any, Any, Any]:
     """Return the environment, and programs that start episodes and play `steps` of them."""
     env, player = assistax_envs.make(task), PersonPlayer(task, family)
-    script = scripted_robot(task, env.model)
+    script = script_of(task, env.model, env.version)
 
     def command(obs: jax.Array, time: jax.Array) -> jax.Array:
         if robot == "idle":

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models import build_model
-from assistax_envs.scripted import scripted_robot
 from population.networks.seat import SeatSizes
 
 
@@ -24,9 +24,10 @@ class ReferenceSpec(SeatSizes):
 
 @dataclasses.dataclass(frozen=True)
 class ScriptSpec(SeatSizes):
-    """A task's scripted robot: see `assistax_envs.scripted`."""
+    """A task's scripted robot: see `assistax_envs.scripted` and `gentle_scripts`."""
 
     task: str
+    version: int = 0  # of the environment
 
     def player(self) -> "ScriptedPolicy":
         """Return what plays the script."""
@@ -74,7 +75,7 @@ class ScriptedPolicy:
     """Plays a task's script, which has no memory and no parameters."""
 
     def __init__(self, spec: ScriptSpec) -> None:
-        self._robot = scripted_robot(spec.task, build_model(spec.task))
+        self._robot = script_of(spec.task, build_model(spec.task), spec.version)
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
         """Return the empty carry."""

@@ -15,7 +15,8 @@ import numpy as np
 import polars as pl
 
 from assistax_base.digest import sha256
-from assistax_envs import scripted
+from assistax_envs import gentle_scripts, scripted
+from assistax_envs.gentle_scripts import uses_numbers
 from assistax_envs.scripted import SCRIPTS
 from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
 from evaluation.cast.roster import Member, Roster, joined
@@ -41,7 +42,7 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
 def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
     """Return what `play_references` plays."""
     sizes = _sizes(env, "robot")
-    scripts = [script_roster(job.task, *sizes)] if job.task in SCRIPTS else []
+    scripts = [_script(job, sizes)] if job.task in SCRIPTS else []
     robots = joined(reference_roster(*sizes), *scripts)
     jobs = [dataclasses.replace(job, egos=robots, stochastic=False)]
     if own:
@@ -69,7 +70,7 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
         return dataclasses.replace(job, egos=own[0], partners=own[1], paired=True)
     sizes = _sizes(env, "robot")
     if name == SCRIPT:
-        return dataclasses.replace(job, egos=script_roster(job.task, *sizes), stochastic=False)
+        return dataclasses.replace(job, egos=_script(job, sizes), stochastic=False)
     both = reference_roster(*sizes)
     [stack] = both.stacks
     assert isinstance(stack, PolicyStack)
@@ -77,10 +78,11 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
     return dataclasses.replace(job, egos=egos, stochastic=False)
 
 
-def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
-    """Return a task's scripted robot, its code named by its hash."""
-    spec = ScriptSpec("robot", observation_size, action_size, task=task)
-    digest = sha256(inspect.getsource(scripted).encode())
+def script_roster(task: str, observation_size: int, action_size: int, version: int) -> Roster:
+    """Return the scripted robot of a task and version, its code named by its hash."""
+    spec = ScriptSpec("robot", observation_size, action_size, task=task, version=version)
+    code = (gentle_scripts, scripted) if uses_numbers(task, version) else (scripted,)
+    digest = sha256("".join(map(inspect.getsource, code)).encode())
     return _single(spec, Member(SCRIPT, digest))
 
 
@@ -88,6 +90,10 @@ def passive_roster(observation_size: int, action_size: int) -> Roster:
     """Return a human without an impairment that does nothing."""
     spec = ReferenceSpec("human", observation_size, action_size)
     return _single(spec, Member(PASSIVE, f"{PASSIVE}-{_VERSION}", disability="d1"))
+
+
+def _script(job: Job, sizes: tuple[int, int]) -> Roster:
+    return script_roster(job.task, *sizes, job.env_version)
 
 
 def _sizes(env: Any, role: str) -> tuple[int, int]:

@@ -127,10 +127,10 @@ def initial_state(
     keys = jnp.stack([member_key(member) for member in config.members])
     envs, partners = config.trainer.num_envs, trainer.partners
     humans = [
-        partners.humans(envs, config.preferences)
+        partners.humans(envs, config.preferences, place)
         if partners
         else disability_params([member.disability] * envs)
-        for member in config.members
+        for place, member in enumerate(config.members)
     ]
     start = shares.put((keys, jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *humans)))
     initial = shares.jit(trainer.initial, state_specs(jax.eval_shape(trainer.initial, *start)))

@@ -10,8 +10,11 @@ from jaxtyping import Float
 
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
+from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from population.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
+
+ACTIONS = len(HUMAN_ACTUATORS)
 
 
 class DrawnPersons(FrozenPartners):
@@ -43,7 +46,7 @@ class DrawnPersons(FrozenPartners):
         if env.task != task:
             raise ValueError(f"persons of {task} cannot sit in {env.task}; give those of its task")
 
-    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+    def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
         """Return the first person [N] in all simulations: `renewed` draws where episodes begin.
 
         Raises:
@@ -76,3 +79,37 @@ class DrawnPersons(FrozenPartners):
     def _of(self, places: jax.Array) -> EnvParams:
         humans = person_params(self.player.controller.task, self.rows[places])
         return dataclasses.replace(humans, person=places)
+
+
+class IdlePersons(DrawnPersons):
+    """The same persons, body and wishes, none of whom does anything."""
+
+    def act(
+        self,
+        params: jax.Array,
+        carry: Any,
+        obs: jax.Array,
+        first: jax.Array,
+        members: int,
+        humans: Any = None,
+    ) -> tuple[Any, jax.Array]:
+        """Return the carries and no torques [N, 3]."""
+        return carry, jnp.zeros((obs.shape[0], ACTIONS), obs.dtype)
+
+
+class OnePersonEach(DrawnPersons):
+    """Member i learns with person i alone: best responses to all of them, in one program."""
+
+    def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
+        """See `FrozenPartners.humans`.
+
+        Raises:
+            ValueError: There is no person for that member.
+        """
+        if member >= len(self.rows):
+            raise ValueError(f"member {member} has no person; there are {len(self.rows)} of them")
+        return self._of(jnp.full(num_envs, member, jnp.int32))
+
+    def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """See `FrozenPartners.renewed`: those who were there."""
+        return humans

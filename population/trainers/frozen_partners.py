@@ -93,7 +93,7 @@ class FrozenPartners:
             for turn in range(share)
         ]
 
-    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+    def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
         """Return the humans [N] of a member's simulations; without preferences they are drawn."""
         liked = self.likings(num_envs, preferences) if preferences else None
         return disability_params(self.settings(num_envs), liked)

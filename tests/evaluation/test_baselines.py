@@ -114,7 +114,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("evaluation.play.baselines.SCRIPTS", {"matrix": None})
     monkeypatch.setattr("evaluation.cast.baseline_policies.build_model", lambda task: None)
     monkeypatch.setattr(
-        "evaluation.cast.baseline_policies.scripted_robot",
+        "evaluation.cast.baseline_policies.script_of",
         lambda task, model: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
     )
 
@@ -170,9 +170,10 @@ def test_a_robot_from_outside_meets_the_passive_human_too(tmp_path: Path, script
     assert "clipped" not in played.columns
 
 
-def test_a_tasks_script_is_a_policy():
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_tasks_script_is_a_policy(version: int):
     """One row at a time or many, of a stack of one: the same actions, in the torque limits."""
-    roster = script_roster("gentle_scratch", 47, 7)
+    roster = script_roster("gentle_scratch", 47, 7, version)
     [stack] = roster.stacks
     assert isinstance(stack, PolicyStack) and isinstance(stack.spec, ScriptSpec)
     policy, obs = ScriptedPolicy(stack.spec), np.random.default_rng(3).normal(size=(2, 5, 47))

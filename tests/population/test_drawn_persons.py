@@ -12,7 +12,7 @@ from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
 from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import PPOConfig
 from population.runs.train import initial_state, make_trainer
-from population.trainers.drawn_persons import DrawnPersons
+from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 
 TASK = "gentle_scratch"
 ROWS = persons(TASK)[numbers("training")]
@@ -92,3 +92,30 @@ def test_who_is_met_changes_where_an_episode_ends_and_a_run_goes_on(
     for here, there in zip(jax.tree.leaves(again), jax.tree.leaves(states[4]), strict=True):
         if not jnp.issubdtype(here.dtype, jax.dtypes.prng_key):
             np.testing.assert_array_equal(here, there)
+
+
+def test_idle_persons_have_a_body_and_do_nothing() -> None:
+    idle = IdlePersons(PersonPlayer(TASK), jnp.asarray(ROWS), "everybody")
+    humans = idle.renewed(idle.humans(8), jax.random.split(jax.random.key(6), 8))
+    assert len(set(np.asarray(humans.elbow_range).tolist())) > 1
+    obs = jax.random.normal(jax.random.key(7), (8, 53))
+    _, action = idle.act(idle.params, idle.initial_carry(8), obs, jnp.ones(8, bool), 1, humans)
+    np.testing.assert_array_equal(action, np.zeros((8, 3)))
+
+
+def test_each_member_keeps_its_own_person() -> None:
+    rows = ROWS[[5, 40, 7]]
+    partners = OnePersonEach(PersonPlayer(TASK), jnp.asarray(rows), "three")
+    config = PPOConfig(num_envs=4, rollout_steps=8, minibatches=2)
+    members = tuple(Member(seed, MIXED) for seed in (1, 2, 3))
+    run = TrainConfig(TASK, "ippo", members, 64, config, partners=partners.ids)
+    trainer = make_trainer(run, assistax_envs.make(TASK, "fused"), partners)
+    state = initial_state(run, trainer)
+    humans = state.simulations.env.params
+    np.testing.assert_array_equal(humans.person, np.repeat([0, 1, 2], 4))
+    force = person_params(TASK, rows).likes.force
+    np.testing.assert_array_equal(humans.likes.force, np.repeat(force, 4))
+    keys = jax.random.split(jax.random.key(8), 12)
+    np.testing.assert_array_equal(partners.renewed(humans, keys).person, humans.person)
+    with pytest.raises(ValueError, match="member 3 has no person; there are 3 of them"):
+        partners.humans(4, member=3)

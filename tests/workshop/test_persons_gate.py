@@ -1,36 +1,103 @@
-"""Robots learn with persons and play with strangers; a result is what each earned with each."""
+"""Robots learn with persons and play with strangers; gates are read from what each earned."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from assistax_workshop.gates import persons
-from assistax_workshop.gates.persons import train_with_persons
+from assistax_workshop.gates.persons import SINGLE, STRANGERS, Plan, run_stages
+from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+
+TASK = "gentle_scratch"
 
 
 @pytest.mark.slow
-def test_each_robot_plays_with_each_stranger(
+def test_stages_write_what_each_robot_earns_with_each_person(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(persons, "SIDE", 3)
+    monkeypatch.setattr(persons, "SINGLE_EPISODES", 2)
     lines: list[str] = []
-    earned = train_with_persons(
-        "gentle_scratch",
-        tmp_path,
-        seeds=(0, 1),
-        steps=600,
-        num_envs=4,
-        horizon=30,
-        progress=lines.append,
-    )
-    assert json.loads((tmp_path / persons.RESULT).read_text()) == earned
+    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, {"num_envs": 4}, horizon=30)
+    run_stages(plan, ("told", "best", "script"), lines.append)
+    files = read_stages(tmp_path)
     assert [line.partition(":")[0] for line in lines] == [
-        f"{robot} with {side}" for robot in persons.ROBOTS for side in persons.STRANGERS
+        *(f"told with {side}" for side in STRANGERS),
+        f"best with {SINGLE}",
+        *(f"script with {side}" for side in (SINGLE, *STRANGERS)),
     ]
-    for sides in earned.values():
-        for figures in sides.values():
-            assert np.shape(figures["return"]) == np.shape(figures["safe_success"]) == (2, 3)
-    returns = [np.array(sides["muscle"]["return"]) for sides in earned.values()]
-    assert not np.array_equal(returns[0], returns[1]), "who is told plays otherwise"
+    assert np.shape(files["told"]["sides"]["muscle"]["return"]) == (2, 3, 2)
+    for name in ("best", "script"):
+        side = files[name]["sides"][SINGLE]
+        assert side["persons"] == [0, 4500]
+        assert np.shape(side["return"]) == np.shape(side["safe_success"]) == (1, 2, 2)
+    before = json.loads((tmp_path / "told.json").read_text())
+    run_stages(plan, ("told",), lines.append)  # trained already: only played again
+    assert json.loads((tmp_path / "told.json").read_text()) == before
+
+
+def test_a_stage_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="stage is 'pp'; allowed are ppo, told"):
+        run_stages(Plan(TASK, tmp_path), ("pp",))
+
+
+def _stage(mean: float, robots: int, people: int, seed: int, side: str = "validation") -> Any:
+    rng = np.random.default_rng(seed)
+    shapes = {(robots, 1, 1): 5.0, (1, people, 1): 5.0, (robots, people, 1): 10.0}
+    noise = sum(rng.normal(0.0, spread, shape) for shape, spread in shapes.items())
+    returns = mean + noise + rng.normal(0.0, 5.0, (robots, people, 4))
+    safe = (returns > 80.0).astype(int)
+    figures = {"return": returns.tolist(), "safe_success": safe.tolist()}
+    return {"about": {"steps": 50_000_000}, "sides": {side: figures}}
+
+
+def _found(files: dict[str, Any]) -> dict[str, Any]:
+    return {gate.gate: gate for gate in gates_of_persons(TASK, files)}
+
+
+def test_gates_are_read_from_what_was_earned() -> None:
+    files = {
+        name: _stage(mean, 8, 60, seed)
+        for seed, (name, mean) in enumerate(
+            {"ppo": 100.0, "told": 130.0, "gru": 120.0, "idle": 60.0}.items()
+        )
+    }
+    files |= {"best": _stage(130.0, 1, 50, 8, SINGLE), "script": _stage(60.0, 1, 50, 9, SINGLE)}
+    found = _found(files)
+    assert found["best response to one person"].holds
+    assert found["script with the same persons"].holds
+    idle = found["robot trained with idle persons"]
+    assert idle.holds
+    assert idle.value == pytest.approx(0.4, abs=0.1)
+    told = found["told the wishes, strangers: more"]
+    assert told.holds
+    assert told.ci[0] < 0.3 < told.ci[1]
+    back = found["a memory wins back, of that"]
+    assert back.value == pytest.approx(2 / 3, abs=0.2)
+    # Of 25 + 25 + 100 what pairs bring, by the variances that were drawn.
+    assert found["who meets whom, share of variance"].value == pytest.approx(2 / 3, abs=0.12)
+    assert found["numbers inside their ranges"].value == 1.0
+
+
+def test_gates_that_are_missed_say_so() -> None:
+    files = {name: _stage(100.0, 8, 60, seed) for seed, name in enumerate(("ppo", "told", "idle"))}
+    files |= {"best": _stage(85.0, 1, 50, 8, SINGLE), "script": _stage(84.0, 1, 50, 9, SINGLE)}
+    found = _found(files)
+    for name in (
+        "best response to one person",
+        "script with the same persons",
+        "robot trained with idle persons",
+        "told the wishes, strangers: more",
+    ):
+        assert found[name].holds is False, name
+    assert "needs gru" in found["a memory wins back, of that"].told
+
+
+def test_nothing_measured_is_nothing_met() -> None:
+    found = _found({})
+    measured = [gate.gate for gate in found.values() if gate.value is not None]
+    assert measured == ["numbers inside their ranges"]
+    assert all(gate.holds is None for gate in found.values() if gate.gate not in measured)

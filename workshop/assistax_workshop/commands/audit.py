@@ -1,7 +1,7 @@
 """The gates of a task, from named teams."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,14 +94,20 @@ def audit(
 def _print(result: Mapping[str, Any]) -> None:
     """Print an audit's gates as a table, then the figures behind them."""
     title = f"{result['task']}, {len(result['teams'])} teams, {result['episodes']} episodes a pair"
+    print_gates(title, result["gates"])
+    for name, figures in result["figures"].items():
+        print(f"{name}: {', '.join(f'{what} {value:.3g}' for what, value in figures.items())}")
+
+
+def print_gates(title: str, gates: Sequence[Mapping[str, Any]], told: bool = False) -> None:
+    """Print gates as a table, each with what was compared where `told`."""
     table = new_table(title)
-    for name in ("gate", "bar", "found", "95%", "holds"):
+    for name in ("gate", "bar", "found", "95%", "holds", *(("what",) if told else ())):
         table.add_column(name, overflow="fold")
-    for gate in result["gates"]:
+    for gate in gates:
         ends = " to ".join(f"{end:.2f}" for end in gate["ci"] or ())
         value = gate["told"] if gate["value"] is None else f"{gate['value']:.3f}"
         held = {True: "yes", False: "NO", None: "-"}[gate["holds"]]
-        table.add_row(gate["gate"], gate["bar"], value, ends or "-", held)
+        more = (gate["told"] if gate["value"] is not None else "",) if told else ()
+        table.add_row(gate["gate"], gate["bar"], value, ends or "-", held, *more)
     print_table(table)
-    for name, figures in result["figures"].items():
-        print(f"{name}: {', '.join(f'{what} {value:.3g}' for what, value in figures.items())}")

@@ -128,34 +128,59 @@ def persons(
     folder: Path,
     /,
     *,
-    seeds: str = "4",
-    steps: str = "24M",
-    num_envs: int = 2048,
+    only: str = "",
+    seeds: str = "16",
+    steps: str = "",
+    single: int = 50,
+    tries: int = 200,
+    models: int = 64,
+    set_: Changes = (),
     backend: str = "auto",
+    json: bool = False,
 ) -> None:
-    """Train robots with persons, told, with a memory and neither, and play them with strangers.
+    """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    FOLDER/persons.json has what each robot earns with each person that it never met.
+    Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
+    (trained with persons who do nothing), best (one robot for each of some persons), script, and
+    search (the best numbers for the script; nothing is changed by it).
+    Each has a run and a file in FOLDER; what is there is not done again, so stages may run on
+    several machines. The table is of all that the folder holds.
 
     Args:
         task: Gentle task.
-        folder: Of the result.
+        folder: Of runs and results.
+        only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind: how many, or which.
-        steps: Environment steps of each robot.
-        num_envs: Simulations of each robot, and persons that it learns with.
+        steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
+        single: Persons with a best response.
+        tries: Of the search over the script's numbers.
+        models: Persons whom each try plays with.
+        set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+        json: Print the gates as JSON.
 
     Example:
-        assistax-zoo gates persons gentle_bath runs/persons-bath --seeds 8
+        assistax-zoo gates persons gentle_bath runs/persons-bath --only ppo,told --seeds 8
     """
-    from assistax_workshop.gates.persons import train_with_persons
+    from assistax_workshop.commands.audit import print_gates
+    from assistax_workshop.gates.persons import STAGES, Plan, run_stages
+    from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+    from assistax_zoo.shell.console import print_json, stdout_is_data
+    from evaluation.record.tables import to_json
 
     folder.mkdir(parents=True, exist_ok=True)
-    train_with_persons(
+    plan = Plan(
         task,
         folder,
-        seeds=parse_seeds(seeds),
-        steps=parse_steps(steps),
-        num_envs=num_envs,
-        backend=backend,
+        parse_seeds(seeds),
+        parse_steps(steps) if steps else None,
+        single,
+        tries,
+        models,
+        parse_changes(set_),
+        backend,
     )
+    with stdout_is_data():
+        run_stages(plan, [name for name in parse_names(only) or STAGES if name != "table"])
+        gates = to_json(gates_of_persons(task, read_stages(folder)))
+    print_json(gates) if json else print_gates(f"{task}, persons", gates, told=True)

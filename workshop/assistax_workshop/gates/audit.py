@@ -170,7 +170,10 @@ def _play(
     """Play every condition that somebody can play."""
     task = table.task
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
-    passive, script = passive_roster(*sizes["human"]), script_roster(task, *sizes["robot"])
+    passive, script = (
+        passive_roster(*sizes["human"]),
+        script_roster(task, *sizes["robot"], env.version),
+    )
     played = {
         Condition.OWN: table.play("own", teams.robots, teams.humans, paired=True, times=MORE),
         Condition.PAIRS: table.play("pairs", teams.robots, teams.humans),

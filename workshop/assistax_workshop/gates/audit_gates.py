@@ -127,7 +127,7 @@ def _ego_gates(played: Mapping[Condition, pl.DataFrame]) -> list[Gate]:
     said = f"return {returns[2].mean():.1f}"
     if returns[1].mean() <= returns[0].mean():
         return [worth, Gate(name, bar, None, None, None, f"{said}: nothing to win back")]
-    value, ci = _estimate(lambda a, b, c: (c - a) / (b - a), *returns)
+    value, ci = of_means(lambda a, b, c: (c - a) / (b - a), *returns)
     return [worth, Gate(name, bar, value, ci, ci is not None and ci[0] > 0.0, said)]
 
 
@@ -163,7 +163,7 @@ def _share(
     if column not in with_safety(table).columns:
         return Gate(name, bar, None, None, None, "not measured: a gentle task's sensors feel it")
     values = _by_robot(table, column)
-    value, ci = _estimate(lambda mean: mean, values)
+    value, ci = of_means(lambda mean: mean, values)
     return Gate(name, bar, value, ci, holds(value), f"return {table['return'].mean():.1f}")
 
 
@@ -220,11 +220,11 @@ def _earned(
     detail = f"return {theirs.mean():.1f}, {than} {ours.mean():.1f}"
     if ours.mean() <= 0.0:
         return Gate(name, bar, None, None, None, f"{detail}: no share of it")
-    value, ci = _estimate(lambda a, b: b / a, ours, theirs, paired=paired)
+    value, ci = of_means(lambda a, b: b / a, ours, theirs, paired=paired)
     return Gate(name, bar, value, ci, value >= least, detail)
 
 
-def _estimate(
+def of_means(
     figure: Callable[..., Any], *samples: np.ndarray, paired: bool = False
 ) -> tuple[float, Ends]:
     """Return a figure of the samples' means and its interval; paired samples are drawn together."""

@@ -1,10 +1,13 @@
-"""Robots that learn with persons: is it worth to be told, or to remember?
+"""Who plays for the gates of persons: robots that learn with them, and what they earn with them.
 
-Three kinds of robot are trained with the training side's persons, a new one each episode, and play
-with persons that they never met: PPO, PPO that is told the person's wishes, and PPO with a memory.
+Each kind of robot is a stage of its own: a run in FOLDER/NAME, which goes on where it stopped, and
+FOLDER/NAME.json with what its robots earn with persons. `persons_table` reads these files, so that
+stages may run on several machines.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +18,50 @@ import numpy as np
 from assistax_base.files import write_json
 from assistax_envs import Env, make
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
-from evaluation.figures.bootstrap import Estimate, estimate
-from evaluation.figures.metrics import paired_difference
-from population.config import MIXED, Member, TrainConfig
-from population.hyperparameters import PPOConfig
+from assistax_workshop.gates.training import CHANGES
+from assistax_zoo.shell.console import TrainingLine
+from evaluation.play.baselines import script_roster
+from population.config import MIXED, Member, make_run
+from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.play.rollout import Rollout
-from population.runs.train import initial_state, make_trainer
-from population.trainers.drawn_persons import DrawnPersons
+from population.runs.train import train
+from population.runs.trained import read_trained_run
+from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 
-# Robots by name: what the environment tells them, and what the trainer changes. The first is what
-# the others are held against.
-ROBOTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "ppo": (("human",), {}),
-    "told": (("human", "robot"), {}),
-    "gru": (("human",), {"torso": "gru"}),
+
+@dataclasses.dataclass(frozen=True)
+class Robots:
+    """A kind of robot: whom it learns with, and what it is given.
+
+    Attributes:
+        told: Roles that observe the person's wishes.
+        changes: Of the task's hyperparameters.
+        partners: The training side's persons, a new one each episode; the same who do nothing; or
+            one person of a sample for each robot.
+        steps: Environment steps of each robot, unless others are asked for.
+    """
+
+    told: tuple[str, ...] = ("human",)
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    partners: type[DrawnPersons] = DrawnPersons
+    steps: int = 50_000_000
+
+
+BOTH, MEMORY = ("human", "robot"), {"torso": "gru"}
+# With few simulations a robot learns more from as many steps, and stays rougher: best responses
+# have 10 M.
+FEW = {"num_envs": 256, "learning_rate": 1e-3}
+ROBOTS: Mapping[str, Robots] = {
+    "ppo": Robots(),
+    "told": Robots(told=BOTH),
+    "gru": Robots(changes=MEMORY),
+    "told-gru": Robots(told=BOTH, changes=MEMORY),
+    "idle": Robots(partners=IdlePersons),
+    "best": Robots(changes=FEW, partners=OnePersonEach, steps=10_000_000),
 }
+SCRIPT, SEARCH = "script", "search"
+STAGES = (*ROBOTS, SCRIPT, SEARCH)
 # Sides of persons that no robot met, by name: the first number, how far apart, and the family.
 STRANGERS = {
     "validation": (9, 10, "spring"),
@@ -39,93 +70,171 @@ STRANGERS = {
 }
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
-RESULT = "persons.json"
+SPRINGS = 9_000  # persons of the family `spring`, of whom best responses are learned
+SINGLE = "single"  # what a sample of them is called, each of whom plays more episodes
+SINGLE_EPISODES = 20
 
 
-def train_with_persons(
-    task: str,
-    folder: Path,
-    *,
-    seeds: Sequence[int] = range(4),
-    steps: int = 24_000_000,
-    num_envs: int = 2048,
-    backend: str = "auto",
-    horizon: int | None = None,
-    progress: Callable[[str], None] = print,
-) -> dict[str, Any]:
-    """Train each kind of robot, play it with strangers, and write what they earn.
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How the stages of a task are trained and played.
 
-    Args:
+    Attributes:
         task: Gentle task.
-        folder: Gets `persons.json`.
-        seeds: Of the robots.
-        steps: Environment steps of each robot.
-        num_envs: Simulations of each robot.
+        folder: Of all stages.
+        seeds: Of the robots; those of single persons have a person's number.
+        steps: Environment steps of each robot; the kind's own if not given.
+        single: How many persons have a best response.
+        tries: Of the search over the script's numbers.
+        models: Persons whom each try plays with.
+        changes: Of hyperparameters, for all kinds.
         backend: Physics.
-        horizon: Steps of an episode with strangers; the environment's if not given.
-        progress: Called with a line after each kind of robot and side of strangers.
-
-    Returns:
-        Returns [seed][person] and shares of safe success, by robot and side.
+        horizon: Steps of an episode that is played; the environment's if not given.
     """
-    rows = persons(task)
+
+    task: str
+    folder: Path
+    seeds: Sequence[int] = range(16)
+    steps: int | None = None
+    single: int = 50
+    tries: int = 200
+    models: int = 64
+    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    backend: str = "auto"
+    horizon: int | None = None
+
+    @property
+    def sample(self) -> range:
+        """Return the numbers of the persons with a best response, all over the first family."""
+        return range(0, SPRINGS, SPRINGS // self.single)[: self.single]
+
+
+def run_stages(
+    plan: Plan, stages: Sequence[str] = STAGES, progress: Callable[[str], None] = print
+) -> None:
+    """Train and play stages; what a folder holds already is not done again.
+
+    Raises:
+        ValueError: There is no such stage.
+    """
+    if unknown := [name for name in stages if name not in STAGES]:
+        raise ValueError(f"stage is {unknown[0]!r}; allowed are {', '.join(STAGES)}")
+    for name in stages:
+        earned = _stage(plan, name, progress)
+        write_json(plan.folder / f"{name}.json", earned)
+        for side, figures in earned["sides"].items():
+            mean, safe = (np.mean(figures[what]) for what in ("return", "safe_success"))
+            progress(f"{name} with {side}: return {mean:.1f}, safe success {safe:.0%}")
+
+
+def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    if name == SCRIPT:
+        return play_script(plan)
+    if name == SEARCH:
+        from assistax_workshop.gates.script_search import search_script
+
+        return search_script(plan, progress)
+    return play_robots(plan, name)
+
+
+def play_robots(plan: Plan, name: str) -> dict[str, Any]:
+    """Train the robots of a kind, and return what they earn with persons."""
+    kind = ROBOTS[name]
+    env = make(plan.task, plan.backend, told=kind.told)
+    run = read_trained_run(_train(plan, name, kind, env))
+    robots, sides = run.policies["robot"], {}
+    policy, params = Policy(robots.spec), jax.tree.map(jnp.asarray, robots.params)
+    if kind.partners is OnePersonEach:
+        sides[SINGLE] = _play_single(plan, env, policy, params)
+    else:
+        for side in STRANGERS:
+            sides[side] = play_strangers(plan, env, policy, params, side)
+    return {"about": about(plan, env, run.config.steps, run.config.trainer), "sides": sides}
+
+
+def play_script(plan: Plan) -> dict[str, Any]:
+    """Return what the task's script earns with strangers, and with those of best responses."""
+    env = make(plan.task, plan.backend)
+    sizes = env.observation_size["robot"], env.action_size["robot"]
+    [stack] = script_roster(plan.task, *sizes, env.version).stacks
+    policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
+    sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}
+    for side in STRANGERS:
+        sides[side] = play_strangers(plan, env, policy, params, side)
+    return {"about": about(plan, env), "sides": sides}
+
+
+def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
+    """Train the robots of a kind into a folder of their own, which is returned."""
+    rows, seeds = persons(plan.task), plan.seeds
     met = rows[numbers("training")]
-    earned: dict[str, Any] = {}
-    for name, (told, changes) in ROBOTS.items():
-        env = make(task, backend, told=told)
-        config = PPOConfig(num_envs=num_envs, learning_rate=5e-4, anneal_lr=True, **changes)
-        partners = DrawnPersons(PersonPlayer(task), met, "persons")
-        policy, params = _train(env, partners, config, seeds, steps)
-        earned[name] = {}
-        for side, (first, apart, family) in STRANGERS.items():
-            strangers = rows[first::apart][:SIDE]
-            earned[name][side] = _play(env, policy, params, strangers, family, horizon)
-            progress(_line(earned, name, side))
-    write_json(folder / RESULT, earned)
-    return earned
+    if kind.partners is OnePersonEach:
+        met, seeds = rows[list(plan.sample)], plan.sample
+    partners = kind.partners(PersonPlayer(plan.task), jnp.asarray(met), f"persons-{name}")
+    usual = {**CHANGES[plan.task], "learning_rate": 5e-4, "num_envs": 2048}
+    config = make_run(
+        plan.task,
+        "ippo",
+        [Member(seed, MIXED) for seed in seeds],
+        plan.steps or kind.steps,
+        preset("ippo", **{**usual, **kind.changes, **plan.changes}),
+        self_play_episodes=0,
+        partners=partners.ids,
+    )
+    folder = plan.folder / name
+    with contextlib.closing(TrainingLine(str(folder))) as line:
+        return train(config, env, folder, partners=partners, progress=line)
 
 
-def _train(
-    env: Env, partners: DrawnPersons, config: PPOConfig, seeds: Sequence[int], steps: int
-) -> tuple[Policy, Any]:
-    """Return the robots' network and their parameters, leaves [M, ...]."""
-    members = tuple(Member(seed, MIXED) for seed in seeds)
-    run = TrainConfig(env.task, "ippo", members, steps, config, partners=partners.ids)
-    trainer: Any = make_trainer(run, env, partners)
-    state, hyper = initial_state(run, trainer), trainer.hyper(members)
-    update = jax.jit(trainer.update, donate_argnums=0)
-    for _ in range(run.updates):
-        state, _ = update(state, hyper, partners.params)
-    return trainer.policies["robot"], trainer.policy_params(state.members)["robot"]
+def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
+    """Play robots with persons of a side that none of them met; see `play_persons`."""
+    first, apart, family = STRANGERS[side]
+    met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
+    rollout = rollout_with_persons(plan, env, policy, family)
+    return play_persons(rollout, plan.task, params, met, EPISODES)
 
 
-def _play(
-    env: Env, policy: Policy, params: Any, rows: np.ndarray, family: str, horizon: int | None
+def _play_single(
+    plan: Plan, env: Env, policy: Any, params: Any, alone: bool = False
 ) -> dict[str, Any]:
-    """Return what robots [M] earn with persons [P]: their returns and shares of safe success."""
-    rollout = Rollout(env, [policy], [PersonPlayer(env.task, family)], length=horizon)
-    keys = jax.random.split(jax.random.key(99), (len(rows), EPISODES))
-    body, stack = person_params(env.task, rows), {"row": jnp.asarray(rows)}
-    tally = rollout.run([params], [stack], body, keys)  # [M, P, K]
+    """Play robot i with person i of the sample, or one robot with all of them."""
+    rollout = rollout_with_persons(plan, env, policy, paired=not alone)
+    return play_persons(rollout, plan.task, params, np.array(plan.sample), SINGLE_EPISODES)
+
+
+def rollout_with_persons(
+    plan: Plan, env: Env, policy: Any, family: str = "spring", paired: bool = False
+) -> Rollout:
+    """Return what plays robots of one form with persons of a family."""
+    human = PersonPlayer(plan.task, family)
+    return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
+
+
+def play_persons(
+    rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
+) -> dict[str, Any]:
+    """Return what robots [M] earn in each episode with persons [P] of these numbers.
+
+    "return" and "safe_success" are [M, P, K]; M is 1 where robot i is paired with person i.
+    """
+    keys = jax.random.split(jax.random.key(99), (len(met), episodes))
+    rows = persons(task)[met]
+    body, stack = person_params(task, rows), {"row": jnp.asarray(rows)}
+    tally = rollout.run([params], [stack], body, keys)
     safe = tally.success & ~tally.violated
     return {
-        "return": np.asarray(tally.returns, np.float64).mean(axis=-1).tolist(),
-        "safe_success": np.asarray(safe, np.float64).mean(axis=-1).tolist(),
+        "persons": met.tolist(),
+        "return": np.round(np.asarray(tally.returns, np.float64), 3).tolist(),
+        "safe_success": np.asarray(safe, int).tolist(),
     }
 
 
-def _line(earned: dict[str, Any], name: str, side: str) -> str:
-    """Return what a kind of robot earns with a side, and more than the first kind."""
-    scores = np.array(earned[name][side]["return"])
-    safe = np.mean(earned[name][side]["safe_success"])
-    text = f"{name} with {side}: {_shown(estimate(scores))}, safe success {safe:.0%}"
-    first = next(iter(earned))
-    if name == first:
-        return text
-    difference = paired_difference(scores, np.array(earned[first][side]["return"]))
-    return f"{text}, more than {first} by {_shown(difference)}"
-
-
-def _shown(value: Estimate) -> str:
-    low, high = value.mean_ci or (np.nan, np.nan)
-    return f"{value.mean:.1f} [{low:.1f}, {high:.1f}]"
+def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
+    """Return what the figures of a stage are of."""
+    return {
+        "task": plan.task,
+        "env_version": env.version,
+        "backend": env.backend,
+        "steps": steps,
+        "trainer": trainer and {**dataclasses.asdict(trainer), "hidden": list(trainer.hidden)},
+    }

@@ -1,0 +1,181 @@
+"""Scripts of the gentle tasks from version 3 on: what they do, and the numbers that they do it by.
+
+The numbers are the best of a search with persons (`assistax-zoo gates persons TASK --only search`).
+Scripts of older versions stay in `assistax_envs.scripted`, since published figures stand beside
+them. A script sees what a trained robot sees, and has no memory.
+
+Shapes: N simulations; observations [N, O] of the robot, actions [N, 7]. In the code h is the height
+of a point over the tool along the skin's normal, negative while the tool is above the skin.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from assistax_envs.registered import REGISTERED
+from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
+
+Numbers = Mapping[str, Any]
+FROM = 3  # version of the gentle tasks from which on these scripts play
+# Of each script: number, least and most that a search tries. Lengths in m, speeds in m/s, forces in
+# N; "yield" is m/s for each N of the force that the tool feels, along it.
+_SKIN = {
+    "approach": (3.0, 1.0, 6.0),  # 1/s, of the way above the skin
+    "fast": (0.2, 0.1, 0.4),
+    "hover": (0.05, 0.02, 0.1),
+    "yield": (0.0, -0.01, 0.01),
+    "force": (4.0, 1.5, 8.0),  # that the touch is kept at
+    "soften": (0.004, 0.001, 0.02),  # m/s for each N beside it
+    "press": (0.03, 0.01, 0.06),
+    "lift": (0.03, 0.01, 0.2),
+    "stop": (60.0, 8.0, 60.0),  # above it the tool only lifts
+    "touch": (0.3, 0.1, 1.0),  # above it the tool is on the skin
+    "lean": (1.0, 0.0, 2.0),  # weight of the skin's normal in where the shaft points
+    "turn": (0.05, 0.0, 0.2),
+    "facing": (-1.0, -1.0, 0.5),  # least cosine between the skin's normal and up
+    "damping": (1e-3, 2e-4, 5e-3),
+}
+NUMBERS: dict[str, dict[str, tuple[float, float, float]]] = {
+    "gentle_scratch": _SKIN
+    | {
+        "over": (0.03, 0.01, 0.06),  # aside of the itch, up to which the tool goes down
+        "descend": (0.04, 0.02, 0.1),
+        "rub": (8.0, 4.0, 30.0),  # 1/s, towards the itch's end
+        "slide": (0.05, 0.02, 0.1),
+    },
+    "gentle_bath": _SKIN
+    | {
+        "hover": (0.04, 0.02, 0.1),
+        "over": (0.08, 0.01, 0.1),
+        "keep": (0.2, 0.02, 0.3),  # the same, of a tool that is on the skin
+        "back": (0.02, 0.005, 0.05),  # beyond a point, where the tool turns back
+        "slide": (0.06, 0.03, 0.12),
+        "lean": (0.0, 0.0, 2.0),
+        "turn": (0.2, 0.0, 0.3),
+        "damping": (1e-4, 5e-5, 5e-3),
+    },
+    "gentle_lift": {
+        "approach": (3.0, 1.0, 8.0),
+        "calm": (0.25, 0.1, 0.6),  # m/s on the way there
+        "handward": (0.08, 0.0, 0.2),  # from the forearm's middle, where the bar lifts
+        "under": (0.045, 0.03, 0.08),
+        "below": (0.0, 0.0, 0.15),  # further below while the bar is not yet under the arm
+        "near": (0.07, 0.03, 0.15),
+        "carry": (8.0, 2.0, 15.0),
+        "fast": (1.0, 0.2, 1.5),
+        "follow": (2.0, 0.5, 6.0),
+        "rise": (0.0, 0.0, 0.25),  # above the way to the waist while it is long
+        "square": (1.0, 0.0, 1.0),  # how much of the way along the arm is left out
+        "laid": (0.05, 0.02, 0.12),  # from the waist, where the bar lets go
+        "wait": (0.25, 0.12, 0.5),  # from the arm, once it lies there
+        "leave": (2.0, 0.5, 4.0),
+        "soften": (0.0, 0.0, 0.02),  # m/s downwards for each N above "force"
+        "force": (25.0, 10.0, 45.0),
+        "turn": (0.2, 0.0, 0.4),
+        "damping": (1e-3, 1e-4, 5e-3),
+    },
+}
+
+
+def script_of(
+    task: str, model: mujoco.MjModel, version: int, numbers: Numbers | None = None
+) -> Callable[[jax.Array], jax.Array]:
+    """Return a task's script: from observations [N, O] of the robot to actions [N, 7].
+
+    Args:
+        task: one of `TASKS`.
+        model: of its scene.
+        version: of its environment.
+        numbers: in place of the script's own, of a version that has any.
+    """
+    if not uses_numbers(task, version):
+        return scripted_robot(task, model)
+    chosen = {name: value for name, (value, _, _) in NUMBERS[task].items()} | dict(numbers or {})
+    return jax.tree_util.Partial(globals()[REGISTERED[task].script], Chain(model), chosen)
+
+
+def uses_numbers(task: str, version: int) -> bool:
+    """Return whether a task's script in this version is one of those here."""
+    return task in NUMBERS and version >= FROM
+
+
+def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
+    """Gentle scratch: above the end of the itch, down to a light force, then from end to end."""
+    towards, normal, force = obs[:, 30:33], obs[:, 37:40], 10.0 * obs[:, 43:44]
+    aside, off, above = _above(n, obs, towards, normal)
+    descend = 2.0 * aside - n["descend"] * normal
+    rub = capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal
+    on = (off < n["over"]) & (normal[:, 2:] > n["facing"])
+    velocity = jnp.where(on, jnp.where(force > n["touch"], rub, descend), above)
+    return _drive(chain, n, obs, normal, force, velocity)
+
+
+def wipe(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
+    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next."""
+    towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
+    aside, off, above = _above(n, obs, towards, normal)
+    # Over the point and beyond it, to and fro along the arm: on until past it, then back.
+    along = _unit(obs[:, 24:27] - obs[:, 27:30])
+    onward = jnp.sign((chain.velocity(obs) * along).sum(-1, keepdims=True)) * along
+    way = jnp.where(off < n["back"], onward, aside / jnp.maximum(off, 1e-3))
+    rub = n["slide"] * way + _pressing(n, force) * normal
+    on = (off < n["over"]) | ((off < n["keep"]) & (force > n["touch"]))
+    velocity = jnp.where(on & (normal[:, 2:] > n["facing"]), rub, above)
+    return _drive(chain, n, obs, normal, force, velocity)
+
+
+def bring(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
+    """Gentle lift: the bar under the forearm, with it to the waist, and away once it lies there."""
+    to_section, to_waist, left = obs[:, 30:33], obs[:, 34:37], obs[:, 37:38]
+    force, down = 10.0 * obs[:, 38:39], jnp.asarray(DOWN)
+    along = _unit(obs[:, 24:27] - obs[:, 27:30])  # of an arm that hangs straight: towards the hand
+    under = to_section + n["handward"] * along + n["under"] * down
+    # The forearm turns about the elbow: what is across it lifts, what is along it slips.
+    aim = to_waist - n["rise"] * _share(to_waist, 0.2) * down
+    across = aim - n["square"] * (aim * along).sum(-1, keepdims=True) * along
+    carry = capped(n["carry"] * across, n["fast"]) + n["follow"] * under
+    carry = carry + n["soften"] * jnp.maximum(force - n["force"], 0.0) * down
+    first = capped(n["approach"] * (under + n["below"] * _share(under, 0.1) * down), n["calm"])
+    velocity = jnp.where(jnp.linalg.norm(under, axis=-1, keepdims=True) < n["near"], carry, first)
+    gap = jnp.linalg.norm(to_section, axis=-1, keepdims=True) - n["wait"]
+    wait = capped(n["leave"] * gap * _unit(to_section), 0.2)
+    velocity = jnp.where(left < n["laid"], wait, velocity)
+    shaft = jnp.broadcast_to(down, velocity.shape)
+    return chain.drive(obs, velocity, shaft, turn=n["turn"], damping=n["damping"])
+
+
+def _above(
+    n: Numbers, obs: jax.Array, towards: jax.Array, normal: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the way aside to a point, its length, and the velocity that leads above it."""
+    h = (towards * normal).sum(-1, keepdims=True)
+    aside = towards - h * normal
+    above = capped(n["approach"] * (aside + (n["hover"] + h) * normal), n["fast"])
+    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
+    return aside, off, above + capped(n["yield"] * obs[:, 21:24], n["fast"])
+
+
+def _pressing(n: Numbers, force: jax.Array) -> jax.Array:
+    """Return the speed outward [N, 1] that brings the force to the one that is kept."""
+    return jnp.clip(n["soften"] * (force - n["force"]), -n["press"], n["lift"])
+
+
+def _drive(
+    chain: Chain, n: Numbers, obs: jax.Array, normal: jax.Array, force: jax.Array, velocity: Any
+) -> jax.Array:
+    """Move the tool, and lift it where it presses too hard; its shaft leans into the skin."""
+    velocity = jnp.where(force > n["stop"], n["lift"] * normal, velocity)
+    shaft = capped(jnp.asarray(DOWN) - n["lean"] * normal, 1.0)
+    return chain.drive(obs, velocity, shaft, turn=n["turn"], damping=n["damping"])
+
+
+def _unit(vector: jax.Array) -> jax.Array:
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+
+
+def _share(way: jax.Array, whole: float) -> jax.Array:
+    """Return how far [N, 1] ways [N, 3] lead aside, as a share of `whole` m that is at most 1."""
+    return jnp.minimum(1.0, jnp.linalg.norm(way[:, :2], axis=-1, keepdims=True) / whole)

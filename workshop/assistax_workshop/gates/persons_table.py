@@ -1,0 +1,200 @@
+"""The gates of persons: what stages measured, against the bars, with 95% intervals."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from assistax_envs.persons import PARAMETERS, persons
+from assistax_workshop.gates.audit_gates import Gate, of_means
+from assistax_workshop.gates.persons import SCRIPT, SINGLE
+from evaluation.figures.bootstrap import RESAMPLES, draw_counts
+from evaluation.figures.planning import measure_spread
+
+SIDE = "validation"  # whose strangers the gates are of; the other sides are stated
+SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
+LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
+CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
+RESAMPLED = 200  # of a share of variance
+
+Files = Mapping[str, Mapping[str, Any]]  # of stages, by name
+
+
+def read_stages(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return what stages left in a folder, by name."""
+    files = sorted(folder.glob("*.json"))
+    return {path.stem: json.loads(path.read_text()) for path in files}
+
+
+def gates_of_persons(task: str, files: Files) -> list[Gate]:
+    """Return every gate of persons, from what `run_stages` wrote."""
+    return [
+        *_with_one(files),
+        _lost(files),
+        _worth("told the wishes, strangers: more", f">= {MORE:+.0%}", files, "ppo", "told", MORE),
+        _worth("told, of those that remember: more", "stated", files, "gru", "told-gru", None),
+        _worth("with a memory, strangers: more", "stated", files, "ppo", "gru", None),
+        _won_back(files),
+        _who_meets_whom(files),
+        _in_range(task),
+    ]  # fmt: skip
+
+
+def _with_one(files: Files) -> list[Gate]:
+    """Return the gates of best responses to single persons, and of the script beside them."""
+    name, bar = "best response to one person", f"safe success {SAFE:.0%} with {OFTEN:.0%} of them"
+    beside, half = "script with the same persons", "below half of the best response's safe success"
+    if "best" not in files:
+        return [_missing(name, bar, "best"), _missing(beside, half, "best")]
+    best = _scores(files["best"], SINGLE, "safe_success").mean(axis=(0, 2))
+    value, ci = of_means(lambda share: share, (best >= SAFE).astype(float))
+    said = f"{len(best)} persons, safe success {best.mean():.0%}, {_steps(files['best'])}"
+    gates = [Gate(name, bar, value, ci, value >= OFTEN, said)]
+    if SCRIPT not in files:
+        return [*gates, _missing(beside, half, SCRIPT)]
+    script = _scores(files[SCRIPT], SINGLE, "safe_success").mean(axis=(0, 2))
+    if len(script) != len(best):
+        raise ValueError(
+            f"stage best has {len(best)} persons and {SCRIPT} {len(script)}; run both with one "
+            "number of them"
+        )
+    if best.mean() <= 0.0:
+        return [*gates, Gate(beside, half, None, None, None, "no best response succeeds")]
+    ratio, ci = of_means(lambda a, b: a / b, script, best, paired=True)
+    earned = [_scores(files[what], SINGLE, "return").mean() for what in (SCRIPT, "best")]
+    said = f"safe success {script.mean():.0%}, return {earned[0]:.1f} of {earned[1]:.1f}"
+    return [*gates, Gate(beside, half, ratio, ci, ratio < 0.5, said)]
+
+
+def _lost(files: Files) -> Gate:
+    """Return what robots lose that were trained with idle persons."""
+    name, bar = "robot trained with idle persons", f"loses > {LESS:.0%}, the interval above 0"
+    return _compared(
+        name,
+        bar,
+        files,
+        ("ppo", "idle"),
+        lambda ppo, idle: (ppo - idle) / ppo,
+        lambda value, low: value > LESS and low > 0.0,
+    )
+
+
+def _worth(
+    name: str, bar: str, files: Files, without: str, having: str, least: float | None
+) -> Gate:
+    """Return the share that a kind of robot earns more than another; without a bar it is stated."""
+    return _compared(
+        name,
+        bar,
+        files,
+        (without, having),
+        lambda a, b: (b - a) / a,
+        None if least is None else lambda value, low: value >= least and low > 0.0,
+    )
+
+
+def _won_back(files: Files) -> Gate:
+    """Return which share of what telling is worth a robot with a memory wins by itself."""
+    name, bar = "a memory wins back, of that", f">= {BACK:.0%}"
+    kinds = ("ppo", "told", "gru")
+    if absent := [kind for kind in kinds if kind not in files]:
+        return _missing(name, bar, *absent)
+    plain, told, _ = (_scores(files[kind], SIDE, "return").mean() for kind in kinds)
+    if told <= plain:
+        return Gate(name, bar, None, None, None, "telling is worth nothing: none to win back")
+    return _compared(
+        name,
+        bar,
+        files,
+        kinds,
+        lambda a, b, c: (c - a) / np.where(b > a, b - a, np.nan),
+        lambda value, low: value >= BACK,
+    )
+
+
+def _who_meets_whom(files: Files) -> Gate:
+    """Return the share of variance that neither robot nor person brings alone."""
+    name, bar = "who meets whom, share of variance", f">= {WHO:.0%}"
+    if "ppo" not in files:
+        return _missing(name, bar, "ppo")
+    returns = _scores(files["ppo"], SIDE, "return")
+    means = returns.mean(axis=(1, 2))
+    returns = returns[means >= CONVERGED * means.max()]
+    if len(returns) < 2:
+        return Gate(name, bar, None, None, None, "fewer than two robots have learned")
+    value, rng = _share_of_pairs(returns), np.random.default_rng(0)
+    people = returns.shape[1]
+    drawn = rng.integers(people, size=(RESAMPLED, people))
+    draws = [_share_of_pairs(returns[:, who]) for who in drawn]
+    low, high = np.quantile(draws, (0.025, 0.975))
+    said = f"{len(returns)} of {len(means)} robots, {people} persons"
+    return Gate(name, bar, value, (float(low), float(high)), value >= WHO, said)
+
+
+def _share_of_pairs(returns: np.ndarray) -> float:
+    """Return the variance of pairs, of that of robots, persons and pairs, in returns [S, P, K]."""
+    axes = np.meshgrid(*(np.arange(n) for n in returns.shape), indexing="ij")
+    columns = dict(zip(("ego", "partner", "episode"), (axis.ravel() for axis in axes), strict=True))
+    spread = measure_spread(pl.DataFrame({**columns, "return": returns.ravel()}))
+    seeds, partners, pairs = spread.seeds**2, spread.partners**2, spread.pairs**2
+    return pairs / (seeds + partners + pairs) if pairs else 0.0
+
+
+def _in_range(task: str) -> Gate:
+    """Return which share of all persons' numbers lies inside its cited range."""
+    rows, ranges = persons(task), PARAMETERS[task]
+    # Written down with four digits, as ranges are.
+    inside = [
+        ((row >= number.low * (1 - 1e-6)) & (row <= number.high * (1 + 1e-6)))
+        | ((row == 0) & bool(number.none))
+        for row, number in zip(rows.T.astype(float), ranges, strict=True)
+    ]
+    value, sources = float(np.mean(inside)), sum(bool(number.source) for number in ranges)
+    said = f"{len(rows)} persons; {sources} of {len(ranges)} numbers name a source"
+    holds = value == 1.0 and sources == len(ranges)
+    return Gate("numbers inside their ranges", "all, each with a source", value, None, holds, said)
+
+
+def _compared(
+    name: str,
+    bar: str,
+    files: Files,
+    kinds: tuple[str, ...],
+    figure: Callable[..., Any],
+    holds: Callable[[float, float], bool] | None,
+) -> Gate:
+    """Return a figure of mean returns with strangers, resampling seeds of each kind and persons."""
+    if absent := [kind for kind in kinds if kind not in files]:
+        return _missing(name, bar, *absent)
+    scores = [_scores(files[kind], SIDE, "return").mean(axis=2) for kind in kinds]
+    said = ", ".join(
+        f"{kind} {s.mean():.1f} ({len(s)} seeds, {_steps(files[kind])})"
+        for kind, s in zip(kinds, scores, strict=True)
+    )
+    if scores[0].mean() <= 0.0:
+        return Gate(name, bar, None, None, None, f"{said}: no share of it")
+    rng = np.random.default_rng(0)
+    people = draw_counts(scores[0].shape[1], RESAMPLES, rng)
+    means = [
+        np.einsum("bs,sp,bp->b", draw_counts(len(s), RESAMPLES, rng), s, people) / s.size
+        for s in scores
+    ]
+    low, high = map(float, np.nanquantile(figure(*means), (0.025, 0.975)))
+    value = float(figure(*(s.mean() for s in scores)))
+    return Gate(name, bar, value, (low, high), holds and holds(value, low), said)
+
+
+def _scores(file: Mapping[str, Any], side: str, what: str) -> np.ndarray:
+    """Return what a stage has of a side, [robots, persons, episodes]."""
+    return np.array(file["sides"][side][what], float)
+
+
+def _steps(file: Mapping[str, Any]) -> str:
+    return f"{file['about']['steps'] / 1e6:g} M steps"
+
+
+def _missing(name: str, bar: str, *stages: str) -> Gate:
+    return Gate(name, bar, None, None, None, f"not measured: needs {', '.join(stages)}")
