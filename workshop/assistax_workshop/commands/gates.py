@@ -141,8 +141,8 @@ def persons(
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
     Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
-    (trained with persons who do nothing), best (one robot for each of some persons), script, and
-    search (the best numbers for the script; nothing is changed by it).
+    (trained with persons who do nothing), best (one robot for each of some persons), script,
+    search (the best numbers for the script; nothing is changed by it) and read (are wishes read?).
     Each has a run and a file in FOLDER; what is there is not done again, so stages may run on
     several machines. The table is of all that the folder holds.
 

@@ -10,7 +10,7 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import SCRIPT, SINGLE
+from assistax_workshop.gates.persons import READ, SCRIPT, SINGLE
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
@@ -18,6 +18,7 @@ SIDE = "validation"  # whose strangers the gates are of; the other sides are sta
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
+CHANCE = 1 / 3  # of a third of a wish
 RESAMPLED = 200  # of a share of variance
 
 Files = Mapping[str, Mapping[str, Any]]  # of stages, by name
@@ -39,6 +40,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
         _worth("with a memory, strangers: more", "stated", files, "ppo", "gru", None),
         _won_back(files),
         _who_meets_whom(files),
+        *_read(files),
         _in_range(task),
     ]  # fmt: skip
 
@@ -141,6 +143,26 @@ def _share_of_pairs(returns: np.ndarray) -> float:
     spread = measure_spread(pl.DataFrame({**columns, "return": returns.ravel()}))
     seeds, partners, pairs = spread.seeds**2, spread.partners**2, spread.pairs**2
     return pairs / (seeds + partners + pairs) if pairs else 0.0
+
+
+def _read(files: Files) -> list[Gate]:
+    """Return how often each wish is read, by the first robot of the stage's that read."""
+    name = "a wish is read from what the robot observes"
+    if READ not in files:
+        return [_missing(name, "above chance at 5 s, the interval above it", READ)]
+    robot, wishes = next(iter(files[READ]["read"].items()))
+    gates = []
+    for wish, shares in wishes.items():
+        for seconds, found in shares.items():
+            share, count = found["share"], found["of"]
+            half = 1.96 * np.sqrt(share * (1.0 - share) / max(count, 1))
+            told = f"by {robot}, {count} persons; labels shuffled {found['shuffled']:.0%}"
+            late = seconds == max(shares, key=float)
+            bar = f"{'> ' if late else 'beside '}{CHANCE:.0%}"
+            holds = bool(share - half > CHANCE) if late else None
+            ends = float(share - half), float(share + half)
+            gates.append(Gate(f"{wish}, read in {seconds} s", bar, share, ends, holds, told))
+    return gates
 
 
 def _in_range(task: str) -> Gate:
