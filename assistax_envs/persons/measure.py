@@ -30,6 +30,7 @@ WINDOWS = (2.0, 5.0)  # s from the first touch
 STEPS_A_SECOND = 50
 TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places, m
 TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
+LEAST_READ = 9  # persons
 ANSWER = 20  # steps in which an arm answers
 CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
 
@@ -146,11 +147,14 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
         window: s.
 
     Returns:
-        The share, and of how many persons; a third is chance.
+        The share, and of how many persons; a third is chance. 0 of 0 if hardly anybody was touched
+        for so long.
     """
     obs, force, touched = seen["obs"], seen["force"], seen["force"] > FELT
     begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
     enough = touched.any(axis=0) & (begin + length <= len(obs))
+    if enough.sum() < LEAST_READ:
+        return 0.0, 0
     features = []
     for person in np.flatnonzero(enough):
         when = slice(begin[person], begin[person] + length)

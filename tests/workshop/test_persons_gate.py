@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assistax_workshop.gates import persons
+from assistax_envs.gentle_scripts import NUMBERS
+from assistax_workshop.gates import persons, persons_reading
 from assistax_workshop.gates.persons import SINGLE, STRANGERS, Plan, run_stages
-from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+from assistax_workshop.gates.persons_table import FEW, gates_of_persons, read_stages
 
 TASK = "gentle_scratch"
 
@@ -21,14 +22,25 @@ def test_stages_write_what_each_robot_earns_with_each_person(
     monkeypatch.setattr(persons, "SIDE", 3)
     monkeypatch.setattr(persons, "SINGLE_EPISODES", 2)
     lines: list[str] = []
-    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, {"num_envs": 4}, horizon=30)
-    run_stages(plan, ("told", "best", "script"), lines.append)
+    monkeypatch.setattr(persons_reading, "READERS", 3)
+    changes = {"num_envs": 4}
+    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, 25, 2, changes, horizon=30)
+    run_stages(plan, ("told", "best", "script", "search", "read"), lines.append)
     files = read_stages(tmp_path)
     assert [line.partition(":")[0] for line in lines] == [
         *(f"told with {side}" for side in STRANGERS),
         f"best with {SINGLE}",
         *(f"script with {side}" for side in (SINGLE, *STRANGERS)),
+        *(f"search, round {turn} of 5" for turn in range(1, 6)),
+        *(f"search with {side}" for side in STRANGERS),
+        "wishes read by probe",
+        "wishes read by script",
     ]
+    found = files["search"]
+    assert len(found["scores"]) == 25 and set(found["numbers"]) == set(NUMBERS[TASK])
+    assert np.shape(found["sides"]["corners"]["return"]) == (2, 3, 2)
+    read = [gate.told for gate in gates_of_persons(TASK, files) if "read" in gate.gate]
+    assert read and set(read) == {FEW}
     assert np.shape(files["told"]["sides"]["muscle"]["return"]) == (2, 3, 2)
     for name in ("best", "script"):
         side = files[name]["sides"][SINGLE]
@@ -101,3 +113,17 @@ def test_nothing_measured_is_nothing_met() -> None:
     measured = [gate.gate for gate in found.values() if gate.value is not None]
     assert measured == ["numbers inside their ranges"]
     assert all(gate.holds is None for gate in found.values() if gate.gate not in measured)
+
+
+def test_a_wish_is_read_where_the_interval_is_above_chance() -> None:
+    def shares(share: float) -> dict[str, Any]:
+        found = {"share": share, "of": 300, "shuffled": 0.33}
+        return {"2": found, "5": found}
+
+    read = {"gru": {"liked_force": shares(0.5), "liked_speed": shares(0.36)}, "script": {}}
+    found = _found({"read": {"read": read}})
+    assert found["liked_force, read in 5 s"].holds
+    assert found["liked_force, read in 2 s"].holds is None  # stated
+    assert found["liked_speed, read in 5 s"].holds is False
+    low, high = found["liked_force, read in 5 s"].ci
+    assert low == pytest.approx(0.5 - 0.0566, abs=1e-3) and high == pytest.approx(0.5566, abs=1e-3)

@@ -18,6 +18,7 @@ SIDE = "validation"  # whose strangers the gates are of; the other sides are sta
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
+FEW = "hardly anybody was touched for so long"
 CHANCE = 1 / 3  # of a third of a wish
 RESAMPLED = 200  # of a share of variance
 
@@ -155,6 +156,9 @@ def _read(files: Files) -> list[Gate]:
     for wish, shares in wishes.items():
         for seconds, found in shares.items():
             share, count = found["share"], found["of"]
+            if not count:
+                gates.append(Gate(f"{wish}, read in {seconds} s", "", None, None, None, FEW))
+                continue
             half = 1.96 * np.sqrt(share * (1.0 - share) / max(count, 1))
             told = f"by {robot}, {count} persons; labels shuffled {found['shuffled']:.0%}"
             late = seconds == max(shares, key=float)
