@@ -201,15 +201,14 @@ def test_how_people_were_touched_is_in_tables_figures_and_pages(tmp_path: Path) 
     assert TOUCHES["sustained_force"] in text and "sum at once" in text
 
 
-KEPT = Path(__file__).parents[2] / "docs/data/v2/egos/gentle_bath"
-
-
 def test_a_summary_of_before_touches_were_measured_is_still_read() -> None:
-    path = next(KEPT.rglob("summary.json"))
+    """A field without a default would make every kept summary of a gentle task unreadable."""
+    path = Path(__file__).parent / "golden/summary_before_touch.json"
     content = tables.read_json(path)
-    assert "touch" not in content and content["safe_success"]
+    assert "touch" not in content
     summary = TypeAdapter(EvaluationSummary).validate_python(content)
-    assert summary.touch == {}
+    assert summary.touch == {} and summary.violations
+    assert summary.violations.mean == pytest.approx(1 / 9)
 
 
 SIDES = {"train": ("p2", "p3"), "test": ("p1", "p5", "p9")}

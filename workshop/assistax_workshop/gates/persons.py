@@ -24,6 +24,7 @@ from evaluation.play.baselines import script_roster
 from population.config import MIXED, Member, make_run
 from population.hyperparameters import preset
 from population.networks.policy import Policy
+from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.runs.train import train
 from population.runs.trained import read_trained_run
@@ -161,6 +162,7 @@ def play_script(plan: Plan) -> dict[str, Any]:
     env = make(plan.task, plan.backend)
     sizes = env.observation_size["robot"], env.action_size["robot"]
     [stack] = script_roster(plan.task, *sizes, env.version).stacks
+    assert isinstance(stack, PolicyStack)
     policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
     sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}
     for side in STRANGERS:

@@ -210,7 +210,8 @@ def _compared(
     ]
     low, high = map(float, np.nanquantile(figure(*means), (0.025, 0.975)))
     value = float(figure(*(s.mean() for s in scores)))
-    return Gate(name, bar, value, (low, high), holds and holds(value, low), said)
+    met = None if holds is None else holds(value, low)
+    return Gate(name, bar, value, (low, high), met, said)
 
 
 def _scores(file: Mapping[str, Any], side: str, what: str) -> np.ndarray:
