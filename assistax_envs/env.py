@@ -185,10 +185,7 @@ class Env:
         )
 
     def _touched(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
-        """Add whether the human is touched while a joint of its arm is at its end.
-
-        Versions that know no protective stop do not measure how people are touched.
-        """
+        """Add whether somebody is touched with a joint at its end; version 2 measures nothing."""
         if not self._felt:
             return measures
         if not self.stops:
