@@ -94,6 +94,16 @@ def test_gates_are_read_from_what_was_earned() -> None:
     assert found["numbers inside their ranges"].value == 1.0
 
 
+def test_a_script_is_held_against_its_search() -> None:
+    for own, holds in ((57.0, True), (20.0, False)):
+        search = _stage(60.0, 2, 60, 3)
+        returns = np.zeros((2, 60, 2)) + np.array([60.0, own])[:, None, None]
+        search["sides"]["validation"]["return"] = returns.tolist()
+        search["about"]["tries"] = 200
+        gate = _found({"search": search})["script beside the best of a search"]
+        assert gate.holds is holds and gate.value == pytest.approx(own / 60.0)
+
+
 def test_gates_that_are_missed_say_so() -> None:
     files = {name: _stage(100.0, 8, 60, seed) for seed, name in enumerate(("ppo", "told", "idle"))}
     files |= {"best": _stage(85.0, 1, 50, 8, SINGLE), "script": _stage(84.0, 1, 50, 9, SINGLE)}

@@ -10,7 +10,7 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import READ, SCRIPT, SINGLE
+from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
@@ -19,6 +19,7 @@ SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
 FEW = "hardly anybody was touched for so long"
+TUNED = 0.9
 CHANCE = 1 / 3  # of a third of a wish
 RESAMPLED = 200  # of a share of variance
 
@@ -35,6 +36,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
     """Return every gate of persons, from what `run_stages` wrote."""
     return [
         *_with_one(files),
+        _as_searched(files),
         _lost(files),
         _worth("told the wishes, strangers: more", f">= {MORE:+.0%}", files, "ppo", "told", MORE),
         _worth("told, of those that remember: more", "stated", files, "gru", "told-gru", None),
@@ -70,6 +72,19 @@ def _with_one(files: Files) -> list[Gate]:
     earned = [_scores(files[what], SINGLE, "return").mean() for what in (SCRIPT, "best")]
     said = f"safe success {script.mean():.0%}, return {earned[0]:.1f} of {earned[1]:.1f}"
     return [*gates, Gate(beside, half, ratio, ci, ratio < 0.5, said)]
+
+
+def _as_searched(files: Files) -> Gate:
+    """Return what the script earns, of what the best of a search over its numbers does."""
+    name, bar = "script beside the best of a search", f">= {TUNED:.0%} of its return"
+    if SEARCH not in files:
+        return _missing(name, bar, SEARCH)
+    best, own = _scores(files[SEARCH], SIDE, "return").mean(axis=2)
+    said = f"return {own.mean():.1f} of {best.mean():.1f}, {files[SEARCH]['about']['tries']} tries"
+    if best.mean() <= 0.0:
+        return Gate(name, bar, None, None, None, f"{said}: no share of it")
+    value, ci = of_means(lambda a, b: a / b, own, best, paired=True)
+    return Gate(name, bar, value, ci, value >= TUNED, said)
 
 
 def _lost(files: Files) -> Gate:
