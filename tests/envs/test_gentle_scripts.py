@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.gentle_scripts import NUMBERS, script_of
+from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.models import build_model
 from assistax_envs.scripted import Chain, scripted_robot
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
@@ -47,15 +47,16 @@ def test_the_papers_tasks_have_one_script() -> None:
     np.testing.assert_array_equal(script_of(PAPER_TASKS[0], model, 9)(obs), expected)
 
 
-@pytest.mark.parametrize("task", NUMBERS)
+@pytest.mark.parametrize("task", RANGES)
 def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     model, obs = build_model(task), _seen(task)
-    own = {name: value for name, (value, _, _) in NUMBERS[task].items()}
+    own = OWN[task]
+    assert set(own) == set(RANGES[task])
     # Somewhere in the ranges, where no number hides another.
-    middle = {name: 0.5 * (low + high) for name, (_, low, high) in NUMBERS[task].items()}
+    middle = {name: 0.5 * (low + high) for name, (low, high) in RANGES[task].items()}
     usual = script_of(task, model, 3, middle)(obs)
-    for name, (value, low, high) in NUMBERS[task].items():
-        assert low < high and low <= value <= high, name
+    for name, (low, high) in RANGES[task].items():
+        assert low < high and low <= own[name] <= high, name
         ends = [script_of(task, model, 3, middle | {name: end})(obs) for end in (low, high)]
         moved = [float(jnp.abs(end - usual).max()) for end in ends]
         assert max(moved) > 1e-4, f"{name} changes nothing"
