@@ -80,7 +80,8 @@ def test_gates_are_read_from_what_was_earned() -> None:
     files |= {"best": _stage(130.0, 1, 50, 8, SINGLE), "script": _stage(60.0, 1, 50, 9, SINGLE)}
     found = _found(files)
     assert found["best response to one person"].holds
-    assert found["script with the same persons"].holds
+    for what in ("return", "safe success"):
+        assert found[f"script with the same persons: {what}"].holds
     idle = found["robot trained with idle persons"]
     assert idle.holds
     assert idle.value == pytest.approx(0.4, abs=0.1)
@@ -110,7 +111,8 @@ def test_gates_that_are_missed_say_so() -> None:
     found = _found(files)
     for name in (
         "best response to one person",
-        "script with the same persons",
+        "script with the same persons: return",
+        "script with the same persons: safe success",
         "robot trained with idle persons",
         "told the wishes, strangers: more",
     ):

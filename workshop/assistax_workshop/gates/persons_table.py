@@ -17,6 +17,7 @@ from evaluation.figures.planning import measure_spread
 SIDE = "validation"  # whose strangers the gates are of; the other sides are stated
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
+PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stages, and words
 CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
 FEW = "hardly anybody was touched for so long"
 TUNED = 0.9
@@ -51,27 +52,31 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
 def _with_one(files: Files) -> list[Gate]:
     """Return the gates of best responses to single persons, and of the script beside them."""
     name, bar = "best response to one person", f"safe success {SAFE:.0%} with {OFTEN:.0%} of them"
-    beside, half = "script with the same persons", "below half of the best response's safe success"
+    beside, half = "script with the same persons", "below half of the best response's"
     if "best" not in files:
         return [_missing(name, bar, "best"), _missing(beside, half, "best")]
-    best = _scores(files["best"], SINGLE, "safe_success").mean(axis=(0, 2))
-    value, ci = of_means(lambda share: share, (best >= SAFE).astype(float))
-    said = f"{len(best)} persons, safe success {best.mean():.0%}, {_steps(files['best'])}"
-    gates = [Gate(name, bar, value, ci, value >= OFTEN, said)]
+    best = {what: _scores(files["best"], SINGLE, what).mean(axis=(0, 2)) for what in PLAYED}
+    often = (best["safe_success"] >= SAFE).astype(float)
+    value, ci = of_means(lambda share: share, often)
+    said = f"{len(often)} persons, safe success {best['safe_success'].mean():.0%}"
+    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{said}, {_steps(files['best'])}")]
     if SCRIPT not in files:
         return [*gates, _missing(beside, half, SCRIPT)]
-    script = _scores(files[SCRIPT], SINGLE, "safe_success").mean(axis=(0, 2))
-    if len(script) != len(best):
-        raise ValueError(
-            f"stage best has {len(best)} persons and {SCRIPT} {len(script)}; run both with one "
-            "number of them"
-        )
-    if best.mean() <= 0.0:
-        return [*gates, Gate(beside, half, None, None, None, "no best response succeeds")]
-    ratio, ci = of_means(lambda a, b: a / b, script, best, paired=True)
-    earned = [_scores(files[what], SINGLE, "return").mean() for what in (SCRIPT, "best")]
-    said = f"safe success {script.mean():.0%}, return {earned[0]:.1f} of {earned[1]:.1f}"
-    return [*gates, Gate(beside, half, ratio, ci, ratio < 0.5, said)]
+    for what, word in PLAYED.items():
+        script, theirs = _scores(files[SCRIPT], SINGLE, what).mean(axis=(0, 2)), best[what]
+        if len(script) != len(theirs):
+            raise ValueError(
+                f"stage best has {len(theirs)} persons and {SCRIPT} {len(script)}; run both with "
+                "one number of them"
+            )
+        row = f"{beside}: {word}"
+        said = f"{script.mean():.3g} of {theirs.mean():.3g}"
+        if theirs.mean() <= 0.0:
+            gates.append(Gate(row, half, None, None, None, f"{said}: no share of it"))
+            continue
+        ratio, ci = of_means(lambda a, b: a / b, script, theirs, paired=True)
+        gates.append(Gate(row, half, ratio, ci, ratio < 0.5, said))
+    return gates
 
 
 def _as_searched(files: Files) -> Gate:
@@ -187,11 +192,10 @@ def _read(files: Files) -> list[Gate]:
 def _in_range(task: str) -> Gate:
     """Return which share of all persons' numbers lies inside its cited range."""
     rows, ranges = persons(task), PARAMETERS[task]
-    # Written down with four digits, as ranges are.
     inside = [
-        ((row >= number.low * (1 - 1e-6)) & (row <= number.high * (1 + 1e-6)))
+        ((row >= np.float32(number.low)) & (row <= np.float32(number.high)))
         | ((row == 0) & bool(number.none))
-        for row, number in zip(rows.T.astype(float), ranges, strict=True)
+        for row, number in zip(rows.T, ranges, strict=True)
     ]
     value, sources = float(np.mean(inside)), sum(bool(number.source) for number in ranges)
     said = f"{len(rows)} persons; {sources} of {len(ranges)} numbers name a source"
