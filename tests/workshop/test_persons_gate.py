@@ -63,7 +63,10 @@ def _stage(mean: float, robots: int, people: int, seed: int, side: str = "valida
     returns = mean + noise + rng.normal(0.0, 5.0, (robots, people, 4))
     safe = (returns > 80.0).astype(int)
     figures = {"return": returns.tolist(), "safe_success": safe.tolist()}
-    return {"about": {"steps": 50_000_000}, "sides": {side: figures}}
+    return {
+        "about": {"steps": 50_000_000},
+        "sides": dict.fromkeys(STRANGERS, figures) | {side: figures},
+    }
 
 
 def _found(files: dict[str, Any]) -> dict[str, Any]:
@@ -85,7 +88,7 @@ def test_gates_are_read_from_what_was_earned() -> None:
     idle = found["robot trained with idle persons"]
     assert idle.holds
     assert idle.value == pytest.approx(0.4, abs=0.1)
-    told = found["told the wishes, strangers: more"]
+    told = found["told the wishes, muscle: more"]
     assert told.holds
     assert told.ci[0] < 0.3 < told.ci[1]
     back = found["a memory wins back, of that"]
@@ -114,7 +117,7 @@ def test_gates_that_are_missed_say_so() -> None:
         "script with the same persons: return",
         "script with the same persons: safe success",
         "robot trained with idle persons",
-        "told the wishes, strangers: more",
+        "told the wishes, muscle: more",
     ):
         assert found[name].holds is False, name
     assert "needs gru" in found["a memory wins back, of that"].told

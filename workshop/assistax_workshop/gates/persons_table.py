@@ -10,11 +10,11 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE
+from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE, STRANGERS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
-SIDE = "validation"  # whose strangers the gates are of; the other sides are stated
+SIDE = "validation"  # whose strangers the gates are of, where they do not name a side
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stages, and words
@@ -39,9 +39,11 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
         *_with_one(files),
         _as_searched(files),
         _lost(files),
-        _worth("told the wishes, strangers: more", f">= {MORE:+.0%}", files, "ppo", "told", MORE),
-        _worth("told, of those that remember: more", "stated", files, "gru", "told-gru", None),
-        _worth("with a memory, strangers: more", "stated", files, "ppo", "gru", None),
+        *(_worth(f"told the wishes, {side}: more", files, ("ppo", "told"), side, MORE)
+          for side in STRANGERS),
+        _worth(f"told, of those that remember, {SIDE}: more", files, ("gru", "told-gru"), SIDE),
+        *(_worth(f"with a memory, {side}: more", files, ("ppo", "gru"), side)
+          for side in STRANGERS),
         _won_back(files),
         _who_meets_whom(files),
         *_read(files),
@@ -106,17 +108,12 @@ def _lost(files: Files) -> Gate:
 
 
 def _worth(
-    name: str, bar: str, files: Files, without: str, having: str, least: float | None
+    name: str, files: Files, kinds: tuple[str, str], side: str, least: float | None = None
 ) -> Gate:
     """Return the share that a kind of robot earns more than another; without a bar it is stated."""
-    return _compared(
-        name,
-        bar,
-        files,
-        (without, having),
-        lambda a, b: (b - a) / a,
-        None if least is None else lambda value, low: value >= least and low > 0.0,
-    )
+    bar = "stated" if least is None else f">= {least:+.0%}, the interval above 0"
+    holds = None if least is None else lambda value, low: value >= least and low > 0.0
+    return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
 def _won_back(files: Files) -> Gate:
@@ -210,11 +207,12 @@ def _compared(
     kinds: tuple[str, ...],
     figure: Callable[..., Any],
     holds: Callable[[float, float], bool] | None,
+    side: str = SIDE,
 ) -> Gate:
     """Return a figure of mean returns with strangers, resampling seeds of each kind and persons."""
     if absent := [kind for kind in kinds if kind not in files]:
         return _missing(name, bar, *absent)
-    scores = [_scores(files[kind], SIDE, "return").mean(axis=2) for kind in kinds]
+    scores = [_scores(files[kind], side, "return").mean(axis=2) for kind in kinds]
     said = ", ".join(
         f"{kind} {s.mean():.1f} ({len(s)} seeds, {_steps(files[kind])})"
         for kind, s in zip(kinds, scores, strict=True)
