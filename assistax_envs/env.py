@@ -121,7 +121,7 @@ class Env:
         ranges = self._joint_range(params)
         readings = self._sensors.read(self._physics.forward(physics, ranges))
         _, obs, terms, measures = self._task.transition(task, readings)
-        measures = self._with_ends(measures, physics, ranges)
+        measures = self._touched(measures, physics, ranges)
         zero, false = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
         return EnvState(
             physics=physics,
@@ -157,7 +157,7 @@ class Env:
         ranges = self._joint_range(state.params)
         physics, values = self._physics.step(state.physics, control, ranges)
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
-        measures = self._with_ends(measures, physics, ranges)
+        measures = self._touched(measures, physics, ranges)
         nonfinite = state.nonfinite | _diverged(physics, values, control)
         physics, task, obs, measures = select(
             nonfinite,
@@ -184,10 +184,12 @@ class Env:
             tremor=tremor,
         )
 
-    def _with_ends(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
-        """Add whether the human is touched while a joint of its arm is at its end."""
+    def _touched(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
+        """Add whether somebody is touched with a joint at its end; version 2 measures nothing."""
         if not self._felt:
             return measures
+        if not self.stops:
+            return dataclasses.replace(measures, together=None, speed=None, face=None)
         angles, ends = physics.qpos[:, self._arm_angles], ranges[:, self._arm]
         at_end = (angles < ends[..., 0] + AT_END) | (angles > ends[..., 1] - AT_END)
         return dataclasses.replace(measures, at_end=at_end.any(axis=1) & (measures.force > 0.0))

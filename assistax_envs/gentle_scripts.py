@@ -20,62 +20,123 @@ from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
 
 Numbers = Mapping[str, Any]
 FROM = 3  # version of the gentle tasks from which on these scripts play
-# Of each script: number, least and most that a search tries. Lengths in m, speeds in m/s, forces in
-# N; "yield" is m/s for each N of the force that the tool feels, along it.
+# What a search tries for each number, from least to most. Lengths in m, speeds in m/s, forces in N;
+# "yield" is m/s for each N of the force that the tool feels, along it.
 _SKIN = {
-    "approach": (3.0, 1.0, 6.0),  # 1/s, of the way above the skin
-    "fast": (0.2, 0.1, 0.4),
-    "hover": (0.05, 0.02, 0.1),
-    "yield": (0.0, -0.01, 0.01),
-    "force": (4.0, 1.5, 8.0),  # that the touch is kept at
-    "soften": (0.004, 0.001, 0.02),  # m/s for each N beside it
-    "press": (0.03, 0.01, 0.06),
-    "lift": (0.03, 0.01, 0.2),
-    "stop": (60.0, 8.0, 60.0),  # above it the tool only lifts
-    "touch": (0.3, 0.1, 1.0),  # above it the tool is on the skin
-    "lean": (1.0, 0.0, 2.0),  # weight of the skin's normal in where the shaft points
-    "turn": (0.05, 0.0, 0.2),
-    "facing": (-1.0, -1.0, 0.5),  # least cosine between the skin's normal and up
-    "damping": (1e-3, 2e-4, 5e-3),
+    "approach": (1.0, 6.0),  # 1/s, of the way above the skin
+    "fast": (0.1, 0.4),
+    "hover": (0.02, 0.1),
+    "yield": (-0.01, 0.01),
+    "force": (1.5, 8.0),  # that the touch is kept at
+    "soften": (0.001, 0.02),  # m/s for each N beside it
+    "press": (0.01, 0.06),
+    "lift": (0.01, 0.2),
+    "stop": (8.0, 60.0),  # above it the tool only lifts
+    "touch": (0.1, 1.0),  # above it the tool is on the skin
+    "lean": (0.0, 2.0),  # weight of the skin's normal in where the shaft points
+    "turn": (0.0, 0.2),
+    "facing": (-1.0, 0.5),  # least cosine between the skin's normal and up
+    "damping": (2e-4, 5e-3),
 }
-NUMBERS: dict[str, dict[str, tuple[float, float, float]]] = {
+RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "gentle_scratch": _SKIN
     | {
-        "over": (0.03, 0.01, 0.06),  # aside of the itch, up to which the tool goes down
-        "descend": (0.04, 0.02, 0.1),
-        "rub": (8.0, 4.0, 30.0),  # 1/s, towards the itch's end
-        "slide": (0.05, 0.02, 0.1),
+        "over": (0.01, 0.06),  # aside of the itch, up to which the tool goes down
+        "descend": (0.02, 0.1),
+        "rub": (4.0, 30.0),  # 1/s, towards the itch's end
+        "slide": (0.02, 0.1),
     },
     "gentle_bath": _SKIN
     | {
-        "hover": (0.04, 0.02, 0.1),
-        "over": (0.08, 0.01, 0.1),
-        "keep": (0.2, 0.02, 0.3),  # the same, of a tool that is on the skin
-        "back": (0.02, 0.005, 0.05),  # beyond a point, where the tool turns back
-        "slide": (0.06, 0.03, 0.12),
-        "lean": (0.0, 0.0, 2.0),
-        "turn": (0.2, 0.0, 0.3),
-        "damping": (1e-4, 5e-5, 5e-3),
+        "over": (0.01, 0.1),
+        "keep": (0.02, 0.3),  # the same, of a tool that is on the skin
+        "back": (0.005, 0.05),  # beyond a point, where the tool turns back
+        "slide": (0.03, 0.12),
+        "turn": (0.0, 0.3),
+        "damping": (5e-5, 5e-3),
     },
     "gentle_lift": {
-        "approach": (3.0, 1.0, 8.0),
-        "calm": (0.25, 0.1, 0.6),  # m/s on the way there
-        "handward": (0.08, 0.0, 0.2),  # from the forearm's middle, where the bar lifts
-        "under": (0.045, 0.03, 0.08),
-        "below": (0.0, 0.0, 0.15),  # further below while the bar is not yet under the arm
-        "near": (0.07, 0.03, 0.15),
-        "carry": (8.0, 2.0, 15.0),
-        "fast": (1.0, 0.2, 1.5),
-        "follow": (2.0, 0.5, 6.0),
-        "rise": (0.0, 0.0, 0.25),  # above the way to the waist while it is long
-        "square": (1.0, 0.0, 1.0),  # how much of the way along the arm is left out
-        "laid": (0.05, 0.02, 0.12),  # from the waist, where the bar lets go
-        "wait": (0.25, 0.12, 0.5),  # from the arm, once it lies there
-        "leave": (2.0, 0.5, 4.0),
-        "soften": (0.0, 0.0, 0.02),  # m/s downwards for each N above "force"
-        "force": (25.0, 10.0, 45.0),
-        "turn": (0.2, 0.0, 0.4),
-        "damping": (1e-3, 1e-4, 5e-3),
+        "approach": (1.0, 8.0),
+        "calm": (0.1, 0.6),  # m/s on the way there
+        "handward": (0.0, 0.2),  # from the forearm's middle, where the bar lifts
+        "under": (0.03, 0.08),
+        "below": (0.0, 0.15),  # further below while the bar is not yet under the arm
+        "near": (0.03, 0.15),
+        "carry": (2.0, 15.0),
+        "fast": (0.2, 1.5),
+        "follow": (0.5, 6.0),
+        "rise": (0.0, 0.25),  # above the way to the waist while it is long
+        "square": (0.0, 1.0),  # how much of the way along the arm is left out
+        "laid": (0.02, 0.12),  # from the waist, where the bar lets go
+        "wait": (0.12, 0.5),  # from the arm, once it lies there
+        "leave": (0.5, 4.0),
+        "soften": (0.0, 0.02),  # m/s downwards for each N above "force"
+        "force": (10.0, 45.0),
+        "turn": (0.0, 0.4),
+        "damping": (1e-4, 5e-3),
+    },
+}
+# The numbers that the scripts play by.
+OWN: dict[str, dict[str, float]] = {
+    "gentle_scratch": {
+        "approach": 2.03,
+        "fast": 0.19,
+        "hover": 0.0226,
+        "yield": -0.00685,
+        "force": 5.53,
+        "soften": 0.00669,
+        "press": 0.0338,
+        "lift": 0.0506,
+        "stop": 57.5,
+        "touch": 0.411,
+        "lean": 1.36,
+        "turn": 0.0329,
+        "facing": -0.952,
+        "damping": 0.00186,
+        "over": 0.0201,
+        "descend": 0.0453,
+        "rub": 10.3,
+        "slide": 0.0799,
+    },
+    "gentle_bath": {
+        "approach": 2.83,
+        "fast": 0.332,
+        "hover": 0.0492,
+        "yield": 0.00147,
+        "force": 3.98,
+        "soften": 0.0159,
+        "press": 0.0423,
+        "lift": 0.0435,
+        "stop": 41.3,
+        "touch": 0.773,
+        "lean": 1.12,
+        "turn": 0.228,
+        "facing": -1.0,
+        "damping": 0.00392,
+        "over": 0.055,
+        "keep": 0.142,
+        "back": 0.0154,
+        "slide": 0.0634,
+    },
+    "gentle_lift": {
+        "approach": 2.84,
+        "calm": 0.222,
+        "handward": 0.12,
+        "under": 0.0513,
+        "below": 0.0869,
+        "near": 0.131,
+        "carry": 8.0,
+        "fast": 0.432,
+        "follow": 2.21,
+        "rise": 0.0945,
+        "square": 0.543,
+        "laid": 0.0476,
+        "wait": 0.205,
+        "leave": 2.78,
+        "soften": 0.00603,
+        "force": 13.5,
+        "turn": 0.211,
+        "damping": 0.00241,
     },
 }
 
@@ -89,17 +150,17 @@ def script_of(
         task: one of `TASKS`.
         model: of its scene.
         version: of its environment.
-        numbers: in place of the script's own, of a version that has any.
+        numbers: in place of some of the script's own, of a version that has any.
     """
     if not uses_numbers(task, version):
         return scripted_robot(task, model)
-    chosen = {name: value for name, (value, _, _) in NUMBERS[task].items()} | dict(numbers or {})
+    chosen = {**OWN[task], **(numbers or {})}
     return jax.tree_util.Partial(globals()[REGISTERED[task].script], Chain(model), chosen)
 
 
 def uses_numbers(task: str, version: int) -> bool:
     """Return whether a task's script in this version is one of those here."""
-    return task in NUMBERS and version >= FROM
+    return task in OWN and version >= FROM
 
 
 def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:

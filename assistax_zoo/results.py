@@ -157,6 +157,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
         by_place: The return in each place of a series of episodes, from "1"; empty without series.
         safe_success: Share of episodes of a gentle task that reached the goal and hurt nobody.
         violations: Share of episodes of a gentle task with a contact above the limit.
+        touch: How people were touched, by column of the table; empty where it was not measured.
         worst_partner: The partner with the lowest mean return: `partner`, `mean` and what it is.
         references: Returns to compare with, such as the script's, if they played.
         relative: The return on the scale from zero action to best response, if references played.

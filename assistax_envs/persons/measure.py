@@ -7,6 +7,7 @@ python -m assistax_envs.persons.measure film gentle_scratch nine.png
 
 import argparse
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -29,46 +30,60 @@ WINDOWS = (2.0, 5.0)  # s from the first touch
 STEPS_A_SECOND = 50
 TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places, m
 TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
+LEAST_READ = 9  # persons
 ANSWER = 20  # steps in which an arm answers
 CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
 
 
+# A robot with a memory: from N to its memory before the first observation, and from memory,
+# observations [N, O] and the step to its memory and actions [N, 7].
+Robot = tuple[Callable[[int], Any], Callable[[Any, jax.Array, jax.Array], tuple[Any, jax.Array]]]
+
+
 @functools.cache
-def _program(task: str, robot: str, human: str, family: str, steps: int) -> tuple[Any, Any, Any]:
+def _program(
+    task: str, robot: str | Robot, human: str, family: str, steps: int
+) -> tuple[Any, Any, Any]:
     """Return the environment, and programs that start episodes and play `steps` of them."""
     env, player = assistax_envs.make(task), PersonPlayer(task, family)
     script = script_of(task, env.model, env.version)
 
-    def command(obs: jax.Array, time: jax.Array) -> jax.Array:
+    def command(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
+        if not isinstance(robot, str):
+            return robot[1](memory, obs, time)
         if robot == "idle":
-            return jnp.zeros((obs.shape[0], env.action_size["robot"]))
+            return memory, jnp.zeros((obs.shape[0], env.action_size["robot"]))
         if robot == "probe" and task in FORCE:  # told that it is SCRIPTED when it is something else
             phase = jnp.abs((time / (STEPS_A_SECOND * SWEEP)) % 1.0 - 0.5) * 2.0
             obs = obs.at[:, FORCE[task]].multiply(SCRIPTED / (1.0 + 14.0 * phase))
-        return script(obs)
+        return memory, script(obs)
 
-    def step(row: jax.Array, loop: tuple[Any, Any], time: jax.Array) -> tuple[Any, Any]:
-        state, carry = loop
+    def step(row: jax.Array, loop: tuple[Any, ...], time: jax.Array) -> tuple[Any, Any]:
+        state, carry, memory = loop
         obs = state.obs
         carry, action = player.act({"row": row}, carry, obs["human"], time == 0)
         action = jnp.zeros_like(action) if human == "idle" else action
-        state = env.step(state, {"robot": command(obs["robot"], time), "human": action})
+        memory, driven = command(memory, obs["robot"], time)
+        stopped = state.terminated  # what comes after counts for nothing
+        state = env.step(state, {"robot": driven, "human": action})
         seen = {
-            "reward": state.reward,
+            "reward": jnp.where(stopped, 0.0, state.reward),
             "force": state.measures.force,
-            "success": state.measures.success,
+            "success": state.measures.success & ~stopped,
             "violated": state.measures.violated,
             "discomfort": carry.reaction.discomfort,
             "obs": obs["robot"],
         }
-        return (state, carry), seen
+        return (state, carry, memory), seen
 
     @jax.jit
-    def begin(row: jax.Array, params: Any, keys: jax.Array) -> tuple[Any, Any]:
-        return env.reset(keys, params), player.initial_carry((row.shape[0],))
+    def begin(row: jax.Array, params: Any, keys: jax.Array) -> tuple[Any, ...]:
+        n = row.shape[0]
+        memory = () if isinstance(robot, str) else robot[0](n)
+        return env.reset(keys, params), player.initial_carry((n,)), memory
 
     @jax.jit
-    def play(row: jax.Array, loop: tuple[Any, Any], time: jax.Array) -> tuple[Any, Any]:
+    def play(row: jax.Array, loop: tuple[Any, ...], time: jax.Array) -> tuple[Any, Any]:
         return jax.lax.scan(functools.partial(step, row), loop, time + jnp.arange(steps))
 
     return env, begin, play
@@ -77,19 +92,19 @@ def _program(task: str, robot: str, human: str, family: str, steps: int) -> tupl
 def episodes(
     task: str,
     rows: np.ndarray,
-    robot: str = "script",
+    robot: str | Robot = "script",
     human: str = "person",
     family: str = "spring",
     steps: int = 1000,
     seed: int = 0,
 ) -> dict[str, np.ndarray]:
-    """Play an episode of a robot that nobody trained with each person.
+    """Play an episode of a robot with each person.
 
     Args:
         task: one of the gentle tasks.
         rows: [N, 25] of the persons.
         robot: "script", "idle", or "probe": the script whose force goes from 1 to 15 N and back in
-            4 s, where it keeps to a force.
+            4 s, where it keeps to a force; or a robot of one's own.
         human: "person", or "idle": it has the person's body and wishes, and does nothing.
         family: of the persons.
         steps: to play.
@@ -132,11 +147,14 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
         window: s.
 
     Returns:
-        The share, and of how many persons; a third is chance.
+        The share, and of how many persons; a third is chance. 0 of 0 if hardly anybody was touched
+        for so long.
     """
     obs, force, touched = seen["obs"], seen["force"], seen["force"] > FELT
     begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
     enough = touched.any(axis=0) & (begin + length <= len(obs))
+    if enough.sum() < LEAST_READ:
+        return 0.0, 0
     features = []
     for person in np.flatnonzero(enough):
         when = slice(begin[person], begin[person] + length)
@@ -156,6 +174,11 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
     weights = np.linalg.solve(square, x[train].T @ target[train])
     hit = (x[~train] @ weights).argmax(axis=1) == thirds[~train]
     return float(hit.mean()), len(hit)
+
+
+def wishes(task: str) -> list[str]:
+    """Return the names of what persons of a task wish, tolerance among it."""
+    return [name for name in index(task) if name.startswith("liked")] + ["tolerance"]
 
 
 def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -220,10 +243,9 @@ def main() -> None:
 
 def _print_read(task: str, rows: np.ndarray, family: str) -> None:
     place = index(task)
-    wishes = [name for name in place if name.startswith("liked")] + ["tolerance"]
     for robot in ("script", "probe") if task in FORCE else ("script",):
         seen = episodes(task, rows, robot, "person", family, steps=600)
-        for name in wishes:
+        for name in wishes(task):
             for window in WINDOWS:
                 wish = rows[:, place[name]]
                 share, of = read(seen, wish, window)

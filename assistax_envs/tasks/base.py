@@ -68,6 +68,7 @@ class Measures:
     # Of the gentle tasks, whose sensors feel every touch:
     contact: jax.Array | None = None  # [N] N, the largest single contact
     violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
+    # ... and of versions with a protective stop:
     together: jax.Array | None = None  # [N] N, the largest sum of contacts at once
     # [N] bool: touched with a joint of the right arm at an end of its range; by the environment
     at_end: jax.Array | None = None

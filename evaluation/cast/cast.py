@@ -69,7 +69,7 @@ class Cast:
             ZooError: The registry cannot give them, or they are of another environment version.
         """
         published = [entry for entry in registry.policies if entry.id in robots.members]
-        version = env_version(registry, task, [*published, *humans])
+        version = version_of_all(registry, task, [*published, *humans], claimed_versions(robots))
         robots = declare(robots, registry, task, trained_with)
         entries = entries_of(registry, robots, humans, baselines)
         return cls(
@@ -174,6 +174,39 @@ def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -
     for entry in entries:
         if registry.env_version(entry) != version:
             raise _unfit(registry, entry, (version,), f"as {first.id} was trained")
+    return version
+
+
+def claimed_versions(robots: Roster) -> dict[str, int]:
+    """Return in which version each robot was trained whose file says it, by id."""
+    members = (robots.members[name] for name in robots.ids)
+    return {who.id: who.env_version for who in members if who.env_version is not None}
+
+
+def version_of_all(
+    registry: Registry, task: str, entries: Sequence[PolicyEntry], claimed: Mapping[str, int]
+) -> int:
+    """Return the version that policies of a registry and robots from files play together.
+
+    Raises:
+        RegistryVersionError: They were trained in several versions, or in one that cannot be played
+            here.
+    """
+    version = env_version(registry, task, entries)
+    if claimed and not entries:
+        version = next(iter(claimed.values()))
+    for robot, its in claimed.items():
+        if its == version and version in PLAYABLE[task]:
+            continue
+        together = f"version {version} of environment {task}, which the others play"
+        installed = f"version {listing(map(str, PLAYABLE[task]))} of environment {task}"
+        raise RegistryVersionError(
+            f"robot {robot}",
+            expected=together if version in PLAYABLE[task] else f"{installed}, as installed",
+            found=f"a file that says that it was trained in version {its}",
+            done="nothing was evaluated",
+            next_step="choose partners of its version, or train the robot with these partners",
+        )
     return version
 
 

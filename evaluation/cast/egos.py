@@ -2,7 +2,7 @@
 
 import dataclasses
 import glob
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from evaluation.record.manifest import file_sha256, identity_digest
 from population.networks.seat import Seat
 from population.networks.stack import stack_policies
 from population.networks.tensors import flatten, row_sha256
-from zoo.met.claims import claimed_met, declared_met
+from zoo.met.claims import claimed_met, claimed_version, declared_met
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import Registry
@@ -190,7 +190,8 @@ def _from_files(
         same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
-        yield _of_file(name, Path(name), met), spec, params
+        version = registry.env_version(same[0]) if same else claimed_version(metadata)
+        yield _of_file(name, Path(name), met, version), spec, params
 
 
 def _with_folders_as_spelled(pattern: str) -> str:
@@ -219,10 +220,11 @@ def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Se
     try:
         data = onnx_ego.read_bytes(Path(reference.source))
         spec, params = admission.read_program(data)
-        met = _onnx_met(registry, onnx_ego.read_metadata(data))
+        claims = _onnx_claims(onnx_ego.read_metadata(data))
+        met = claimed_met(registry, claims)
     except (ImportError, ValueError):  # the process says in its own words what is wrong
         return None
-    member = _of_file(reference.text, Path(reference.source), met)
+    member = _of_file(reference.text, Path(reference.source), met, claimed_version(claims))
     digest = identity_digest([admission.PROGRAM, member.digest])
     return dataclasses.replace(member, digest=digest), spec, params
 
@@ -235,7 +237,9 @@ def _from_outside(
         if reference.kind == "onnx":
             path = Path(reference.source)
             robot = PolicyProcess(*onnx_ego.factory(path))
-            member = _of_file(reference.text, path, _onnx_met(registry, robot.metadata))
+            claims = _onnx_claims(robot.metadata)
+            met, version = claimed_met(registry, claims), claimed_version(claims)
+            member = _of_file(reference.text, path, met, version)
         else:
             robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
             declared = robot.trained_with
@@ -270,17 +274,17 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
     )
 
 
-def _onnx_met(registry: Registry, metadata: str | None) -> Met:
-    """Return whom an ONNX robot met, as its metadata claims in JSON."""
+def _onnx_claims(metadata: str | None) -> Mapping[str, Any]:
+    """Return what an ONNX robot's metadata claims in JSON."""
     try:
         content = parse_json(metadata or "{}")
     except (ValueError, RecursionError):
         content = None
-    return claimed_met(registry, content if isinstance(content, dict) else {})
+    return content if isinstance(content, dict) else {}
 
 
-def _of_file(text: str, path: Path, met: Met) -> Member:
-    return Member(text, file_sha256(path), files=(path,), met=met)
+def _of_file(text: str, path: Path, met: Met, version: int | None) -> Member:
+    return Member(text, file_sha256(path), files=(path,), met=met, env_version=version)
 
 
 def _span(partners: Sequence[str]) -> str:

@@ -28,6 +28,8 @@ class Member:
     reusable: bool = True  # False where the digest does not cover all that the policy depends on
     files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
     met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
+    # Of the environment, in which a robot's file says that it was trained; None if it does not say.
+    env_version: int | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
-from evaluation.cast.cast import env_version
+from evaluation.cast.cast import version_of_all
 from evaluation.cast.egos import call_ego, read_egos
 from evaluation.cast.partners import Partner, zoo_partner
 from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import check_seat
 from population.environment import Environment
+from zoo.met.claims import claimed_version
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -79,7 +80,7 @@ def seat_policy(
 def version_of(
     references: Mapping[str, str], task: str, registry: Callable[[], Registry]
 ) -> int | None:
-    """Return the version in which policies of a zoo play together; None if none is named.
+    """Return the version in which policies play together; None if no zoo or file says one.
 
     Args:
         references: By role, as in `seat_policy`.
@@ -92,7 +93,12 @@ def version_of(
     named = {role: parse_reference(reference) for role, reference in references.items()}
     sources = [(role, name.source) for role, name in named.items() if name.kind == "zoo"]
     entries = [entry for role, source in sources for entry in registry().select(source, role=role)]
-    return env_version(registry(), task, entries) if entries else None
+    files = {name.source for name in named.values() if name.kind == "file"}
+    claims = {name: claimed_version(read_policy_file(Path(name)).metadata) for name in files}
+    claimed = {name: version for name, version in claims.items() if version is not None}
+    if not entries and not claimed:
+        return None
+    return version_of_all(registry(), task, entries, claimed)
 
 
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:

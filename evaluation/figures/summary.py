@@ -104,6 +104,8 @@ class SideFigures:
     by_place: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     safe_success: Estimate | None = None  # share of episodes
     violations: Estimate | None = None
+    # How people were touched, by column of the table, where the task's version measures it.
+    touch: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     worst_partner: NamedWorst
     cvar_10: Interval | None  # None with one episode a pair
 
@@ -205,6 +207,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         by_place=_by_place(record.table, side),
         safe_success=_share(side.safe, **starts),
         violations=_share(side.violated, **starts),
+        touch={name: estimate(values, **starts) for name, values in side.touch.items()},
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
         egos=tuple(returns.egos["ego"]),

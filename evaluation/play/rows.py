@@ -55,6 +55,9 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
     touches = {}
     if tally.violated is not None:
         touches = {"contact_peak": tally.contact_peak, "violated": tally.violated}
+    if how := dict(tally.touch):
+        touches["end_share"] = how.pop("end_steps") / np.maximum(tally.steps, 1)
+        touches |= how
     measured = {
         "return": tally.returns,
         "discounted_return": tally.discounted,

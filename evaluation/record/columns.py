@@ -12,8 +12,9 @@ SIDES = ("train", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
 
 # Of which tables some columns are: those with behaviour (all since manifest format 2), of gentle
-# tasks, of series of episodes, of robots from outside the zoo.
-Family = Literal["behaviour", "gentle", "series", "outside"]
+# tasks, of those whose version measures how people are touched, of series of episodes, of robots
+# from outside the zoo.
+Family = Literal["behaviour", "gentle", "touch", "series", "outside"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +50,12 @@ COLUMNS = {
     "force_peak": Column(_REAL),
     "contact_peak": Column(_REAL, "gentle"),  # N, of one contact
     "violated": Column(_FLAG, "gentle"),  # one was above the hard limit
+    "end_share": Column(_REAL, "touch"),  # of steps: touched with a joint of the arm at its end
+    # m/s of the tool in the step before the first touch; 0 if there was none
+    "touch_speed": Column(_REAL, "touch"),
+    "face_least": Column(_REAL, "touch"),  # m, the tool's least distance from the face
+    "together_peak": Column(_REAL, "touch"),  # N, the largest sum of contacts at once
+    "sustained_force": Column(_REAL, "touch"),  # N, the largest mean over 1 s of all contacts
     "first_contact": Column(_WHOLE, "behaviour"),  # steps until it; all of them if there was none
     "distance_mean": Column(_REAL, "behaviour"),
     "robot_travel": Column(_REAL, "behaviour"),  # rad, summed over joints and steps
@@ -59,13 +66,24 @@ COLUMNS = {
     "clipped": Column(_REAL, "outside", nullable=True),
 }
 SCHEMA = {name: column.dtype for name, column in COLUMNS.items()}
-BEHAVIOUR, GENTLE = (
+BEHAVIOUR, GENTLE, TOUCH = (
     tuple(name for name, column in COLUMNS.items() if column.family == family)
-    for family in ("behaviour", "gentle")
+    for family in ("behaviour", "gentle", "touch")
 )
+# What tables for people call those of how people are touched.
+TOUCHES = {
+    "end_share": "touched with a joint at its end, share of steps",
+    "touch_speed": "speed at the first touch, m/s",
+    "face_least": "least distance of the tool from the face, m",
+    "together_peak": "largest sum of contacts at once, N",
+    "sustained_force": "largest mean of all contacts over 1 s, N",
+}
 EGO_COLUMNS = tuple(name for name in COLUMNS if name.startswith("ego"))
 PARTNER_COLUMNS = (*(name for name in COLUMNS if name.startswith("partner")), "side")
-_OUTCOMES = ("success", "safe_success", "violated", "force_mean", "force_peak", "contact_peak")
+_OUTCOMES = (
+    *("success", "safe_success", "violated", "force_mean", "force_peak", "contact_peak"),
+    *TOUCH,
+)
 
 
 def term_columns(table: pl.DataFrame) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,13 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int, Shaped
 
-from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS, validate_episodes, with_safety
+from evaluation.record.columns import (
+    EGO_COLUMNS,
+    PARTNER_COLUMNS,
+    TOUCH,
+    validate_episodes,
+    with_safety,
+)
 from evaluation.record.manifest import read_manifest
 from evaluation.record.tables import EPISODES_FILE, read_episodes
 
@@ -30,6 +36,8 @@ class Returns:
     preferences: Shaped[np.ndarray, "E P K"] | None = None
     safe: Bool[np.ndarray, "E P K"] | None = None
     violated: Bool[np.ndarray, "E P K"] | None = None
+    # How people were touched, by column of the table; empty where it was not measured.
+    touch: Mapping[str, Float[np.ndarray, "E P K"]] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def keys(self) -> Int[np.ndarray, "P K"] | None:
@@ -68,7 +76,9 @@ class Returns:
             for field in dataclasses.fields(self)
             if getattr(array := getattr(self, field.name), "ndim", 0) == 3
         }
-        return dataclasses.replace(self, partners=self.partners.filter(pl.Series(mask)), **arrays)
+        touch = {name: values[:, mask] for name, values in self.touch.items()}
+        partners = self.partners.filter(pl.Series(mask))
+        return dataclasses.replace(self, partners=partners, touch=touch, **arrays)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -148,6 +158,7 @@ def lay_out(table: pl.DataFrame) -> Returns:
         egos=egos,
         partners=partners,
         episodes=episodes,
+        touch={name: dense(name, float) for name in TOUCH if name in table.columns},
         **{
             field: dense(name, object if table[name].dtype == pl.String else bool)
             for field, name in gentle.items()

@@ -24,6 +24,7 @@ from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
+from evaluation.record.columns import TOUCHES
 from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.verification import unchecked
 from evaluation.report.matrix_data import matrix_data
@@ -88,6 +89,7 @@ def templates() -> jinja2.Environment:
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
         "letter": lambda number: chr(ord("A") + number),
         "settings": DISABILITY_SETTINGS,
+        "touches": TOUCHES,
     }
     environment.globals.update(known)
     return environment
@@ -159,6 +161,8 @@ _PARTNER = {
     ("force mean", "N"): "force_mean",
     ("force peak", "N"): "force_peak",
     ("contact peak", "N"): "contact_peak",
+    ("sum at once", "N"): "together_peak",
+    ("sustained", "N"): "sustained_force",
 }
 _BOUNDS = {
     ("regret", ""): "regret",

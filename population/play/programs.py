@@ -20,7 +20,7 @@ from population.environment import Environment, EnvState
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
 from population.play.seats import act_all, initial_carries, noise_keys, widths
-from population.play.tally import Tally, accumulate, begin
+from population.play.tally import Tally, accumulate, begin, begin_window
 
 
 @jax.tree_util.register_dataclass
@@ -44,6 +44,7 @@ class Loop:
     robot: tuple[Carry, ...]  # each stack of robots' recurrent state, leaves [its E, P * K, ...]
     human: tuple[Carry, ...]  # of humans, leaves [its P, E * K, ...]
     tally: Tally
+    window: Float[Array, "S N"] | None  # forces of the last second, where touches are measured
     time: Int[Array, ""]  # step of the episode
 
 
@@ -75,6 +76,7 @@ class Programs:
             robot=initial_carries(self.robots, layout.egos, k if self.paired else p * k),
             human=initial_carries(self.humans, layout.partners, e * k),
             tally=begin(state, self.env.joint_positions(state)),
+            window=begin_window(state),
             time=jnp.zeros((), jnp.int32),
         )
 
@@ -109,8 +111,11 @@ class Programs:
         state = _step_alone(self.env, loop.state, actions, block.trips)
         before, after = map(self.env.joint_positions, (loop.state, state))
         travel = {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
-        tally = accumulate(loop.tally, state, travel, loop.time)
-        return Loop(state, robot_carry, human_carry, tally, loop.time + 1)
+        window = loop.window
+        if window is not None:
+            window = window.at[loop.time % len(window)].set(state.measures.force)
+        tally = accumulate(loop.tally, loop.state, state, travel, window, loop.time)
+        return Loop(state, robot_carry, human_carry, tally, window, loop.time + 1)
 
 
 def trip_count() -> np.ndarray | None:

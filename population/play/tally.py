@@ -31,6 +31,15 @@ class Tally:
     nonfinite: Bool[Array, "*N"]  # the physics became non-finite
     contact_peak: Any = None  # [N] N, the largest single contact, where the task feels it
     violated: Any = None  # [N] bool, a contact was above the hard limit, likewise
+    # How people are touched, where it is measured, see `TOUCH`; [N] each.
+    touch: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
+
+
+# Of environments that measure it: steps touched with a joint of the arm at its end; m/s of the tool
+# in the step before the first touch, 0 without one; m, least distance of the tool from the face; N,
+# the largest sum of contacts at once; N, the largest mean over SECOND of all contacts.
+TOUCH = ("end_steps", "touch_speed", "face_least", "together_peak", "sustained_force")
+SECOND = 50  # steps
 
 
 def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
@@ -52,13 +61,27 @@ def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
         nonfinite=false,
         contact_peak=None if state.measures.contact is None else zero,
         violated=None if state.measures.violated is None else false,
+        touch=_untouched(state) if _measured(state) else {},
     )
 
 
+def begin_window(state: EnvState) -> Float[Array, "S N"] | None:
+    """Return the forces of the last second, none so far; None where no touch is measured."""
+    return jnp.zeros((SECOND, *state.reward.shape)) if _measured(state) else None
+
+
 def accumulate(
-    tally: Tally, state: EnvState, travel: dict[str, jax.Array], time: jax.Array
+    tally: Tally,
+    before: EnvState,
+    state: EnvState,
+    travel: dict[str, jax.Array],
+    window: Float[Array, "S N"] | None,
+    time: jax.Array,
 ) -> Tally:
-    """Add the step that led to `state`, the `time`-th, to the episodes that were still running."""
+    """Add the step from `before` to `state`, the `time`-th, to the episodes that were running.
+
+    `window` holds the forces of the last second, this step's among them.
+    """
     running = tally.running
     earning = running & ~state.nonfinite
 
@@ -86,5 +109,40 @@ def accumulate(
         travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
         success=tally.success | (earning & measures.success),
         nonfinite=tally.nonfinite | (running & state.nonfinite),
+        touch=_touched(tally, before, state, earning, window),
         **touches,
     )
+
+
+def _measured(state: EnvState) -> bool:
+    """Return whether the environment measures how people are touched."""
+    return getattr(state.measures, "together", None) is not None
+
+
+def _untouched(state: EnvState) -> dict[str, jax.Array]:
+    zero = jnp.zeros(state.reward.shape)
+    count = jnp.zeros(zero.shape, jnp.int32)
+    return {**dict.fromkeys(TOUCH, zero), "end_steps": count, "face_least": state.measures.face}
+
+
+def _touched(
+    tally: Tally,
+    before: EnvState,
+    state: EnvState,
+    earning: jax.Array,
+    window: Float[Array, "S N"] | None,
+) -> dict[str, jax.Array]:
+    if window is None:
+        return {}
+    touch, measures = tally.touch, state.measures
+    starts = earning & (tally.first_contact == 0) & (measures.force > 0)
+    face = jnp.where(earning, measures.face, touch["face_least"])
+    together = jnp.where(earning, measures.together, 0.0)
+    mean = jnp.where(earning, window.mean(axis=0), 0.0)
+    return {
+        "end_steps": touch["end_steps"] + (earning & measures.at_end),
+        "touch_speed": jnp.where(starts, before.measures.speed, touch["touch_speed"]),
+        "face_least": jnp.minimum(touch["face_least"], face),
+        "together_peak": jnp.maximum(touch["together_peak"], together),
+        "sustained_force": jnp.maximum(touch["sustained_force"], mean),
+    }

@@ -55,7 +55,7 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     app = FastAPI(docs_url=None, middleware=[Middleware(SecurityHeaders)])
     app.state.limiter = Limiter()
     add_error_handlers(app)
-    catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist"))
+    catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist", "gentle_scratch"))
     queries = Queries(fill(folder, robots))
     service = SimpleNamespace(
         queries=queries,

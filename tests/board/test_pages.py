@@ -30,6 +30,7 @@ from assistax_board.pages.videos import Pair, Videos, run_command
 from assistax_board.store import schema
 from assistax_board.store.queries import STATEMENT
 from assistax_board.store.schema import SCORE
+from assistax_envs.persons.rows import described_numbers, person
 from tests.board.board_data import HOSTILE, make_app
 from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
@@ -65,6 +66,7 @@ def addresses(client: TestClient) -> list[str]:
         "/tasks/scratch/partners",
         "/tasks/scratch/partners?algorithm=ippo&disability=d3",
         "/partners/scratch/ippo-d1-s0-v1",
+        "/partners/gentle_scratch/person-00042-v3",
         PAIR,
         EXPLORER,
         linked(client, board, r"/submissions/\w+"),
@@ -202,6 +204,21 @@ def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:
     groups = [count(f"behaviour={letter}") for letter in "ABCDEFGH"]
     assert sum(groups) == 198
     assert count("algorithm=<script>") == 0
+
+
+def test_a_persons_card_has_each_number_beside_its_range(client: TestClient) -> None:
+    assert "person-00000-v3" in client.get("/tasks/gentle_scratch/partners").text
+    assert "person-" not in client.get("/tasks/scratch/partners").text
+    card = client.get("/partners/gentle_scratch/person-00042-v3").text
+    for name, number in described_numbers(person("gentle_scratch", 42)).items():
+        row = re.search(rf">{name.replace('_', ' ')}</th>(.*?)</tr>", card, re.DOTALL)
+        assert row, name
+        shown = re.findall(r'class="number">([^<]*)<', row[1])[:3]
+        assert shown == [f"{number[key]:.4g}" for key in ("value", "low", "high")]
+    assert person("gentle_scratch", 42).identity in card and "no model of a patient" in card
+    assert "person-00041-v3" in card and "person-00043-v3" in card
+    for absent in ("person-10000-v3", "person-00042-v2", "person-x"):
+        assert client.get(f"/partners/gentle_scratch/{absent}").status_code == 404
 
 
 def test_two_methods_are_compared_partner_by_partner(client: TestClient) -> None:

@@ -115,7 +115,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("evaluation.cast.baseline_policies.build_model", lambda task: None)
     monkeypatch.setattr(
         "evaluation.cast.baseline_policies.script_of",
-        lambda task, model: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
+        lambda task, model, version: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
     )
 
 

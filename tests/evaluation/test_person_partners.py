@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,6 +16,7 @@ from assistax_zoo import cross_play, evaluate
 from evaluation.cast.cast import choose_partners
 from evaluation.cast.partners import zoo_partner
 from evaluation.cast.roster import joined, registry_roster
+from evaluation.cast.seats import version_of
 from evaluation.ego_training import prepare
 from evaluation.film import Pair
 from evaluation.play.how import How
@@ -23,7 +25,7 @@ from evaluation.play.study import make_job
 from evaluation.play.tiles import plan
 from evaluation.replay.replay import replay_folder
 from tests.untrained import params_of
-from zoo.met.claims import claimed_met, declared_met, side_met
+from zoo.met.claims import claimed_met, claimed_version, declared_met, side_met
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import load_registry
 
@@ -168,6 +170,35 @@ def test_teams_of_an_older_version_do_not_meet_persons(tmp_path: Path) -> None:
         cross_play(
             ["gentle_scratch/ippo-d1-s[01]-v2"], "persons", task=TASK, persons=3, out=tmp_path
         )
+
+
+def _robot_file(path: Path, version: Any) -> str:
+    spec = load_registry().policy(EGO).spec
+    write_policy_file(path, spec, params_of(spec, 0), {"task": TASK, "training": version})
+    return str(path)
+
+
+def test_a_robots_file_says_in_which_version_it_was_trained(tmp_path: Path) -> None:
+    older = _robot_file(tmp_path / "older.safetensors", {"env_version": 2})
+    with pytest.raises(RegistryVersionError, match="says that it was trained in version 2"):
+        evaluate(older, task=TASK, partners="persons", persons=3, progress=False)
+    newer = _robot_file(tmp_path / "newer.safetensors", {"env_version": 3})
+    registry = load_registry()
+    human = "zoo:gentle_scratch/ippo-d1-s0-v2/human"
+    with pytest.raises(RegistryVersionError, match="version 2 of environment gentle_scratch, whi"):
+        version_of({"robot": newer, "human": human}, TASK, lambda: registry)
+    assert version_of({"robot": older, "human": human}, TASK, lambda: registry) == 2
+    assert version_of({"robot": older}, TASK, lambda: registry) == 2
+    person = "zoo:gentle_scratch/person-00042-v3/human"
+    assert version_of({"robot": newer, "human": person}, TASK, lambda: registry) == 3
+    ancient = _robot_file(tmp_path / "ancient.safetensors", {"env_version": 1})
+    with pytest.raises(RegistryVersionError, match="as installed"):
+        version_of({"robot": ancient}, TASK, lambda: registry)
+
+
+@pytest.mark.parametrize("claim", [None, "3", True, -1, 3.0, {"env_version": "3"}, 10**12])
+def test_a_claim_of_no_known_form_is_none(claim: Any) -> None:
+    assert claimed_version({"env_version": claim, "training": claim}) is None
 
 
 def test_a_robot_that_trains_with_persons_says_whom_it_meets() -> None:

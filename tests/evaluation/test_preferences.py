@@ -3,18 +3,20 @@
 import dataclasses
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
 import pytest
+from pydantic import TypeAdapter
 
 from assistax_envs.preferences import PREFERENCES
 from evaluation.ego_training import prepare
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import (
+    EvaluationSummary,
     SplitName,
     read_summary,
     summarise_comparison,
@@ -25,13 +27,19 @@ from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.plots.charts import trait_points
 from evaluation.record import tables
-from evaluation.record.columns import GENTLE, validate_episodes, with_safety
+from evaluation.record.columns import GENTLE, TOUCH, TOUCHES, validate_episodes, with_safety
 from evaluation.record.record import Record
 from evaluation.replay.replay import replay_folder
 from evaluation.report.page import write_report
 from tests import untrained
 from tests.evaluation.episode_tables import CONTEXT, recorded
-from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, humans, robots
+from tests.evaluation.matrix_game import (
+    HUMAN,
+    ROBOT,
+    MatrixGame,
+    humans,
+    robots,
+)
 from tests.studies import cross_play, evaluate_policies
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
@@ -151,6 +159,56 @@ def test_a_folder_of_a_gentle_task_is_read_drawn_and_reported(tmp_path: Path) ->
     paper = {**shown, "by_preference": {}}
     with pytest.raises(ValueError, match="no partner of these folders has a preference"):
         trait_points({"mine": paper}, "preference")
+
+
+class Pressing(Fond):
+    """As Fond, and how people are touched is measured: half of the contact counts once more."""
+
+    @staticmethod
+    def _felt(state: Any) -> Any:
+        felt = state.params.preference.astype(jnp.float32)
+        return Pressed(*state.measures[:3], felt, felt == 9.0, 1.5 * felt, felt > 6.0, felt, felt)
+
+
+class Pressed(NamedTuple):
+    force: jax.Array
+    distance: jax.Array
+    success: jax.Array
+    contact: jax.Array
+    violated: jax.Array
+    together: jax.Array
+    at_end: jax.Array
+    speed: jax.Array
+    face: jax.Array
+
+
+def test_how_people_were_touched_is_in_tables_figures_and_pages(tmp_path: Path) -> None:
+    table = run_job(Pressing(), job_of(), tmp_path / "job").table
+    one = table.filter(pl.col("preference") == "p8")
+    assert one["together_peak"].to_list() == [12.0] * one.height
+    assert one["face_least"].to_list() == [8.0] * one.height
+    assert set(one["end_share"]) == {1.0}
+    assert set(table.filter(pl.col("preference") == "p1")["end_share"]) == {0.0}
+    summary = save_evaluation(Record(table, tmp_path), CONTEXT)
+    assert set(summary.touch) == set(TOUCH) == set(TOUCHES)
+    assert summary.touch["together_peak"].mean == pytest.approx(1.5 * 5.0)
+    assert summary.touch["end_share"].mean == pytest.approx(3 / 9)
+    assert read_summary(tmp_path) == summary
+    fewer = Record(table, tmp_path).without([table["partner"][0]]).returns
+    assert fewer.touch["face_least"].shape == fewer.values.shape
+    write_report(tmp_path, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert TOUCHES["sustained_force"] in text and "sum at once" in text
+
+
+def test_a_summary_of_before_touches_were_measured_is_still_read() -> None:
+    """A field without a default would make every kept summary of a gentle task unreadable."""
+    path = Path(__file__).parent / "golden/summary_before_touch.json"
+    content = tables.read_json(path)
+    assert "touch" not in content
+    summary = TypeAdapter(EvaluationSummary).validate_python(content)
+    assert summary.touch == {} and summary.violations
+    assert summary.violations.mean == pytest.approx(1 / 9)
 
 
 SIDES = {"train": ("p2", "p3"), "test": ("p1", "p5", "p9")}

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assistax_workshop.gates import persons
+from assistax_envs.gentle_scripts import RANGES
+from assistax_workshop.gates import persons, persons_reading
 from assistax_workshop.gates.persons import SINGLE, STRANGERS, Plan, run_stages
-from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+from assistax_workshop.gates.persons_table import FEW, gates_of_persons, read_stages
 
 TASK = "gentle_scratch"
 
@@ -21,14 +22,25 @@ def test_stages_write_what_each_robot_earns_with_each_person(
     monkeypatch.setattr(persons, "SIDE", 3)
     monkeypatch.setattr(persons, "SINGLE_EPISODES", 2)
     lines: list[str] = []
-    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, {"num_envs": 4}, horizon=30)
-    run_stages(plan, ("told", "best", "script"), lines.append)
+    monkeypatch.setattr(persons_reading, "READERS", 3)
+    changes = {"num_envs": 4}
+    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, 25, 2, changes, horizon=30)
+    run_stages(plan, ("told", "best", "script", "search", "read"), lines.append)
     files = read_stages(tmp_path)
     assert [line.partition(":")[0] for line in lines] == [
         *(f"told with {side}" for side in STRANGERS),
         f"best with {SINGLE}",
         *(f"script with {side}" for side in (SINGLE, *STRANGERS)),
+        *(f"search, round {turn} of 5" for turn in range(1, 6)),
+        *(f"search with {side}" for side in STRANGERS),
+        "wishes read by probe",
+        "wishes read by script",
     ]
+    found = files["search"]
+    assert len(found["scores"]) == 25 and set(found["numbers"]) == set(RANGES[TASK])
+    assert np.shape(found["sides"]["corners"]["return"]) == (2, 3, 2)
+    read = [gate.told for gate in gates_of_persons(TASK, files) if "read" in gate.gate]
+    assert read and set(read) == {FEW}
     assert np.shape(files["told"]["sides"]["muscle"]["return"]) == (2, 3, 2)
     for name in ("best", "script"):
         side = files[name]["sides"][SINGLE]
@@ -51,7 +63,10 @@ def _stage(mean: float, robots: int, people: int, seed: int, side: str = "valida
     returns = mean + noise + rng.normal(0.0, 5.0, (robots, people, 4))
     safe = (returns > 80.0).astype(int)
     figures = {"return": returns.tolist(), "safe_success": safe.tolist()}
-    return {"about": {"steps": 50_000_000}, "sides": {side: figures}}
+    return {
+        "about": {"steps": 50_000_000},
+        "sides": dict.fromkeys(STRANGERS, figures) | {side: figures},
+    }
 
 
 def _found(files: dict[str, Any]) -> dict[str, Any]:
@@ -68,11 +83,12 @@ def test_gates_are_read_from_what_was_earned() -> None:
     files |= {"best": _stage(130.0, 1, 50, 8, SINGLE), "script": _stage(60.0, 1, 50, 9, SINGLE)}
     found = _found(files)
     assert found["best response to one person"].holds
-    assert found["script with the same persons"].holds
+    for what in ("return", "safe success"):
+        assert found[f"script with the same persons: {what}"].holds
     idle = found["robot trained with idle persons"]
     assert idle.holds
     assert idle.value == pytest.approx(0.4, abs=0.1)
-    told = found["told the wishes, strangers: more"]
+    told = found["told the wishes, muscle: more"]
     assert told.holds
     assert told.ci[0] < 0.3 < told.ci[1]
     back = found["a memory wins back, of that"]
@@ -82,15 +98,26 @@ def test_gates_are_read_from_what_was_earned() -> None:
     assert found["numbers inside their ranges"].value == 1.0
 
 
+def test_a_script_is_held_against_its_search() -> None:
+    for own, holds in ((57.0, True), (20.0, False)):
+        search = _stage(60.0, 2, 60, 3)
+        returns = np.zeros((2, 60, 2)) + np.array([60.0, own])[:, None, None]
+        search["sides"]["validation"]["return"] = returns.tolist()
+        search["about"]["tries"] = 200
+        gate = _found({"search": search})["script beside the best of a search"]
+        assert gate.holds is holds and gate.value == pytest.approx(own / 60.0)
+
+
 def test_gates_that_are_missed_say_so() -> None:
     files = {name: _stage(100.0, 8, 60, seed) for seed, name in enumerate(("ppo", "told", "idle"))}
     files |= {"best": _stage(85.0, 1, 50, 8, SINGLE), "script": _stage(84.0, 1, 50, 9, SINGLE)}
     found = _found(files)
     for name in (
         "best response to one person",
-        "script with the same persons",
+        "script with the same persons: return",
+        "script with the same persons: safe success",
         "robot trained with idle persons",
-        "told the wishes, strangers: more",
+        "told the wishes, muscle: more",
     ):
         assert found[name].holds is False, name
     assert "needs gru" in found["a memory wins back, of that"].told
@@ -101,3 +128,17 @@ def test_nothing_measured_is_nothing_met() -> None:
     measured = [gate.gate for gate in found.values() if gate.value is not None]
     assert measured == ["numbers inside their ranges"]
     assert all(gate.holds is None for gate in found.values() if gate.gate not in measured)
+
+
+def test_a_wish_is_read_where_the_interval_is_above_chance() -> None:
+    def shares(share: float) -> dict[str, Any]:
+        found = {"share": share, "of": 300, "shuffled": 0.33}
+        return {"2": found, "5": found}
+
+    read = {"gru": {"liked_force": shares(0.5), "liked_speed": shares(0.36)}, "script": {}}
+    found = _found({"read": {"read": read}})
+    assert found["liked_force, read in 5 s"].holds
+    assert found["liked_force, read in 2 s"].holds is None  # stated
+    assert found["liked_speed, read in 5 s"].holds is False
+    low, high = found["liked_force, read in 5 s"].ci
+    assert low == pytest.approx(0.5 - 0.0566, abs=1e-3) and high == pytest.approx(0.5566, abs=1e-3)

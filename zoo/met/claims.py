@@ -19,6 +19,7 @@ from zoo.persons.registered import identities
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split, TrainedAgainst
 
+MOST_VERSIONS = 10_000  # of an environment: a claim beyond is none
 NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
 
 
@@ -54,6 +55,17 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
         if split.id == metadata["split"]:
             return side_met(registry, split).model_copy(update={"source": "file"})
     return Met(source="not known", reason="its file does not say it")
+
+
+def claimed_version(metadata: Mapping[str, Any]) -> int | None:
+    """Return the version of the environment that a robot was trained in, as its file claims.
+
+    None where it does not say so in a known form.
+    """
+    training = metadata.get("training")
+    claims = metadata, training if isinstance(training, Mapping) else {}
+    versions = [claim.get("env_version") for claim in claims]
+    return next((v for v in versions if type(v) is int and 0 < v < MOST_VERSIONS), None)
 
 
 def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str]) -> Met:

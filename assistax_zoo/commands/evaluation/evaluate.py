@@ -184,6 +184,11 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
         rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
         title = "goal reached and nobody hurt; contacts above the limit"
         _print_figures(title, rows, "share of episodes", digits=3)
+    if touch := summary["touch"]:
+        from evaluation.record.columns import TOUCHES
+
+        rows = [(TOUCHES[name], figure) for name, figure in touch.items()]
+        _print_figures("how people were touched", rows, "mean over episodes", digits=3)
     if summary["references"]:
         _print_references(summary["references"], summary["relative"])
     worst = summary["worst_partner"]

@@ -141,16 +141,15 @@ def persons(
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
     Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
-    (trained with persons who do nothing), best (one robot for each of some persons), script, and
-    search (the best numbers for the script; nothing is changed by it).
-    Each has a run and a file in FOLDER; what is there is not done again, so stages may run on
-    several machines. The table is of all that the folder holds.
+    (trained with persons who do nothing), best (one robot for each of some persons), script,
+    search (the best numbers for the script; nothing is changed by it) and read (are wishes read?).
+    Each has a run and a file in FOLDER, and goes on where it stopped. The table is of all files.
 
     Args:
         task: Gentle task.
         folder: Of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
-        seeds: Robots of each kind: how many, or which.
+        seeds: Robots of each kind.
         steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
         single: Persons with a best response.
         tries: Of the search over the script's numbers.

@@ -24,6 +24,7 @@ from evaluation.play.baselines import script_roster
 from population.config import MIXED, Member, make_run
 from population.hyperparameters import preset
 from population.networks.policy import Policy
+from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.runs.train import train
 from population.runs.trained import read_trained_run
@@ -60,8 +61,8 @@ ROBOTS: Mapping[str, Robots] = {
     "idle": Robots(partners=IdlePersons),
     "best": Robots(changes=FEW, partners=OnePersonEach, steps=10_000_000),
 }
-SCRIPT, SEARCH = "script", "search"
-STAGES = (*ROBOTS, SCRIPT, SEARCH)
+SCRIPT, SEARCH, READ = "script", "search", "read"
+STAGES = (*ROBOTS, SCRIPT, SEARCH, READ)
 # Sides of persons that no robot met, by name: the first number, how far apart, and the family.
 STRANGERS = {
     "validation": (9, 10, "spring"),
@@ -122,7 +123,7 @@ def run_stages(
     for name in stages:
         earned = _stage(plan, name, progress)
         write_json(plan.folder / f"{name}.json", earned)
-        for side, figures in earned["sides"].items():
+        for side, figures in earned.get("sides", {}).items():
             mean, safe = (np.mean(figures[what]) for what in ("return", "safe_success"))
             progress(f"{name} with {side}: return {mean:.1f}, safe success {safe:.0%}")
 
@@ -134,6 +135,10 @@ def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, 
         from assistax_workshop.gates.script_search import search_script
 
         return search_script(plan, progress)
+    if name == READ:
+        from assistax_workshop.gates.persons_reading import read_wishes
+
+        return read_wishes(plan, progress)
     return play_robots(plan, name)
 
 
@@ -157,6 +162,7 @@ def play_script(plan: Plan) -> dict[str, Any]:
     env = make(plan.task, plan.backend)
     sizes = env.observation_size["robot"], env.action_size["robot"]
     [stack] = script_roster(plan.task, *sizes, env.version).stacks
+    assert isinstance(stack, PolicyStack)
     policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
     sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}
     for side in STRANGERS:

@@ -10,14 +10,18 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import SCRIPT, SINGLE
+from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE, STRANGERS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
-SIDE = "validation"  # whose strangers the gates are of; the other sides are stated
+SIDE = "validation"  # whose strangers the gates are of, where they do not name a side
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
+PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stages, and words
 CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
+FEW = "hardly anybody was touched for so long"
+TUNED = 0.9
+CHANCE = 1 / 3  # of a third of a wish
 RESAMPLED = 200  # of a share of variance
 
 Files = Mapping[str, Mapping[str, Any]]  # of stages, by name
@@ -33,12 +37,16 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
     """Return every gate of persons, from what `run_stages` wrote."""
     return [
         *_with_one(files),
+        _as_searched(files),
         _lost(files),
-        _worth("told the wishes, strangers: more", f">= {MORE:+.0%}", files, "ppo", "told", MORE),
-        _worth("told, of those that remember: more", "stated", files, "gru", "told-gru", None),
-        _worth("with a memory, strangers: more", "stated", files, "ppo", "gru", None),
+        *(_worth(f"told the wishes, {side}: more", files, ("ppo", "told"), side, MORE)
+          for side in STRANGERS),
+        _worth(f"told, of those that remember, {SIDE}: more", files, ("gru", "told-gru"), SIDE),
+        *(_worth(f"with a memory, {side}: more", files, ("ppo", "gru"), side)
+          for side in STRANGERS),
         _won_back(files),
         _who_meets_whom(files),
+        *_read(files),
         _in_range(task),
     ]  # fmt: skip
 
@@ -46,27 +54,44 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
 def _with_one(files: Files) -> list[Gate]:
     """Return the gates of best responses to single persons, and of the script beside them."""
     name, bar = "best response to one person", f"safe success {SAFE:.0%} with {OFTEN:.0%} of them"
-    beside, half = "script with the same persons", "below half of the best response's safe success"
+    beside, half = "script with the same persons", "below half of the best response's"
     if "best" not in files:
         return [_missing(name, bar, "best"), _missing(beside, half, "best")]
-    best = _scores(files["best"], SINGLE, "safe_success").mean(axis=(0, 2))
-    value, ci = of_means(lambda share: share, (best >= SAFE).astype(float))
-    said = f"{len(best)} persons, safe success {best.mean():.0%}, {_steps(files['best'])}"
-    gates = [Gate(name, bar, value, ci, value >= OFTEN, said)]
+    best = {what: _scores(files["best"], SINGLE, what).mean(axis=(0, 2)) for what in PLAYED}
+    often = (best["safe_success"] >= SAFE).astype(float)
+    value, ci = of_means(lambda share: share, often)
+    said = f"{len(often)} persons, safe success {best['safe_success'].mean():.0%}"
+    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{said}, {_steps(files['best'])}")]
     if SCRIPT not in files:
         return [*gates, _missing(beside, half, SCRIPT)]
-    script = _scores(files[SCRIPT], SINGLE, "safe_success").mean(axis=(0, 2))
-    if len(script) != len(best):
-        raise ValueError(
-            f"stage best has {len(best)} persons and {SCRIPT} {len(script)}; run both with one "
-            "number of them"
-        )
+    for what, word in PLAYED.items():
+        script, theirs = _scores(files[SCRIPT], SINGLE, what).mean(axis=(0, 2)), best[what]
+        if len(script) != len(theirs):
+            raise ValueError(
+                f"stage best has {len(theirs)} persons and {SCRIPT} {len(script)}; run both with "
+                "one number of them"
+            )
+        row = f"{beside}: {word}"
+        said = f"{script.mean():.3g} of {theirs.mean():.3g}"
+        if theirs.mean() <= 0.0:
+            gates.append(Gate(row, half, None, None, None, f"{said}: no share of it"))
+            continue
+        ratio, ci = of_means(lambda a, b: a / b, script, theirs, paired=True)
+        gates.append(Gate(row, half, ratio, ci, ratio < 0.5, said))
+    return gates
+
+
+def _as_searched(files: Files) -> Gate:
+    """Return what the script earns, of what the best of a search over its numbers does."""
+    name, bar = "script beside the best of a search", f">= {TUNED:.0%} of its return"
+    if SEARCH not in files:
+        return _missing(name, bar, SEARCH)
+    best, own = _scores(files[SEARCH], SIDE, "return").mean(axis=2)
+    said = f"return {own.mean():.1f} of {best.mean():.1f}, {files[SEARCH]['about']['tries']} tries"
     if best.mean() <= 0.0:
-        return [*gates, Gate(beside, half, None, None, None, "no best response succeeds")]
-    ratio, ci = of_means(lambda a, b: a / b, script, best, paired=True)
-    earned = [_scores(files[what], SINGLE, "return").mean() for what in (SCRIPT, "best")]
-    said = f"safe success {script.mean():.0%}, return {earned[0]:.1f} of {earned[1]:.1f}"
-    return [*gates, Gate(beside, half, ratio, ci, ratio < 0.5, said)]
+        return Gate(name, bar, None, None, None, f"{said}: no share of it")
+    value, ci = of_means(lambda a, b: a / b, own, best, paired=True)
+    return Gate(name, bar, value, ci, value >= TUNED, said)
 
 
 def _lost(files: Files) -> Gate:
@@ -83,17 +108,12 @@ def _lost(files: Files) -> Gate:
 
 
 def _worth(
-    name: str, bar: str, files: Files, without: str, having: str, least: float | None
+    name: str, files: Files, kinds: tuple[str, str], side: str, least: float | None = None
 ) -> Gate:
     """Return the share that a kind of robot earns more than another; without a bar it is stated."""
-    return _compared(
-        name,
-        bar,
-        files,
-        (without, having),
-        lambda a, b: (b - a) / a,
-        None if least is None else lambda value, low: value >= least and low > 0.0,
-    )
+    bar = "stated" if least is None else f">= {least:+.0%}, the interval above 0"
+    holds = None if least is None else lambda value, low: value >= least and low > 0.0
+    return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
 def _won_back(files: Files) -> Gate:
@@ -143,14 +163,36 @@ def _share_of_pairs(returns: np.ndarray) -> float:
     return pairs / (seeds + partners + pairs) if pairs else 0.0
 
 
+def _read(files: Files) -> list[Gate]:
+    """Return how often each wish is read, by the first robot of the stage's that read."""
+    name = "a wish is read from what the robot observes"
+    if READ not in files:
+        return [_missing(name, "above chance at 5 s, the interval above it", READ)]
+    robot, wishes = next(iter(files[READ]["read"].items()))
+    gates = []
+    for wish, shares in wishes.items():
+        for seconds, found in shares.items():
+            share, count = found["share"], found["of"]
+            if not count:
+                gates.append(Gate(f"{wish}, read in {seconds} s", "", None, None, None, FEW))
+                continue
+            half = 1.96 * np.sqrt(share * (1.0 - share) / max(count, 1))
+            told = f"by {robot}, {count} persons; labels shuffled {found['shuffled']:.0%}"
+            late = seconds == max(shares, key=float)
+            bar = f"{'> ' if late else 'beside '}{CHANCE:.0%}"
+            holds = bool(share - half > CHANCE) if late else None
+            ends = float(share - half), float(share + half)
+            gates.append(Gate(f"{wish}, read in {seconds} s", bar, share, ends, holds, told))
+    return gates
+
+
 def _in_range(task: str) -> Gate:
     """Return which share of all persons' numbers lies inside its cited range."""
     rows, ranges = persons(task), PARAMETERS[task]
-    # Written down with four digits, as ranges are.
     inside = [
-        ((row >= number.low * (1 - 1e-6)) & (row <= number.high * (1 + 1e-6)))
+        ((row >= np.float32(number.low)) & (row <= np.float32(number.high)))
         | ((row == 0) & bool(number.none))
-        for row, number in zip(rows.T.astype(float), ranges, strict=True)
+        for row, number in zip(rows.T, ranges, strict=True)
     ]
     value, sources = float(np.mean(inside)), sum(bool(number.source) for number in ranges)
     said = f"{len(rows)} persons; {sources} of {len(ranges)} numbers name a source"
@@ -165,11 +207,12 @@ def _compared(
     kinds: tuple[str, ...],
     figure: Callable[..., Any],
     holds: Callable[[float, float], bool] | None,
+    side: str = SIDE,
 ) -> Gate:
     """Return a figure of mean returns with strangers, resampling seeds of each kind and persons."""
     if absent := [kind for kind in kinds if kind not in files]:
         return _missing(name, bar, *absent)
-    scores = [_scores(files[kind], SIDE, "return").mean(axis=2) for kind in kinds]
+    scores = [_scores(files[kind], side, "return").mean(axis=2) for kind in kinds]
     said = ", ".join(
         f"{kind} {s.mean():.1f} ({len(s)} seeds, {_steps(files[kind])})"
         for kind, s in zip(kinds, scores, strict=True)
@@ -184,7 +227,8 @@ def _compared(
     ]
     low, high = map(float, np.nanquantile(figure(*means), (0.025, 0.975)))
     value = float(figure(*(s.mean() for s in scores)))
-    return Gate(name, bar, value, (low, high), holds and holds(value, low), said)
+    met = None if holds is None else holds(value, low)
+    return Gate(name, bar, value, (low, high), met, said)
 
 
 def _scores(file: Mapping[str, Any], side: str, what: str) -> np.ndarray:

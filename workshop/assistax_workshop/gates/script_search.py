@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, make
-from assistax_envs.gentle_scripts import NUMBERS, script_of
+from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.persons import numbers
 from assistax_workshop.gates.persons import (
     STRANGERS,
@@ -55,12 +55,12 @@ def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[s
     """
     if plan.tries < ROUNDS * ELITE:
         raise ValueError(f"tries is {plan.tries}; give at least {ROUNDS * ELITE}")
-    env, names = make(plan.task, plan.backend), list(NUMBERS[plan.task])
+    env, names = make(plan.task, plan.backend), list(RANGES[plan.task])
     policy, rng = TriedScript(env), np.random.default_rng(0)
     rollout = rollout_with_persons(plan, env, policy)
     training = numbers("training")
     met = training[:: len(training) // plan.models][: plan.models]
-    at, spread = _places(plan.task, _own(plan.task)), np.full(len(names), FIRST)
+    at, spread = _own_places(plan.task), np.full(len(names), FIRST)
     tried: list[tuple[float, np.ndarray]] = []
     for turn in range(ROUNDS):
         places = rng.normal(at, spread, (plan.tries // ROUNDS, len(names)))
@@ -87,18 +87,16 @@ def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[s
     }
 
 
-def _own(task: str) -> dict[str, float]:
-    return {name: value for name, (value, _, _) in NUMBERS[task].items()}
-
-
-def _places(task: str, own: Mapping[str, float]) -> np.ndarray:
-    """Return where numbers lie between their least and their most, as shares."""
-    return np.array([(own[n] - low) / (high - low) for n, (_, low, high) in NUMBERS[task].items()])
+def _own_places(task: str) -> np.ndarray:
+    """Return where a script's own numbers lie between their least and their most, as shares."""
+    return np.array(
+        [(OWN[task][n] - low) / (high - low) for n, (low, high) in RANGES[task].items()]
+    )
 
 
 def _stack(task: str, places: np.ndarray) -> dict[str, jax.Array]:
     """Return the numbers by name, [tries] each, at places [tries, numbers]."""
-    ranges = np.array([ends for _, *ends in NUMBERS[task].values()])
+    ranges = np.array(list(RANGES[task].values()))
     values = ranges[:, 0] + places * (ranges[:, 1] - ranges[:, 0])
     columns = np.array([[float(f"{value:.4g}") for value in row] for row in values], np.float32)
-    return dict(zip(NUMBERS[task], jnp.asarray(columns.T), strict=True))
+    return dict(zip(RANGES[task], jnp.asarray(columns.T), strict=True))

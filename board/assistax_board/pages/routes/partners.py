@@ -15,6 +15,9 @@ from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import ask_for, film_file
 from assistax_board.pages.site import STILL, NotFoundError, Site
 from assistax_board.pages.videos import ROBOT, Pair
+from assistax_envs.persons.rows import COUNT, described_numbers, grades, person
+from zoo.ids import names_persons
+from zoo.persons.registered import person_tables
 
 _BEST = 5  # robots on a card
 
@@ -36,6 +39,7 @@ def partner_router(site: Site) -> APIRouter:
                 "choices": choices(partners),
                 "wanted": traits,
                 "strategies": behaviours(site, task),
+                "persons": persons_of(site, task),
             }
 
         key = f"{task} {sorted(traits.items())}"
@@ -43,10 +47,14 @@ def partner_router(site: Site) -> APIRouter:
 
     @router.get("/partners/{task}/{team}")
     def partner(request: Request, task: str, team: str) -> Response:
-        def values() -> dict[str, Any]:
-            return card_values(site, site.task(task), team)
+        is_person = names_persons(f"{task}/{team}")
 
-        return site.page(request, f"{task} {team}", STILL, "partner.html", values)
+        def values() -> dict[str, Any]:
+            card = person_values if is_person else card_values
+            return card(site, site.task(task), team)
+
+        template = "person.html" if is_person else "partner.html"
+        return site.page(request, f"{task} {team}", STILL, template, values)
 
     return router
 
@@ -139,6 +147,33 @@ def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
         "worst": robots[-_BEST:] if len(robots) > _BEST else [],
         "training": table_rows(training),
         "hyperparameters": table_rows(partner.entry.training.hyperparameters),
+    }
+
+
+def persons_of(site: Site, task: str) -> list[tuple[str, int]]:
+    """Return the name of the first person of each release that has any of a task, and how many."""
+    tables = person_tables(site.registry.data)
+    found = [(release, table.count) for release, its, table in tables if its == task]
+    return [(f"person-00000-{release}", count) for release, count in found]
+
+
+def person_values(site: Site, task: str, team: str) -> dict[str, Any]:
+    """Return what a person's card shows: each number beside its range."""
+    try:
+        entry = site.registry.policy(f"{task}/{team}/human")
+    except ZooError as error:
+        raise NotFoundError(f"There is no person {team!r} of {task}.") from error
+    someone = person(task, entry.row)
+    near = (entry.row - 1, entry.row + 1)
+    numbers = [f"person-{n:05d}-{entry.release}" for n in near if 0 <= n < COUNT]
+    return {
+        "task": task,
+        "name": team,
+        "someone": someone,
+        "numbers": described_numbers(someone),
+        "grades": grades(someone),
+        "near": numbers,
+        "entry": entry,
     }
 
 

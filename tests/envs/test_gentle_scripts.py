@@ -1,0 +1,92 @@
+"""Scripts of the gentle tasks: by the numbers of version 3, and as they were before."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs.gentle_scripts import OWN, RANGES, script_of
+from assistax_envs.models import build_model
+from assistax_envs.scripted import Chain, scripted_robot
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+
+NORMAL = {"gentle_scratch": slice(37, 40), "gentle_bath": slice(33, 36)}
+FORCE = {"gentle_scratch": 43, "gentle_bath": 37, "gentle_lift": 38}  # in 10 N
+
+
+def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
+    """Return observations [N, 64] with the tool near its target, at all forces."""
+    rng = np.random.default_rng(seed)
+    obs = rng.normal(0.0, 0.4, (count, 64))
+    obs[:, 30:34] = rng.normal(0.0, 0.06, (count, 4))
+    obs[:, 21:24] = rng.normal(0.0, 10.0, (count, 3))
+    obs[:, 34:37] = rng.normal(0.0, 0.1, (count, 3))
+    if task in NORMAL:
+        normal = rng.normal(size=(count, 3))
+        obs[:, NORMAL[task]] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    else:
+        obs[:, 37] = np.abs(rng.normal(0.0, 0.1, count))  # m to the waist
+    # A third each: hard, light, or no touch.
+    obs[:, FORCE[task]] = rng.uniform(0.0, 7.0, count) * rng.choice([1.0, 0.015, 0.0], count)
+    turn = rng.normal(size=(count, 4))
+    obs[:, 17:21] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    return jnp.asarray(obs, jnp.float32)
+
+
+@pytest.mark.parametrize("task", GENTLE_TASKS[:3])
+def test_older_versions_are_played_as_they_were(task: str) -> None:
+    model, obs = build_model(task), _seen(task)
+    expected = scripted_robot(task, model)(obs)
+    np.testing.assert_array_equal(script_of(task, model, 2)(obs), expected)
+    newer = script_of(task, model, 3)(obs)
+    assert newer.shape == expected.shape and float(jnp.abs(newer).max()) <= 1.0
+
+
+def test_the_papers_tasks_have_one_script() -> None:
+    model, obs = build_model(PAPER_TASKS[0]), _seen("gentle_scratch", 8)
+    expected = scripted_robot(PAPER_TASKS[0], model)(obs)
+    np.testing.assert_array_equal(script_of(PAPER_TASKS[0], model, 9)(obs), expected)
+
+
+@pytest.mark.parametrize("task", RANGES)
+def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
+    model, obs = build_model(task), _seen(task)
+    own = OWN[task]
+    assert set(own) == set(RANGES[task])
+    # Somewhere in the ranges, where no number hides another.
+    middle = {name: 0.5 * (low + high) for name, (low, high) in RANGES[task].items()}
+    usual = script_of(task, model, 3, middle)(obs)
+    for name, (low, high) in RANGES[task].items():
+        assert low < high and low <= own[name] <= high, name
+        ends = [script_of(task, model, 3, middle | {name: end})(obs) for end in (low, high)]
+        moved = [float(jnp.abs(end - usual).max()) for end in ends]
+        assert max(moved) > 1e-4, f"{name} changes nothing"
+    np.testing.assert_array_equal(
+        script_of(task, model, 3)(obs), script_of(task, model, 3, own)(obs)
+    )
+
+
+@pytest.mark.parametrize("task", NORMAL)
+def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
+    """Along the skin's normal, whatever else it was about to do."""
+    model = build_model(task)
+    numbers = {"stop": 10.0, "lift": 0.1, "turn": 0.0, "damping": 1e-5}
+    obs = _seen(task).at[:, FORCE[task]].set(2.0)
+    # A posture in which the arm moves the tool in all directions.
+    angles = jnp.array([0.0, 0.4, 0.0, -1.5, 0.0, 1.8, 0.0])
+    obs = obs.at[:, :7].set(angles).at[:, 14:17].set(_tool(model, angles))
+    action = script_of(task, model, 3, numbers)(obs)
+    chain = Chain(model)
+    linear, _ = chain.jacobian(obs[:, :7], obs[:, 14:17])
+    velocity = jnp.einsum("nij,nj->ni", linear, action / chain._share[None])
+    unit = velocity / jnp.linalg.norm(velocity, axis=1, keepdims=True)
+    assert float((unit * obs[:, NORMAL[task]]).sum(axis=1).min()) > 0.99
+
+
+def _tool(model, angles) -> np.ndarray:
+    import mujoco
+
+    data = mujoco.MjData(model)
+    for i, angle in enumerate(angles):
+        data.qpos[model.joint(f"robot_joint{i + 1}").qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    return np.array(data.site_xpos[model.site("robot_end_effector").id], np.float32)

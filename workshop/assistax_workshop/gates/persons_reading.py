@@ -1,0 +1,63 @@
+"""Can a wish be read from what a robot observes? By scripts, and by robots that were trained.
+
+What a robot does limits what it can read: see `assistax_envs.persons.measure`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.persons import measure, numbers, persons
+from assistax_envs.persons.parameters import index
+from assistax_workshop.gates.persons import Plan
+from population.networks.policy import Policy
+from population.runs.trained import read_trained_run
+
+READERS = 900  # persons, a third of whom are read by what the others showed
+STEPS = 600  # of each episode
+TRAINED = ("gru", "ppo")  # kinds whose first robot reads too, if it was trained in this folder
+
+
+def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
+    """Return in which share of persons each wish is read, by robot, wish and seconds."""
+    task, found = plan.task, {}
+    rows = persons(task)[numbers("training")][:READERS]
+    robots: dict[str, Any] = {kind: _trained(plan, kind) for kind in TRAINED}
+    robots |= {"probe": "probe"} if task in measure.FORCE else {}
+    robots["script"] = "script"
+    for name, robot in robots.items():
+        if robot is not None:
+            seen = measure.episodes(task, rows, robot, steps=plan.horizon or STEPS)
+            of = {wish: rows[:, index(task)[wish]] for wish in measure.wishes(task)}
+            found[name] = {wish: _read(seen, values) for wish, values in of.items()}
+            progress(f"wishes read by {name}: {found[name]}")
+    return {"about": {"task": task, "persons": len(rows)}, "read": found}
+
+
+def _read(seen: dict[str, np.ndarray], wish: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return by seconds the share of persons who are read, of how many, and with mixed labels."""
+    mixed, shares = np.random.default_rng(0).permutation(wish), {}
+    for window in measure.WINDOWS:
+        (share, count), (chance, _) = (measure.read(seen, of, window) for of in (wish, mixed))
+        shares[f"{window:g}"] = {"share": share, "of": count, "shuffled": chance}
+    return shares
+
+
+def _trained(plan: Plan, kind: str) -> measure.Robot | None:
+    """Return the first robot of a kind that this folder has trained; None if it has not."""
+    folder = plan.folder / kind
+    if not (folder / "teams.json").exists():
+        return None
+    stack = read_trained_run(folder).policies["robot"]
+    policy, params = (
+        Policy(stack.spec),
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), stack.params),
+    )
+
+    def act(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
+        return policy.act(params, memory, obs, jnp.broadcast_to(time == 0, obs.shape[:1]))
+
+    return (lambda n: policy.initial_carry((n,))), act
