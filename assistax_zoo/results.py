@@ -149,8 +149,9 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
     Attributes:
         m_test: Return with partners of the test side, None if none played: mean, IQM, intervals, n.
         m_train: The same with partners of the training side.
+        m_validation: The same with partners of the validation side, by which choices are made.
         gap: `m_train` less `m_test`, where both played.
-        side: The side that the other figures are of: test, or training if only that was played.
+        side: The side that the other figures are of: test, else validation, else training.
         by_algorithm: The return with the partners of each algorithm.
         by_disability: The return with the partners of each disability setting.
         by_preference: The return under each preference of the humans of a gentle task; else empty.
@@ -200,6 +201,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
 
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
+        sides["M_validation"] = self.m_validation
         return {**sides, **self.by_disability, **self.by_preference}
 
     def _caveat(self) -> str:
@@ -268,7 +270,7 @@ class Comparison(ComparisonSummary):
         return tables.to_json(self)
 
     def __repr__(self) -> str:
-        sides = {"test": self.test, "train": self.train}
+        sides = {"test": self.test, "validation": self.validation, "train": self.train}
         parts = [f"{side} partners {_brief(figure)}" for side, figure in sides.items() if figure]
         return f"Comparison({self.task}: {', '.join(parts)})"
 

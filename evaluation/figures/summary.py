@@ -91,9 +91,9 @@ class NamedWorst:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SideFigures:
-    """Figures of the partners of `side`: the test side, or the other if only that was played."""
+    """Figures of the partners of `side`: of those that played, test, validation or training."""
 
-    side: Literal["train", "test"]
+    side: Literal["train", "validation", "test"]
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
@@ -151,6 +151,7 @@ class ComparisonSummary:
     train: Difference | None
     notes: tuple[str, ...]
     met: MetSummary | None = None  # of both methods: no side counts whom either met
+    validation: Difference | None = None
 
 
 def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
@@ -254,14 +255,12 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         values = first.values[:, mask], second.values[:, mask]
         return paired_difference(*values, common_starts=first.common_starts, seed=seed)
 
-    test, train = difference("test"), difference("train")
-    if test is None and train is None:
-        raise ValueError(
-            "no partner is on the test or the train side; evaluate both methods against a split"
-        )
+    sides = {side: difference(side) for side in SIDES}
+    if not any(sides.values()):
+        raise ValueError("no partner is on a side; evaluate both methods against a split")
     egos = min(first.egos.height, second.egos.height)
     notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
-    return ComparisonSummary(test, train, notes)
+    return ComparisonSummary(**sides, notes=notes)
 
 
 def _check_alike(first: Returns, second: Returns) -> None:

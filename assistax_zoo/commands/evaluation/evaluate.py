@@ -174,7 +174,10 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     robots = len(summary["egos"])
     split = summary["split"]["id"]
     title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
-    names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
+    names = (
+        *(("M_test", "m_test"), ("M_validation", "m_validation"), ("M_train", "m_train")),
+        ("M_train - M_test", "gap"),
+    )
     rows = [(name, summary[key]) for name, key in names]
     for key in ("by_algorithm", "by_disability", "by_preference", "by_place"):
         word = "episode " * (key == "by_place")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import printable
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table
+from evaluation.record.columns import SIDES
 
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
@@ -25,7 +26,7 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     from assistax_zoo.results import compare as compare_results
 
     comparison = compare_results(a, b, seed=seed)
-    sides = (("train", comparison.train), ("test", comparison.test))
+    sides = [(side, getattr(comparison, side)) for side in SIDES]
     answer(
         json,
         {"a": str(a), "b": str(b), **comparison.to_json()},
@@ -85,7 +86,7 @@ def _difference_line(side: str, difference: "Difference") -> str:
     interval = "" if ends is None else " [{:+.1f}, {:+.1f}]".format(*ends)
     certainty = "" if chance is None else f", P(A > B) {chance:.3f}"
     return (
-        f"  {side:5} partners: mean {difference.mean:+.1f}{interval}, "
+        f"  {side} partners: mean {difference.mean:+.1f}{interval}, "
         f"{scope(difference.generalises_to)}{certainty}; "
         f"better with {difference.partners_better:.0%} of partners"
     )
