@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from assistax_zoo.vector_envs import vector_env
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.cast.partners import Partner
-    from evaluation.figures.planning import measure_spread, plan_evaluation
+    from evaluation.figures.metrics.variance import measure_spread
+    from evaluation.figures.planning import measure_contrast, plan_contrast, plan_evaluation
 
 __all__ = [
     "Comparison",
@@ -43,8 +44,10 @@ __all__ = [
     "evaluate",
     "fetch",
     "load_result",
+    "measure_contrast",
     "measure_spread",
     "open_zoo",
+    "plan_contrast",
     "plan_evaluation",
     "render",
     "train",
@@ -55,7 +58,8 @@ __all__ = [
 
 _HOMES = {
     "evaluation.cast.partners": ("Partner",),
-    "evaluation.figures.planning": ("measure_spread", "plan_evaluation"),
+    "evaluation.figures.metrics.variance": ("measure_spread",),
+    "evaluation.figures.planning": ("measure_contrast", "plan_contrast", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
     "assistax_zoo.evaluating": ("cross_play", "evaluate"),
     "assistax_zoo.results": (

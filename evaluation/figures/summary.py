@@ -24,9 +24,11 @@ from evaluation.figures.metrics import (
     group_draws,
     paired_difference,
     rank_stability,
+    same_teams,
     worst_partner,
     zero_shot,
 )
+from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.notes import (
     clipping_notes,
@@ -75,6 +77,7 @@ class Summary(Context):
     # Whether all partners played the same starts, as all did before each had starts of its own.
     common_starts: bool = True
     nonfinite: int  # episodes whose physics became non-finite; they count
+    variance: Variance | None = None  # None with fewer than two robots or partners
     notes: tuple[str, ...]
 
 
@@ -198,6 +201,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         **vars(zero_shot(returns.values, sides, **starts)),
         **_common(returns, context),
         side=side.partners["side"][0],
+        variance=variance_components(side.values),
         by_algorithm=_estimates(by_algorithm),
         by_disability=_estimates(by_disability),
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
@@ -209,7 +213,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
         egos=tuple(returns.egos["ego"]),
-        partners={name: sides.count(name) for name in SIDES},
+        partners={side: sides.count(side) for side in SIDES if side in {*sides, "train", "test"}},
         notes=(
             *seed_notes(returns.egos.height),
             *group_notes(side),
@@ -231,6 +235,7 @@ def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
     return CrossPlaySummary(
         **vars(figures),
         **_common(returns, context),
+        variance=variance_components(returns.values, ~same_teams(rows, columns)),
         best_ego=BestEgo(returns.egos["ego"][int(means.argmax())], float(means.max())),
         rank_stability=rank_stability(returns.scores) if ranked else None,
         egos=returns.egos.height,

@@ -275,7 +275,7 @@ def test_every_rule_has_a_row_in_the_documentation() -> None:
 )
 def test_what_split_asks_for(text: str | None, expected: tuple[str | None, str]) -> None:
     assert parse_split(text, ["", "lab"]) == expected
-    with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
+    with pytest.raises(ValueError, match="after the colon test, train, validation, both are"):
         parse_split("other:half-s0", ["", "lab"])
 
 
@@ -360,5 +360,5 @@ def test_partners_with_whom_nobody_earns_much_leave() -> None:
 def test_a_split_of_three_sides_is_kept_and_asked_for_by_side(registry: Registry) -> None:
     split = create_split(registry.path, task="scratch", rule="three-sides", release="v0")
     again = load_registry(registry.path).split("scratch", "three-sides")
-    assert again == split and len(split.validation) == 2
+    assert again == split and len(split.validation) == 1
     assert parse_split("three-sides:validation", ()) == ("three-sides", "validation")
