@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from assistax_workshop.auditing import audit
+    from assistax_zoo.contrasts import compare_named
     from assistax_zoo.evaluating import cross_play, evaluate
     from assistax_zoo.films import render
     from assistax_zoo.recording import trajectories
@@ -40,6 +41,7 @@ __all__ = [
     "Zoo",
     "audit",
     "compare",
+    "compare_named",
     "cross_play",
     "evaluate",
     "fetch",
@@ -61,6 +63,7 @@ _HOMES = {
     "evaluation.figures.metrics.variance": ("measure_spread",),
     "evaluation.figures.planning": ("measure_contrast", "plan_contrast", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
+    "assistax_zoo.contrasts": ("compare_named",),
     "assistax_zoo.evaluating": ("cross_play", "evaluate"),
     "assistax_zoo.results": (
         "Comparison",

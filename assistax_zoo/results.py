@@ -310,7 +310,26 @@ def compare(
         >>> compare(result, result.folder).test.mean
         0.0
     """
-    first, second = methods = _evaluation(a), _evaluation(b)
+    first, second = evaluation_of(a), evaluation_of(b)
+    played, met = paired_records(first, second)
+    summary = summarise_comparison(*played, seed=seed)
+    notes = [*summary.notes, *comparison_notes(met)]
+    notes += [*unchecked(first.folder), *unchecked(second.folder)]
+    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
+    return Comparison(**vars(summary), task=first.summary.task)
+
+
+def paired_records(
+    first: EvaluationResult, second: EvaluationResult
+) -> tuple[list[Record], MetSummary]:
+    """Return the episodes of two methods that were evaluated alike, and whom robots of them met.
+
+    Left out are partners that a robot of either met in training.
+
+    Raises:
+        ValueError: They were not evaluated alike, or no partner is left.
+    """
+    methods = first, second
     for name in ("task", "env_version", "backend", "engine"):
         values = [getattr(method.summary, name) for method in methods]
         if values[0] != values[1]:
@@ -323,14 +342,11 @@ def compare(
     played = [record.without(met.left_out) for record in records]
     if any(record.table.is_empty() for record in played):
         raise ValueError("every partner was trained with a robot of either method; choose others")
-    summary = summarise_comparison(*played, seed=seed)
-    notes = [*summary.notes, *comparison_notes(met)]
-    notes += [*unchecked(first.folder), *unchecked(second.folder)]
-    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
-    return Comparison(**vars(summary), task=first.summary.task)
+    return played, met
 
 
-def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
+def evaluation_of(result: "EvaluationResult | Path | str") -> EvaluationResult:
+    """Return a result, or that of a folder, which must be an evaluation's."""
     loaded = load_result(result) if isinstance(result, Path | str) else result
     if not isinstance(loaded, EvaluationResult):
         raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")

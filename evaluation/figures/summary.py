@@ -251,7 +251,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         ValueError: they have other partners, keys or preferences, or no partner on a side.
     """
     first, second = a.returns, b.returns
-    _check_alike(first, second)
+    check_alike(first, second)
 
     def difference(side: str) -> Difference | None:
         mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
@@ -268,7 +268,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
     return ComparisonSummary(**sides, notes=notes)
 
 
-def _check_alike(first: Returns, second: Returns) -> None:
+def check_alike(first: Returns, second: Returns) -> None:
     """Refuse methods that met other partners, or the same ones otherwise."""
     if not first.partners.equals(second.partners):
         raise ValueError(

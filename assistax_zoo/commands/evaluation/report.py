@@ -1,9 +1,10 @@
 """What finished folders tell: differences of methods, strategies of partners, and a page."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table
 from evaluation.record.columns import SIDES
 
@@ -11,12 +12,19 @@ if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
 
 
-def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
+def compare(
+    *folders: Path, contrasts: Path | None = None, seed: int = 0, json: bool = False
+) -> None:
     """Compare method A with method B: paired differences A - B over the same partners and episodes.
 
+    With --contrasts, compare as a file says that was written before the test side was played: each
+    named method less its baseline, with p-values corrected for all of them, and the difference
+    that could have been seen. A folder's name is its method's.
+
     Args:
-        a: Folder that `assistax-zoo evaluate --out` filled.
-        b: Another, of the same task, split, episodes and seed.
+        folders: A and B, which `assistax-zoo evaluate --out` filled, of the same task, split,
+            episodes and seed; with --contrasts a folder for each method and task.
+        contrasts: File of named contrasts, TOML or JSON; docs/evaluation.md shows one.
         seed: Seed of the bootstrap.
         json: Print JSON.
 
@@ -25,6 +33,14 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
     """
     from assistax_zoo.results import compare as compare_results
 
+    if contrasts is not None:
+        _compare_named(contrasts, folders, seed, json)
+        return
+    if len(folders) != 2:
+        raise ValueError(
+            f"{counted(len(folders), 'folder')} to compare; give two, or a file of contrasts"
+        )
+    a, b = folders
     comparison = compare_results(a, b, seed=seed)
     sides = [(side, getattr(comparison, side)) for side in SIDES]
     answer(
@@ -34,6 +50,37 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
         *(_difference_line(side, difference) for side, difference in sides if difference),
         *(printable(f"note: {note}") for note in comparison.notes),
     )
+
+
+def _compare_named(file: Path, folders: Sequence[Path], seed: int, json: bool) -> None:
+    """Print the contrasts of a file."""
+    from assistax_zoo.contrasts import compare_named
+    from evaluation.record import tables
+
+    figures = compare_named(file, folders, seed=seed)
+    if json:
+        print_json(tables.to_json(figures))
+        return
+    table = new_table(f"contrasts on the test side, alpha {figures.alpha:g} for all")
+    table.add_column("method less baseline", overflow="fold")
+    for name in ("mean", "95%\ninterval", "p", "p\nHolm", "detect-\nable"):
+        table.add_column(name, justify="right")
+    for figure in figures.contrasts:
+        digits = 1 if figure.metric == "return" else 3
+        mean, ends = figure.difference.mean, figure.difference.mean_ci
+        named = figure.p_holm is not None
+        table.add_row(
+            printable(f"{figure.method} - {figure.baseline}, {figure.task}, {figure.metric}"),
+            f"{mean:+.{digits}f}",
+            " ".join(f"{end:+.{digits}f}" for end in ends or ()) or "-",
+            f"{figure.p:.4f}",
+            f"{figure.p_holm:.4f}{' *' if figure.found else ''}" if named else "not named",
+            f"{figure.detectable:.{digits}f}",
+        )
+    print_table(table)
+    print(printable(f"named in {figures.file}, sha256 {figures.sha256}"))
+    for note in figures.notes:
+        print(printable(f"note: {note}"))
 
 
 def strategies(folder: Path, /, *, json: bool = False) -> None:
@@ -86,7 +133,7 @@ def _difference_line(side: str, difference: "Difference") -> str:
     interval = "" if ends is None else " [{:+.1f}, {:+.1f}]".format(*ends)
     certainty = "" if chance is None else f", P(A > B) {chance:.3f}"
     return (
-        f"  {side} partners: mean {difference.mean:+.1f}{interval}, "
+        f"  {side:5} partners: mean {difference.mean:+.1f}{interval}, "
         f"{scope(difference.generalises_to)}{certainty}; "
         f"better with {difference.partners_better:.0%} of partners"
     )
