@@ -128,6 +128,7 @@ def train_egos(
     backend: str = "auto",
     resume: bool = True,
     tensorboard: Path | str | None = None,
+    snapshots: int = 0,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedEgos:
     """Train the robots and write a policy file for each.
@@ -141,6 +142,7 @@ def train_egos(
         backend: Physics, or "auto" for the fastest one here.
         resume: Whether to go on with a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
+        snapshots: At how many equal steps the robots are kept, for `evaluation.validation`.
         progress: Called after every dispatch.
     """
     run = run_training(
@@ -150,6 +152,7 @@ def train_egos(
         partners=training.partners,
         resume=resume,
         tensorboard=tensorboard,
+        snapshots=snapshots,
         progress=progress,
     )
     return write_egos(run, training)
@@ -237,13 +240,20 @@ def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
     files = []
     for row, member in enumerate(run.config.members):
         files.append(run.folder / POLICIES / f"{run.config.algorithm}-s{member.seed}.safetensors")
-        metadata = {
-            "task": run.config.task,
-            "algorithm": run.config.algorithm,
-            "seed": member.seed,
-            "split": split.id,
-            "training": {"run": run.folder.resolve().name, **run.training},
-            **training.met.claim,
-        }
+        metadata = ego_metadata(training, member.seed, run.folder, run.training)
         write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
     return TrainedEgos(run, split, tuple(files))
+
+
+def ego_metadata(
+    training: EgoTraining, seed: int, folder: Path, trained: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what a robot's policy file says of it."""
+    return {
+        "task": training.config.task,
+        "algorithm": training.config.algorithm,
+        "seed": seed,
+        "split": training.split.id,
+        "training": {"run": folder.resolve().name, **trained},
+        **training.met.claim,
+    }

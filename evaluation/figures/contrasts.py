@@ -27,6 +27,7 @@ from assistax_base.bounded_reading import parse_json, read_text
 from assistax_base.digest import sha256
 from assistax_base.errors import FormatError
 from assistax_base.validated import first_problem
+from evaluation.figures.league import FIRST, LAST
 from evaluation.figures.metrics import Difference, paired_difference
 from evaluation.figures.metrics.inference import holm, mean_test
 from evaluation.figures.summary import check_alike
@@ -238,7 +239,8 @@ def named_pairs(
 ) -> list[tuple[str, str, str]]:
     """Return task, method and baseline of all pairs to play out: those named, and the others.
 
-    The others are methods of a task beside each baseline that the file has there.
+    The others are methods of a task beside each baseline that the file has there; rows that know
+    more than a method may, such as told robots, are no methods.
     """
     here = set(methods)
     baselines = {(c.task, c.baseline) for c in file.contrasts} & here
@@ -246,4 +248,5 @@ def named_pairs(
     pairs |= {(t, m, b) for t, b in baselines for task, m in methods if task == t and m != b}
     played = [(t, m, b) for t, m, b in sorted(pairs) if {(t, m), (t, b)} <= here]
     named = {(c.task, c.method, c.baseline) for c in file.contrasts}
-    return [p for p in played if p in named or p[:2] not in baselines]
+    apart = {*FIRST, *LAST}
+    return [p for p in played if p in named or not (p[:2] in baselines or p[1] in apart)]

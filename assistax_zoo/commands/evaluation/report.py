@@ -107,22 +107,30 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
         _print_strategies(groups)
 
 
-def report(folder: Path, /, *, out: Path) -> None:
-    """Write one page about a finished evaluation or cross-play, for a browser.
+def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None:
+    """Write one page about a finished evaluation or cross-play, or a league, for a browser.
 
     It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
     cross-play can be zoomed and searched in it.
 
     Args:
-        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
+        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled; or one of
+            such evaluations, in folders of their rows' names: a league on one task.
         out: Page to write, .html.
+        contrasts: File of named contrasts, whose figures a league's page has.
 
     Example:
         assistax-zoo report xp --out report.html
     """
     from evaluation.report import write_report
 
-    write_report(folder, out)
+    figures = None
+    if contrasts is not None:
+        from assistax_zoo.contrasts import compare_named
+        from evaluation.figures.league import row_folders
+
+        figures = compare_named(contrasts, list(row_folders(folder).values()))
+    write_report(folder, out, contrasts=figures)
     print(out)
 
 

@@ -1,5 +1,6 @@
 """The command that trains robots with frozen partners of the zoo, for zero-shot coordination."""
 
+import dataclasses
 import json as jsonlib
 import shlex
 import sys
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Literal
 from assistax_base.errors import counted
 from assistax_zoo.commands.options import Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
-from assistax_zoo.shell.console import answer, command_line
+from assistax_zoo.shell.console import answer, command_line, study_progress
 from zoo.ids import PERSONS
 from zoo.registry import load_registry
 
 if TYPE_CHECKING:
     from evaluation.ego_training import TrainedEgos
+    from evaluation.validation import Choices
 
 
 def train_ego(
@@ -26,6 +28,8 @@ def train_ego(
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
+    validate: int = 0,
+    best_of: int = 4,
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -48,6 +52,9 @@ def train_ego(
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
             those of the split's training half, or all, drawn anew each episode, where it holds
             none out.
+        validate: At how many equal steps the robots are kept, then to play with the validation
+            side of the split, which chooses each seed's checkpoint; default none.
+        best_of: Of how many seeds the best is chosen too.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
@@ -60,7 +67,9 @@ def train_ego(
     what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare, train_egos
+        from evaluation.play.how import How
         from evaluation.record.manifest import record_command
+        from evaluation.validation import check_validation, choose
         from population.runs.folder import RunFolder
 
         prepared = prepare(
@@ -72,15 +81,26 @@ def train_ego(
             preferences=parse_names(preferences),
             **what,
         )
+        if validate:
+            check_validation(prepared.split)
         print(prepared.summary, file=sys.stderr)
         finished = RunFolder(out).finished(prepared.config)
-        egos = train_egos(prepared, out, progress=progress, **training.how())
+        kept = {"snapshots": validate, "progress": progress}
+        egos = train_egos(prepared, out, **kept, **training.how())
     record_command(out, command_line(), filled=not finished)
-    _report(egos, json, json_lines)
+    choices = None
+    if validate:
+        with study_progress(f"validate {task}") as line:
+            how = How(task, backend=training.backend)
+            where = load_registry(registry), prepared, egos.run, how
+            choices = choose(*where, best_of=best_of, on_progress=line)
+    _report(egos, choices, json, json_lines)
 
 
-def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
-    """Print the policy files."""
+def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lines: bool) -> None:
+    """Print the policy files, and which of them were chosen."""
+    from evaluation.validation import CHOSEN
+
     run = egos.run
     result = {
         "run": str(run.folder),
@@ -88,12 +108,20 @@ def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
         "partners": len(egos.split.train),
         "policies": [str(path) for path in egos.files],
     }
+    result |= {"choices": dataclasses.asdict(choices)} if choices else {}
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
     whom = "--split both"
     if egos.split.rule == PERSONS:
         whom = "--partners persons"
+    chosen = [
+        f"seed {choice.seed}: {choice.steps:,} steps, {choice.mean:.1f} on the validation side"
+        for choice in (choices.by_seed if choices else ())
+    ]
+    if choices:
+        files = run.folder / CHOSEN / "*.safetensors"
     lines = [
-        f"{counted(len(egos.files), 'robot')} in {egos.files[0].parent}; next:",
+        *chosen,
+        f"{counted(len(egos.files), 'robot')} in {Path(files).parent}; next:",
         f"assistax-zoo evaluate --task {run.config.task} {whom} --policy {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))
