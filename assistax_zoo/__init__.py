@@ -15,17 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from assistax_workshop.auditing import audit
-    from assistax_zoo.contrasts import compare_named
+    from assistax_zoo.comparing import Comparison, compare, compare_named
     from assistax_zoo.evaluating import cross_play, evaluate
     from assistax_zoo.films import render
     from assistax_zoo.recording import trajectories
-    from assistax_zoo.results import (
-        Comparison,
-        CrossPlayResult,
-        EvaluationResult,
-        compare,
-        load_result,
-    )
+    from assistax_zoo.results import CrossPlayResult, EvaluationResult, load_result
     from assistax_zoo.training import train, train_ego
     from assistax_zoo.vector_envs import vector_env
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
@@ -63,15 +57,9 @@ _HOMES = {
     "evaluation.figures.metrics.variance": ("measure_spread",),
     "evaluation.figures.planning": ("measure_contrast", "plan_contrast", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
-    "assistax_zoo.contrasts": ("compare_named",),
+    "assistax_zoo.comparing": ("Comparison", "compare", "compare_named"),
     "assistax_zoo.evaluating": ("cross_play", "evaluate"),
-    "assistax_zoo.results": (
-        "Comparison",
-        "CrossPlayResult",
-        "EvaluationResult",
-        "compare",
-        "load_result",
-    ),
+    "assistax_zoo.results": ("CrossPlayResult", "EvaluationResult", "load_result"),
     "assistax_workshop.auditing": ("audit",),
     "assistax_zoo.films": ("render",),
     "assistax_zoo.recording": ("trajectories",),

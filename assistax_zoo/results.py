@@ -9,23 +9,19 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import polars as pl
 
-from evaluation.cast.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
+from evaluation.cast.met_partners import UNKNOWN, MetSummary
 from evaluation.figures.bootstrap import Estimate
 from evaluation.figures.metrics import CrossPlay, ZeroShot
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.summary import (
-    ComparisonSummary,
     CrossPlaySummary,
     EvaluationSummary,
     MatrixFigures,
     SideFigures,
     read_summary,
-    summarise_comparison,
 )
 from evaluation.record import tables
 from evaluation.record.manifest import table_hashes
-from evaluation.record.record import Record
-from evaluation.record.verification import unchecked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,7 +124,7 @@ class _Result:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        parts = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
+        parts = [f"{name} {brief(figure)}" for name, figure in self._figures().items() if figure]
         return f"{type(self).__name__}({self.summary.task}: {', '.join(parts)}{self._caveat()})"
 
     def _caveat(self) -> str:
@@ -254,27 +250,6 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
         return {**names, "self-play - cross-play": self.gap}
 
 
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class Comparison(ComparisonSummary):
-    """Method a minus method b: paired differences over the same partners and episodes.
-
-    Examples:
-        >>> compare(result, result)
-        Comparison(scratch: test partners 0.0, train partners 0.0)
-    """
-
-    task: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures as `compare --json` prints them."""
-        return tables.to_json(self)
-
-    def __repr__(self) -> str:
-        sides = {"test": self.test, "validation": self.validation, "train": self.train}
-        parts = [f"{side} partners {_brief(figure)}" for side, figure in sides.items() if figure]
-        return f"Comparison({self.task}: {', '.join(parts)})"
-
-
 def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     """Return the result that a finished folder holds.
 
@@ -293,66 +268,7 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     return CrossPlayResult.of(summary, folder)
 
 
-def compare(
-    a: "EvaluationResult | Path | str", b: "EvaluationResult | Path | str", *, seed: int = 0
-) -> Comparison:
-    """Compare two methods: paired differences a - b over the same partners and episodes.
-
-    Args:
-        a: A result, or its folder.
-        b: Another, of the same task, split, episodes and seed.
-        seed: Of the bootstrap.
-
-    Raises:
-        ValueError: They were not evaluated alike.
-
-    Examples:
-        >>> compare(result, result.folder).test.mean
-        0.0
-    """
-    first, second = evaluation_of(a), evaluation_of(b)
-    played, met = paired_records(first, second)
-    summary = summarise_comparison(*played, seed=seed)
-    notes = [*summary.notes, *comparison_notes(met)]
-    notes += [*unchecked(first.folder), *unchecked(second.folder)]
-    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
-    return Comparison(**vars(summary), task=first.summary.task)
-
-
-def paired_records(
-    first: EvaluationResult, second: EvaluationResult
-) -> tuple[list[Record], MetSummary]:
-    """Return the episodes of two methods that were evaluated alike, and whom robots of them met.
-
-    Left out are partners that a robot of either met in training.
-
-    Raises:
-        ValueError: They were not evaluated alike, or no partner is left.
-    """
-    methods = first, second
-    for name in ("task", "env_version", "backend", "engine"):
-        values = [getattr(method.summary, name) for method in methods]
-        if values[0] != values[1]:
-            raise ValueError(
-                f"{name} is {values[0]} in {first.folder} and {values[1]} in {second.folder}; "
-                "evaluate both methods alike"
-            )
-    records = [Record(method.episodes, method.folder) for method in methods]
-    met = both_met((first.summary.met, records[0].table), (second.summary.met, records[1].table))
-    played = [record.without(met.left_out) for record in records]
-    if any(record.table.is_empty() for record in played):
-        raise ValueError("every partner was trained with a robot of either method; choose others")
-    return played, met
-
-
-def evaluation_of(result: "EvaluationResult | Path | str") -> EvaluationResult:
-    """Return a result, or that of a folder, which must be an evaluation's."""
-    loaded = load_result(result) if isinstance(result, Path | str) else result
-    if not isinstance(loaded, EvaluationResult):
-        raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
-    return loaded
-
-
-def _brief(figure: Estimate) -> str:
+def brief(figure: Estimate) -> str:
+    """Return a mean and its interval in a few characters."""
     ends = figure.mean_ci
     return f"{figure.mean:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
 ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
+# The rows of a league that `train-ego` trains, by name: the algorithm, and what differs from its
+# preset.
+ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+    **{algorithm: (algorithm, {}) for algorithm in ALGORITHMS},
+    "gru": ("ppo", {"torso": "gru"}),
+}
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
 
@@ -63,7 +69,7 @@ def prepare(
     registry: Registry,
     task: str,
     *,
-    split: str | None = None,
+    split: str | Split | None = None,
     partners: str | None = None,
     algorithm: str = "ppo",
     seeds: int | Sequence[int] = 1,
@@ -82,8 +88,8 @@ def prepare(
     Args:
         registry: Where the partners are.
         task: Task.
-        split: Split whose training half are the partners: an id or the beginning of one; default
-            the release's own.
+        split: Split whose training half are the partners: an id or the beginning of one, or the
+            split itself; default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
         algorithm: "ppo" or "sac".
         seeds: How many, numbered from 0, or which.
@@ -191,8 +197,12 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     return FrozenPartners(load_stacks(registry, entries), settings)
 
 
-def _chosen_split(registry: Registry, task: str, split: str | None, partners: str | None) -> Split:
+def _chosen_split(
+    registry: Registry, task: str, split: str | Split | None, partners: str | None
+) -> Split:
     """Return the split whose training side is met; of persons where partners say so."""
+    if isinstance(split, Split):
+        return split
     if partners not in (None, PERSONS):
         raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
     chosen = registry.split(task, split or partners)

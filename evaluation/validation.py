@@ -6,6 +6,7 @@ seeds is a row that another method has to beat at equal steps in all. The test s
 """
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from evaluation.evaluate import cast_robots, evaluate
 from evaluation.play.how import How
 from evaluation.play.progress import OnProgress
 from evaluation.record import tables
-from evaluation.record.record import Record
+from evaluation.record.record import Record, Returns
 from population.runs.folder import RunFolder
 from population.runs.trained import TrainedRun, TrainedTeam, read_teams
 from zoo.ids import PERSONS
@@ -103,15 +104,10 @@ def choose(
     cast = cast_robots(registry, [str(path) for path in files], partners)
     evaluate(cast, how, run.folder / PLAYED, on_progress=on_progress)
     returns = Record.read(run.folder / PLAYED).returns.evaluated_side
-    scores = dict(zip(returns.egos["ego"], returns.scores.mean(axis=1).tolist(), strict=True))
-    rows = [
-        {"seed": seed, "steps": steps, "return": scores[str(path)], "file": str(path)}
-        for path, (seed, steps, _) in files.items()
-    ]
-    table = pl.DataFrame(rows).sort("seed", "steps")
+    table = _scored(files, returns)
     tables.write_parquet(table.drop("file"), run.folder / CURVE)
-    # Of equal means the earlier checkpoint, and the lower seed.
-    order = table.sort("return", "seed", "steps", descending=[True, False, False])
+    # Of equal means the earlier checkpoint.
+    order = table.sort("return", "steps", descending=[True, False])
     best = order.unique("seed", keep="first", maintain_order=True).sort("seed")
     by_seed = [_write(training, run, files, row, CHOSEN) for row in best.iter_rows(named=True)]
     groups = [by_seed[i : i + best_of] for i in range(0, len(by_seed) - best_of + 1, best_of)]
@@ -128,6 +124,16 @@ def choose(
     )
     write_json(run.folder / CHOICES, dataclasses.asdict(chosen))
     return chosen
+
+
+def _scored(files: Mapping[Path, tuple[int, int, TrainedTeam]], returns: Returns) -> pl.DataFrame:
+    """Return seed, steps, mean return and file of each snapshot."""
+    scores = dict(zip(returns.egos["ego"], returns.scores.mean(axis=1).tolist(), strict=True))
+    rows = [
+        {"seed": seed, "steps": steps, "return": scores[str(path)], "file": str(path)}
+        for path, (seed, steps, _) in files.items()
+    ]
+    return pl.DataFrame(rows).sort("seed", "steps")
 
 
 def _snapshot_files(

@@ -161,6 +161,21 @@ class Training:
         }
 
 
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Choosing:
+    """What is chosen by the validation side of a split.
+
+    Attributes:
+        validate: At how many equal steps the robots are kept, and then play with the validation
+            side, which chooses each seed's checkpoint; default none.
+        best_of: Of how many seeds the best one is chosen too.
+    """
+
+    validate: int = 0
+    best_of: int = 4
+
+
 def parse_steps(text: str) -> int:
     """Return a number of steps written as 250000, 500k, 10M or 2e7."""
     match = re.fullmatch(

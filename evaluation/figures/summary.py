@@ -265,7 +265,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         raise ValueError("no partner is on a side; evaluate both methods against a split")
     egos = min(first.egos.height, second.egos.height)
     notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
-    return ComparisonSummary(**sides, notes=notes)
+    return ComparisonSummary(sides["test"], sides["train"], notes, validation=sides["validation"])
 
 
 def check_alike(first: Returns, second: Returns) -> None:

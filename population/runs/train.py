@@ -62,9 +62,8 @@ def train(
 ) -> Path:
     """Train the members of a run and return its folder.
 
-    A run that was interrupted goes on to the same result. With partners, who are frozen, a member
-    is an ego in the other seat. Several devices share the members: as many as divide their number.
-    A run may go on on other devices than it began on.
+    A run that was interrupted goes on to the same result, on other devices too. Several share the
+    members: as many as divide their number. With partners, who are frozen, a member is an ego.
 
     Args:
         config: What to train.
@@ -73,8 +72,7 @@ def train(
         partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
-        snapshots: At how many equal steps of the run the policies are kept, the last one included,
-            for whoever chooses among them.
+        snapshots: At how many equal steps of the run the policies are kept, to choose among them.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; see `DeviceShares` if not given.
 
@@ -103,8 +101,7 @@ def train(
             contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints, snapshots)
-            state, metrics = training.loop(*training.load(), report, stop_on_divergence)
-            training.finish(state, metrics)
+            training.finish(*training.loop(*training.load(), report, stop_on_divergence))
 
     interruptible(work)
     if not extends(config.trainer):

@@ -9,7 +9,7 @@ import pytest
 
 from assistax_base.digest import sha256
 from assistax_base.errors import FormatError
-from assistax_zoo.contrasts import compare_named
+from assistax_zoo.comparing import compare_named
 from assistax_zoo.shell.main import run
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.metrics.inference import mean_test

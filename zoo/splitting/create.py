@@ -59,7 +59,8 @@ def create_split(
     namespace, name = split_namespace(release or "")
     if registry_path is None and namespace == OWN:
         sides = {side: _own_teams(arguments.pop(side, ())) for side in ("train", "test")}
-        fields = {"task": task, "rule": rule, "release": name, "default": default}
+        fields: dict[str, Any] = {"task": task, "rule": rule, "release": name}
+        fields["default"] = default
         named = {
             name: {team.removeprefix(f"{OWN}:"): value for team, value in (known or {}).items()}
             for name, known in (("earned", earned), ("groups", arguments.pop("groups", None)))

@@ -87,19 +87,8 @@ def make_split(
     """
     ids = set(map(parse_team, teams))
     known = sorted(str(t) for t in ids if (t.task, t.release, t.namespace) == (task, release, ""))
-    sides: tuple[list[str], ...]
-    if rule == "half":
-        sides = _by(known, lambda team: half_side(team, seed))
-    elif rule in LEAVE_ONE_OUT:
-        sides = _leave_one_out(known, LEAVE_ONE_OUT[rule], held_out)
-    elif rule == "small-train":
-        sides = _small_train(known, n, seed)
-    elif rule == "custom":
-        sides = _custom(known, sorted(train), sorted(test))
-    elif rule == THREE:
-        sides = _three_sides(known, seed, groups or {})
-    else:
-        raise SplitError("rule", f"one of {', '.join(RULES)}", shorten(rule))
+    given = sorted(train), sorted(test)
+    sides = _sides(known, rule, seed, held_out, n, given, groups or {})
     content: dict[str, Any] = {
         "task": task,
         "release": release,
@@ -107,8 +96,7 @@ def make_split(
         "held_out": held_out if rule in LEAVE_ONE_OUT else None,
         "n": n if rule == "small-train" else None,
         "seed": seed if rule in ("half", "small-train", THREE) else 0,
-        **{side: tuple(own) for side, own in zip(("train", "test"), sides, strict=False)},
-        **({"validation": tuple(sides[2])} if rule == THREE else {}),
+        **{side: tuple(own) for side, own in sides.items()},
     }
     preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
     if preferences and rule == THREE:
@@ -118,6 +106,31 @@ def make_split(
     split = Split.model_validate(named | content)
     check_split(split)
     return split
+
+
+def _sides(
+    known: Sequence[str],
+    rule: str,
+    seed: int,
+    held_out: str | None,
+    n: int,
+    given: tuple[list[str], list[str]],
+    groups: Mapping[str, str],
+) -> dict[str, list[str]]:
+    """Return the teams of each side by a rule."""
+    if rule == THREE:
+        return _three_sides(known, seed, groups)
+    if rule == "half":
+        sides = _by(known, lambda team: half_side(team, seed))
+    elif rule in LEAVE_ONE_OUT:
+        sides = _leave_one_out(known, LEAVE_ONE_OUT[rule], held_out)
+    elif rule == "small-train":
+        sides = _small_train(known, n, seed)
+    elif rule == "custom":
+        sides = _custom(known, *given)
+    else:
+        raise SplitError("rule", f"one of {', '.join(RULES)}", shorten(rule))
+    return dict(zip(("train", "test"), sides, strict=True))
 
 
 def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
@@ -167,8 +180,8 @@ def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], li
 
 def _three_sides(
     known: Sequence[str], seed: int, groups: Mapping[str, str]
-) -> tuple[list[str], list[str], list[str]]:
-    """Return the teams to train, to test and to validate with."""
+) -> dict[str, list[str]]:
+    """Return the teams of three sides."""
 
     def place(team: str) -> tuple[str, ...]:
         named = parse_team(team)
@@ -181,7 +194,7 @@ def _three_sides(
         dealt[lacking].append(team)
     if not all(dealt.values()):
         raise SplitError(THREE, "5 teams or more", str(len(known)))
-    return sorted(dealt["train"]), sorted(dealt["test"]), sorted(dealt["validation"])
+    return {side: sorted(teams) for side, teams in dealt.items()}
 
 
 def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[list[str], list[str]]:

@@ -31,7 +31,7 @@ def compare(
     Example:
         assistax-zoo compare results/mine results/baseline
     """
-    from assistax_zoo.results import compare as compare_results
+    from assistax_zoo.comparing import compare as compare_results
 
     if contrasts is not None:
         _compare_named(contrasts, folders, seed, json)
@@ -54,7 +54,7 @@ def compare(
 
 def _compare_named(file: Path, folders: Sequence[Path], seed: int, json: bool) -> None:
     """Print the contrasts of a file."""
-    from assistax_zoo.contrasts import compare_named
+    from assistax_zoo.comparing import compare_named
     from evaluation.record import tables
 
     figures = compare_named(file, folders, seed=seed)
@@ -126,7 +126,7 @@ def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None
 
     figures = None
     if contrasts is not None:
-        from assistax_zoo.contrasts import compare_named
+        from assistax_zoo.comparing import compare_named
         from evaluation.figures.league import row_folders
 
         figures = compare_named(contrasts, list(row_folders(folder).values()))

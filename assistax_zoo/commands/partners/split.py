@@ -82,10 +82,7 @@ def create(
 ) -> None:
     """Make a split of a release's partners, which other commands then know.
 
-    It is kept among your own: an official registry is never changed.
-    Where one is held out, training partners that act nearly as a test partner does are left out.
-    Three sides leave them out too, and partners with whom nobody earns a quarter of what is
-    earned with the median partner.
+    It is kept among your own. Partners that act nearly as one of another side may be left out.
 
     Args:
         task: Task of the split.
@@ -96,12 +93,11 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What its humans like, such as p2,p3; those that the test side lacks.
+        train_preferences: What its humans like, such as p2,p3; what the test side lacks.
         test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
-        best_responses: Finished evaluation or cross-play; the best robot with a partner there
-            stands for its best response, of others the own robot does. Repeat it for more.
-        conventions: Finished cross-play of the teams, by whose two groups of humans three-sides
-            stratifies too.
+        best_responses: Finished evaluation or cross-play, whose best robots tell with whom nobody
+            earns a quarter of the median: three-sides leaves them out. Repeat it for more.
+        conventions: Finished cross-play, by whose two groups of humans three-sides stratifies.
         default: Make it the release's default split of the task, in a registry of your own.
         registry: Registry of your own to write to, for a split of its partners.
         json: Print JSON.
@@ -110,12 +106,12 @@ def create(
         assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
     """
     loaded = load_registry(registry)
-    sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
+    where = {"task": task, "release": release, "rule": rule}
     split = create_split(
         registry,
-        task=task,
-        release=release,
-        rule=rule,
+        **where,
+        train=_teams(loaded, train),
+        test=_teams(loaded, test),
         seed=seed,
         held_out=held_out,
         n=n,
@@ -124,14 +120,18 @@ def create(
         test_preferences=parse_names(test_preferences),
         earned=_earned(best_responses),
         groups=_groups(conventions),
-        **sides,
     )
+    answer(json, split.model_dump(mode="json"), *_created(split, loaded))
+
+
+def _created(split: Split, registry: Registry) -> list[str]:
+    """Say how many teams are on each side, and which are on none."""
     counts = ", ".join(f"{len(teams)} {side}" for side, teams in split.sides.items())
-    lines = [f"split {split.id}: {counts}"]
-    rest = {*partner_teams(loaded.data, task, split.release)}.difference(*split.sides.values())
-    if rest and (why := _LEFT_OUT.get(rule)):
-        lines.append(f"left out, because {why}: {', '.join(sorted(rest))}")
-    answer(json, split.model_dump(mode="json"), *lines)
+    partners = partner_teams(registry.data, split.task, split.release)
+    rest = sorted(set(partners).difference(*split.sides.values()))
+    why = _LEFT_OUT.get(split.rule)
+    left = [f"left out, because {why}: {', '.join(rest)}"] if rest and why else []
+    return [f"split {split.id}: {counts}", *left]
 
 
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:

@@ -5,17 +5,17 @@ import json as jsonlib
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from assistax_base.errors import counted
-from assistax_zoo.commands.options import Training, parse_names
+from assistax_zoo.commands.options import Choosing, Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer, command_line, study_progress
 from zoo.ids import PERSONS
-from zoo.registry import load_registry
+from zoo.registry import Registry, load_registry
 
 if TYPE_CHECKING:
-    from evaluation.ego_training import TrainedEgos
+    from evaluation.ego_training import EgoTraining, TrainedEgos
     from evaluation.validation import Choices
 
 
@@ -28,8 +28,7 @@ def train_ego(
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
-    validate: int = 0,
-    best_of: int = 4,
+    choosing: Choosing = Choosing(),
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -52,9 +51,7 @@ def train_ego(
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
             those of the split's training half, or all, drawn anew each episode, where it holds
             none out.
-        validate: At how many equal steps the robots are kept, then to play with the validation
-            side of the split, which chooses each seed's checkpoint; default none.
-        best_of: Of how many seeds the best is chosen too.
+        choosing: What is chosen among.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
@@ -66,14 +63,11 @@ def train_ego(
     """
     what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
-        from evaluation.ego_training import prepare, train_egos
-        from evaluation.play.how import How
-        from evaluation.record.manifest import record_command
-        from evaluation.validation import check_validation, choose
-        from population.runs.folder import RunFolder
+        from evaluation.ego_training import prepare
 
+        loaded = load_registry(registry)
         prepared = prepare(
-            load_registry(registry),
+            loaded,
             task,
             split=split,
             partners=partners,
@@ -81,20 +75,45 @@ def train_ego(
             preferences=parse_names(preferences),
             **what,
         )
-        if validate:
-            check_validation(prepared.split)
-        print(prepared.summary, file=sys.stderr)
-        finished = RunFolder(out).finished(prepared.config)
-        kept = {"snapshots": validate, "progress": progress}
-        egos = train_egos(prepared, out, **kept, **training.how())
+        egos = _trained(prepared, out, choosing, progress=progress, **training.how())
+    _report(egos, _choices(loaded, prepared, egos, choosing, training.backend), json, json_lines)
+
+
+def _trained(
+    prepared: "EgoTraining", out: Path, choosing: Choosing, **options: Any
+) -> "TrainedEgos":
+    """Train, and record by which command."""
+    from evaluation.ego_training import train_egos
+    from evaluation.record.manifest import record_command
+    from evaluation.validation import check_validation
+    from population.runs.folder import RunFolder
+
+    if choosing.validate:
+        check_validation(prepared.split)
+    print(prepared.summary, file=sys.stderr)
+    finished = RunFolder(out).finished(prepared.config)
+    egos = train_egos(prepared, out, snapshots=choosing.validate, **options)
     record_command(out, command_line(), filled=not finished)
-    choices = None
-    if validate:
-        with study_progress(f"validate {task}") as line:
-            how = How(task, backend=training.backend)
-            where = load_registry(registry), prepared, egos.run, how
-            choices = choose(*where, best_of=best_of, on_progress=line)
-    _report(egos, choices, json, json_lines)
+    return egos
+
+
+def _choices(
+    registry: Registry,
+    prepared: "EgoTraining",
+    egos: "TrainedEgos",
+    choosing: Choosing,
+    backend: str,
+) -> "Choices | None":
+    """Return what the validation side chooses, where it is to."""
+    if not choosing.validate:
+        return None
+    from evaluation.play.how import How
+    from evaluation.validation import choose
+
+    task = prepared.config.task
+    with study_progress(f"validate {task}") as line:
+        where = registry, prepared, egos.run, How(task, backend=backend)
+        return choose(*where, best_of=choosing.best_of, on_progress=line)
 
 
 def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lines: bool) -> None:
@@ -102,7 +121,7 @@ def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lin
     from evaluation.validation import CHOSEN
 
     run = egos.run
-    result = {
+    result: dict[str, Any] = {
         "run": str(run.folder),
         "split": egos.split.id,
         "partners": len(egos.split.train),
