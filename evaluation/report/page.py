@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import league_table, read_league, row_folders
+from evaluation.figures.normalised import REFERENCE_ORDER
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
@@ -101,6 +102,7 @@ def templates() -> jinja2.Environment:
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
         "letter": lambda number: chr(ord("A") + number),
         "settings": DISABILITY_SETTINGS,
+        "reference_order": REFERENCE_ORDER,
     }
     environment.globals.update(known)
     return environment

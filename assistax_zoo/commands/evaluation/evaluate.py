@@ -195,7 +195,10 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
 
 
 def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
-    rows = [(name.replace("_", " "), figure) for name, figure in references.items()]
+    from evaluation.figures.normalised import REFERENCE_ORDER
+
+    names = [name for name in REFERENCE_ORDER if name in references]
+    rows = [(name.replace("_", " "), references[name]) for name in names]
     _print_figures("to compare with: the same partners and episodes", rows)
     if relative["normalised_return"] is None:
         print("nobody's best response is known, so that nothing is relative to one")
