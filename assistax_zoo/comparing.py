@@ -120,6 +120,14 @@ def compare_named(
     Raises:
         FormatError: The file is none of contrasts.
         ValueError: Two folders are of one method and task, or methods were not evaluated alike.
+
+    Examples:
+        >>> import json
+        >>> one = {"task": "scratch", "split": "half", "method": "gru", "baseline": "ppo"}
+        >>> content = {"schema": 1, "alpha": 0.05, "contrasts": [{**one, "seeds": 16}]}
+        >>> _ = Path("contrasts.json").write_text(json.dumps(content))
+        >>> compare_named("contrasts.json", [result.folder]).missing
+        ('gru less ppo on scratch, return',)
     """
     path = Path(contrasts)
     file, digest = read_contrasts(path)

@@ -15,8 +15,8 @@ from tools.league.rows import named, rows
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
-TINY = ["--set", "num_envs=12", "--set", "rollout_steps=4", "--set", "minibatches=1"]
-TINY += ["--set", "hidden=(8, 8)", "--steps", "96", "--episodes", "2", "--backend", "native"]
+TINY = ["--set", "num_envs=60", "--set", "rollout_steps=4", "--set", "minibatches=1"]
+TINY += ["--set", "hidden=(8, 8)", "--steps", "480", "--episodes", "2", "--backend", "native"]
 TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
 
 
@@ -102,10 +102,10 @@ seeds = 4
         **{"mirror": 4, "best-response": 8},
     }
     ppo = made["ppo"]
-    assert ppo["steps"] == 96 and ppo["total_steps"] == 4 * 96 and ppo["seeds"] == [0, 1, 2, 3]
+    assert ppo["steps"] == 480 and ppo["total_steps"] == 4 * 480 and ppo["seeds"] == [0, 1, 2, 3]
     assert set(ppo["device_minutes"]) == {"training", "validation", "evaluation"}
     assert ppo["device_minutes_in_all"] > 0 and len(ppo["contrasts"]) == 64
-    assert made["best-response"]["total_steps"] == 8 * 96
+    assert made["best-response"]["total_steps"] == 8 * 480
     teams = {name: set(_partners(league / "scratch" / name)) for name in made}
     assert all(teams[name] == set(split.test) for name in made if name != "best-response")
     assert len(teams["best-response"]) == 2 and teams["best-response"] < set(split.test)
