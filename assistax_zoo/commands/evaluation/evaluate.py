@@ -189,6 +189,7 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
         _print_figures(title, rows, "share of episodes", digits=3)
     if summary["references"]:
         _print_references(summary["references"], summary["relative"])
+    _print_variance(summary["variance"])
     worst = summary["worst_partner"]
     print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
     _print_origin(summary)
@@ -228,9 +229,22 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
     )
     title = f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans"
     _print_figures(title, [(name, summary[key]) for name, key in names])
+    _print_variance(summary["variance"])
     best = summary["best_ego"]
     print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
     _print_origin(summary)
+
+
+def _print_variance(variance: dict[str, Any] | None) -> None:
+    if variance is None or variance["interaction_index"] is None:
+        return
+    names = {"seeds": "robots", "partners": "partners", "pairs": "pairs"}
+    parts = ", ".join(f"{word} {variance['spread'][name]:.1f}" for name, word in names.items())
+    chance = variance["interaction_p"]
+    beyond = (
+        "" if chance is None else f" (p {chance:.3f} that pairs differ by their episodes alone)"
+    )
+    print(f"SD of {parts}; interaction index {variance['interaction_index']:.2f}{beyond}")
 
 
 def _print_origin(summary: dict[str, Any]) -> None:
