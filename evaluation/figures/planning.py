@@ -201,7 +201,7 @@ def plan_contrast(
 
     Examples:
         >>> plan_contrast(60.0, ContrastSpread(45.0, 60.0, 20.0, 90.0), contrasts=8)
-        ContrastPlan(seeds=17, partners=59, episodes=7, detectable=59.84)
+        ContrastPlan(seeds=20, partners=59, episodes=8, detectable=59.99)
     """
     if contrasts < 1 or not 0 < alpha < 1 or partners < 2 or not effect > 0:
         raise ValueError(
