@@ -15,21 +15,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from assistax_workshop.auditing import audit
+    from assistax_zoo.comparing import Comparison, compare, compare_named
     from assistax_zoo.evaluating import cross_play, evaluate
     from assistax_zoo.films import render
     from assistax_zoo.recording import trajectories
-    from assistax_zoo.results import (
-        Comparison,
-        CrossPlayResult,
-        EvaluationResult,
-        compare,
-        load_result,
-    )
+    from assistax_zoo.results import CrossPlayResult, EvaluationResult, load_result
     from assistax_zoo.training import train, train_ego
     from assistax_zoo.vector_envs import vector_env
     from assistax_zoo.zoos import Zoo, fetch, open_zoo
     from evaluation.cast.partners import Partner
-    from evaluation.figures.planning import measure_spread, plan_evaluation
+    from evaluation.figures.metrics.variance import measure_spread
+    from evaluation.figures.planning import measure_contrast, plan_contrast, plan_evaluation
 
 __all__ = [
     "Comparison",
@@ -39,12 +35,15 @@ __all__ = [
     "Zoo",
     "audit",
     "compare",
+    "compare_named",
     "cross_play",
     "evaluate",
     "fetch",
     "load_result",
+    "measure_contrast",
     "measure_spread",
     "open_zoo",
+    "plan_contrast",
     "plan_evaluation",
     "render",
     "train",
@@ -55,16 +54,12 @@ __all__ = [
 
 _HOMES = {
     "evaluation.cast.partners": ("Partner",),
-    "evaluation.figures.planning": ("measure_spread", "plan_evaluation"),
+    "evaluation.figures.metrics.variance": ("measure_spread",),
+    "evaluation.figures.planning": ("measure_contrast", "plan_contrast", "plan_evaluation"),
     "assistax_zoo.zoos": ("Zoo", "fetch", "open_zoo"),
+    "assistax_zoo.comparing": ("Comparison", "compare", "compare_named"),
     "assistax_zoo.evaluating": ("cross_play", "evaluate"),
-    "assistax_zoo.results": (
-        "Comparison",
-        "CrossPlayResult",
-        "EvaluationResult",
-        "compare",
-        "load_result",
-    ),
+    "assistax_zoo.results": ("CrossPlayResult", "EvaluationResult", "load_result"),
     "assistax_workshop.auditing": ("audit",),
     "assistax_zoo.films": ("render",),
     "assistax_zoo.recording": ("trajectories",),

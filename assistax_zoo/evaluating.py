@@ -69,7 +69,7 @@ def evaluate(
             seeds of one method.
         task: Task, such as "scratch".
         split: Partners: "test" (default), "train" or "both" sides of the default split, or another
-            split's id (ID:both).
+            split's id (ID:both); "validation" where the split has that side.
         partners: Globs over partners, to play only some of those sides; "persons" for persons, or
             globs over them, such as "gentle_scratch/person-08*-v3".
         persons: How many persons, drawn of those that are meant; default 200.

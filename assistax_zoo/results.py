@@ -9,23 +9,19 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import polars as pl
 
-from evaluation.cast.met_partners import UNKNOWN, MetSummary, both_met, comparison_notes
+from evaluation.cast.met_partners import UNKNOWN, MetSummary
 from evaluation.figures.bootstrap import Estimate
 from evaluation.figures.metrics import CrossPlay, ZeroShot
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.summary import (
-    ComparisonSummary,
     CrossPlaySummary,
     EvaluationSummary,
     MatrixFigures,
     SideFigures,
     read_summary,
-    summarise_comparison,
 )
 from evaluation.record import tables
 from evaluation.record.manifest import table_hashes
-from evaluation.record.record import Record
-from evaluation.record.verification import unchecked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,7 +124,7 @@ class _Result:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        parts = [f"{name} {_brief(figure)}" for name, figure in self._figures().items() if figure]
+        parts = [f"{name} {brief(figure)}" for name, figure in self._figures().items() if figure]
         return f"{type(self).__name__}({self.summary.task}: {', '.join(parts)}{self._caveat()})"
 
     def _caveat(self) -> str:
@@ -149,8 +145,9 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
     Attributes:
         m_test: Return with partners of the test side, None if none played: mean, IQM, intervals, n.
         m_train: The same with partners of the training side.
+        m_validation: The same with partners of the validation side, by which choices are made.
         gap: `m_train` less `m_test`, where both played.
-        side: The side that the other figures are of: test, or training if only that was played.
+        side: The side that the other figures are of: test, else validation, else training.
         by_algorithm: The return with the partners of each algorithm.
         by_disability: The return with the partners of each disability setting.
         by_preference: The return under each preference of the humans of a gentle task; else empty.
@@ -201,6 +198,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
 
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
+        sides["M_validation"] = self.m_validation
         return {**sides, **self.by_disability, **self.by_preference}
 
     def _caveat(self) -> str:
@@ -253,27 +251,6 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
         return {**names, "self-play - cross-play": self.gap}
 
 
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class Comparison(ComparisonSummary):
-    """Method a minus method b: paired differences over the same partners and episodes.
-
-    Examples:
-        >>> compare(result, result)
-        Comparison(scratch: test partners 0.0, train partners 0.0)
-    """
-
-    task: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures as `compare --json` prints them."""
-        return tables.to_json(self)
-
-    def __repr__(self) -> str:
-        sides = {"test": self.test, "train": self.train}
-        parts = [f"{side} partners {_brief(figure)}" for side, figure in sides.items() if figure]
-        return f"Comparison({self.task}: {', '.join(parts)})"
-
-
 def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     """Return the result that a finished folder holds.
 
@@ -292,50 +269,7 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
     return CrossPlayResult.of(summary, folder)
 
 
-def compare(
-    a: "EvaluationResult | Path | str", b: "EvaluationResult | Path | str", *, seed: int = 0
-) -> Comparison:
-    """Compare two methods: paired differences a - b over the same partners and episodes.
-
-    Args:
-        a: A result, or its folder.
-        b: Another, of the same task, split, episodes and seed.
-        seed: Of the bootstrap.
-
-    Raises:
-        ValueError: They were not evaluated alike.
-
-    Examples:
-        >>> compare(result, result.folder).test.mean
-        0.0
-    """
-    first, second = methods = _evaluation(a), _evaluation(b)
-    for name in ("task", "env_version", "backend", "engine"):
-        values = [getattr(method.summary, name) for method in methods]
-        if values[0] != values[1]:
-            raise ValueError(
-                f"{name} is {values[0]} in {first.folder} and {values[1]} in {second.folder}; "
-                "evaluate both methods alike"
-            )
-    records = [Record(method.episodes, method.folder) for method in methods]
-    met = both_met((first.summary.met, records[0].table), (second.summary.met, records[1].table))
-    played = [record.without(met.left_out) for record in records]
-    if any(record.table.is_empty() for record in played):
-        raise ValueError("every partner was trained with a robot of either method; choose others")
-    summary = summarise_comparison(*played, seed=seed)
-    notes = [*summary.notes, *comparison_notes(met)]
-    notes += [*unchecked(first.folder), *unchecked(second.folder)]
-    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
-    return Comparison(**vars(summary), task=first.summary.task)
-
-
-def _evaluation(result: "EvaluationResult | Path | str") -> EvaluationResult:
-    loaded = load_result(result) if isinstance(result, Path | str) else result
-    if not isinstance(loaded, EvaluationResult):
-        raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
-    return loaded
-
-
-def _brief(figure: Estimate) -> str:
+def brief(figure: Estimate) -> str:
+    """Return a mean and its interval in a few characters."""
     ends = figure.mean_ci
     return f"{figure.mean:.1f}" + (f" [{ends[0]:.1f}, {ends[1]:.1f}]" if ends else "")

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
 ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
+# The rows of a league that `train-ego` trains, by name: the algorithm, and what differs from its
+# preset.
+ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+    **{algorithm: (algorithm, {}) for algorithm in ALGORITHMS},
+    "gru": ("ppo", {"torso": "gru"}),
+}
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
 
@@ -63,7 +69,7 @@ def prepare(
     registry: Registry,
     task: str,
     *,
-    split: str | None = None,
+    split: str | Split | None = None,
     partners: str | None = None,
     algorithm: str = "ppo",
     seeds: int | Sequence[int] = 1,
@@ -82,8 +88,8 @@ def prepare(
     Args:
         registry: Where the partners are.
         task: Task.
-        split: Split whose training half are the partners: an id or the beginning of one; default
-            the release's own.
+        split: Split whose training half are the partners: an id or the beginning of one, or the
+            split itself; default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
         algorithm: "ppo" or "sac".
         seeds: How many, numbered from 0, or which.
@@ -128,6 +134,7 @@ def train_egos(
     backend: str = "auto",
     resume: bool = True,
     tensorboard: Path | str | None = None,
+    snapshots: int = 0,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedEgos:
     """Train the robots and write a policy file for each.
@@ -141,6 +148,7 @@ def train_egos(
         backend: Physics, or "auto" for the fastest one here.
         resume: Whether to go on with a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
+        snapshots: At how many equal steps the robots are kept, for `evaluation.validation`.
         progress: Called after every dispatch.
     """
     run = run_training(
@@ -150,6 +158,7 @@ def train_egos(
         partners=training.partners,
         resume=resume,
         tensorboard=tensorboard,
+        snapshots=snapshots,
         progress=progress,
     )
     return write_egos(run, training)
@@ -188,8 +197,12 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
     return FrozenPartners(load_stacks(registry, entries), settings)
 
 
-def _chosen_split(registry: Registry, task: str, split: str | None, partners: str | None) -> Split:
+def _chosen_split(
+    registry: Registry, task: str, split: str | Split | None, partners: str | None
+) -> Split:
     """Return the split whose training side is met; of persons where partners say so."""
+    if isinstance(split, Split):
+        return split
     if partners not in (None, PERSONS):
         raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
     chosen = registry.split(task, split or partners)
@@ -237,13 +250,20 @@ def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
     files = []
     for row, member in enumerate(run.config.members):
         files.append(run.folder / POLICIES / f"{run.config.algorithm}-s{member.seed}.safetensors")
-        metadata = {
-            "task": run.config.task,
-            "algorithm": run.config.algorithm,
-            "seed": member.seed,
-            "split": split.id,
-            "training": {"run": run.folder.resolve().name, **run.training},
-            **training.met.claim,
-        }
+        metadata = ego_metadata(training, member.seed, run.folder, run.training)
         write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
     return TrainedEgos(run, split, tuple(files))
+
+
+def ego_metadata(
+    training: EgoTraining, seed: int, folder: Path, trained: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what a robot's policy file says of it."""
+    return {
+        "task": training.config.task,
+        "algorithm": training.config.algorithm,
+        "seed": seed,
+        "split": training.split.id,
+        "training": {"run": folder.resolve().name, **trained},
+        **training.met.claim,
+    }

@@ -96,7 +96,7 @@ def _splits(
         if task not in chosen and task not in registry.data.releases[release].splits:
             continue  # a release of one half has no default split
         split = registry.split(task, chosen.get(task), release=release)
-        absent = [team for team in (*split.train, *split.test) if team not in teams]
+        absent = [t for side in split.sides.values() for t in side if t not in teams]
         if absent and task in chosen:
             expected = "every partner of the split in the selection"
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"

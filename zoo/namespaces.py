@@ -39,8 +39,7 @@ def merge(own: RegistryFile, added: Mapping[str, RegistryFile]) -> RegistryFile:
 def qualify_split(split: Split, namespace: str) -> Split:
     """Return a split with the namespace before its id and its teams; its sha256 is as published."""
     sides = {
-        side: tuple(f"{namespace}:{team}" for team in getattr(split, side))
-        for side in ("train", "test")
+        side: tuple(f"{namespace}:{team}" for team in getattr(split, side)) for side in split.sides
     }
     fields = {"id": f"{namespace}:{split.id}", "release": f"{namespace}:{split.release}"}
     return split.model_copy(update={**fields, **sides})

@@ -31,7 +31,7 @@ from zoo.locations import (
 from zoo.namespaces import merge, qualify_split, split_namespace
 from zoo.schema import SCHEMA_VERSION, Ego, PolicyEntry, RegistryFile, Split, Team
 from zoo.selection import refuse_unknown, select
-from zoo.splits import check_split, refuse_leak, shared_parameters
+from zoo.splits import check_split, leaks, refuse_leak
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Registry:
 
         Raises:
             SplitError: There is no such split, or its content differs from its sha256.
-            LeakageError: A team, or the same parameters, stand on both sides.
+            LeakageError: A team, or the same parameters, stand on two sides.
         """
         if PERSONS in (id or ""):
             from zoo.persons.registered import person_split
@@ -186,12 +186,13 @@ class Registry:
             else self._default_split(task, release or self.release_of(task))
         )
         check_split(split)
-        missing = [team for team in (*split.train, *split.test) if team not in self.data.teams]
+        named = [team for side in split.sides.values() for team in side]
+        missing = [team for team in named if team not in self.data.teams]
         if missing:
             raise SplitError(
                 f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
             )
-        pairs = shared_parameters(split.train, split.test, self.data.teams)
+        pairs = leaks(split, self.data.teams)
         return refuse_leak(split.id, pairs) if pairs else split
 
     def _named_split(self, task: str, name: str) -> Split:

@@ -32,9 +32,14 @@ ShardPath = Annotated[
     str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.-]*/)*[A-Za-z0-9_][A-Za-z0-9_.-]*\.safetensors$")
 ]
 Count = Annotated[int, Field(ge=0)]
-Side = Annotated[str, Field(pattern=r"^(train|test)$")]
+Side = Annotated[str, Field(pattern=r"^(train|validation|test)$")]
 Rule = Literal[
-    "half", "leave-one-algorithm-out", "leave-one-disability-out", "small-train", "custom"
+    "half",
+    "leave-one-algorithm-out",
+    "leave-one-disability-out",
+    "small-train",
+    "custom",
+    "three-sides",
 ]
 
 
@@ -177,7 +182,7 @@ class Ego(StrictModel):
 
 
 class Split(StrictModel):
-    """Training and test partners of a task, by team id; see `zoo.splits`."""
+    """Training, validation and test partners of a task, by team id; see `zoo.splits`."""
 
     id: str
     task: Name
@@ -189,18 +194,26 @@ class Split(StrictModel):
     sha256: Sha256
     train: tuple[str, ...]
     test: tuple[str, ...]
+    # By which checkpoints, seeds and hyperparameters are chosen; none in splits of two sides.
+    validation: tuple[str, ...] = ()
     # Of gentle tasks: what the humans of each side like; none where nothing is held out.
     preferences: dict[Side, tuple[str, ...]] = {}
 
     @property
     def content(self) -> dict[str, Any]:
-        """What its sha256 is of: without preferences as before there were any."""
-        unused = set() if self.preferences else {"preferences"}
+        """What its sha256 is of: without what it has none of, as before there was any."""
+        unused = {name for name in ("preferences", "validation") if not getattr(self, name)}
         return self.model_dump(exclude={"id", "sha256", *unused})
 
-    def side(self, team: str) -> Literal["train", "test"] | None:
-        """Return "train", "test", or None for a team outside the split."""
-        return "train" if team in self.train else "test" if team in self.test else None
+    @property
+    def sides(self) -> dict[str, tuple[str, ...]]:
+        """Teams by side, of the sides that it has."""
+        optional = {"validation": self.validation} if self.validation else {}
+        return {"train": self.train, **optional, "test": self.test}
+
+    def side(self, team: str) -> str | None:
+        """Return "train", "validation", "test", or None for a team outside the split."""
+        return next((side for side, teams in self.sides.items() if team in teams), None)
 
 
 class RegistryFile(StrictModel):

@@ -1,14 +1,18 @@
 """Splits: which partners a robot may train with, and which it is tested with.
 
-A split is a manifest: task, release, rule, seed, the sorted team ids of both sides, what their
-humans like where preferences are held out, and the sha256 of all that. Its id ends in the first
+A split is a manifest: task, release, rule, seed, the sorted team ids of its sides, what their
+humans like where preferences are held out, and the sha256 of all that. Its sides are training and
+test; newer ones have a validation side too, by which every choice is made before the test side is
+played. Its id ends in the first
 eight digits of that sha256, so a published split never changes: when a release grows, its default
 split becomes a new one with a new id, and the old one stays for whoever cited it.
 
 `zoo.splitting` makes splits, by rules. Whoever reads one checks its content, its id, and that no
-team stands on both sides.
+team stands on two sides.
 """
 
+import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -24,7 +28,7 @@ def check_split(split: Split) -> None:
 
     Raises:
         SplitError: The content differs from what was published, or a side is empty.
-        LeakageError: A team or a preference is on both sides.
+        LeakageError: A team is on two sides, or a preference of the test side on another.
     """
     content = split.content
     digest = json_sha256(content)
@@ -32,7 +36,7 @@ def check_split(split: Split) -> None:
         raise SplitError(f"split {split.id}", f"sha256 {split.sha256}", f"sha256 {digest}")
     if split_id(content) != split.id:
         raise SplitError(f"split {split.id}", f"id {split_id(content)}", split.id)
-    for name, side in (("train", split.train), ("test", split.test)):
+    for name, side in split.sides.items():
         if not side:
             raise SplitError(f"split {split.id}", f"at least one team in {name}", "none")
         if list(side) != sorted(set(side)):
@@ -50,11 +54,17 @@ def check_split(split: Split) -> None:
                 f"teams of {split.task} {split.release}",
                 listing(map(str, foreign)),
             )
-    both = sorted(set(split.train) & set(split.test))
-    if both:
+    counts = Counter(team for side in split.sides.values() for team in side)
+    if both := sorted(team for team, count in counts.items() if count > 1):
         refuse_leak(split.id, [(team, team) for team in both])
     if split.preferences:
         _check_preferences(split)
+
+
+def leaks(split: Split, teams: Mapping[str, Team]) -> list[tuple[str, str]]:
+    """Return the pairs of teams on two sides that have identical parameters in one role."""
+    sides = itertools.combinations(split.sides.values(), 2)
+    return sorted(pair for two in sides for pair in shared_parameters(*two, teams))
 
 
 def shared_parameters(
@@ -83,14 +93,17 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
 
 
 def _check_preferences(split: Split) -> None:
-    train, test = (split.preferences.get(side, ()) for side in ("train", "test"))
-    for names in (train, test):
+    missing = sorted(set(split.sides) ^ set(split.preferences))
+    if missing:
+        raise SplitError(f"split {split.id}", "preferences of each of its sides", listing(missing))
+    for names in split.preferences.values():
         try:
             check_preferences(split.task, names)
         except ValueError as error:
             expected = "preferences of its task on both sides"
             raise SplitError(f"split {split.id}", expected, str(error)) from None
-    if both := sorted(set(train) & set(test)):
+    seen = {name for side, names in split.preferences.items() for name in names if side != "test"}
+    if both := sorted(seen & set(split.preferences["test"])):
         expected = "no preference on both sides"
         raise LeakageError(f"split {split.id} leaks", expected, listing(both))
 

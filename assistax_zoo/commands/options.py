@@ -41,7 +41,7 @@ class Against:
 
     Attributes:
         split: Partners: test (default), train or both sides of the default split, or another
-            split's id (ID:both); of persons also validation.
+            split's id (ID:both); validation of persons and of splits of three sides.
         partners: Glob over partners, to play only some of those sides, such as 'scratch/ippo-d9-*';
             repeat it for more. Where all that match are of one release, its default split is meant.
             persons for persons, or a glob such as 'gentle_scratch/person-08*-v3'.
@@ -159,6 +159,21 @@ class Training:
             "resume": self.resume,
             "tensorboard": self.tensorboard,
         }
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Choosing:
+    """What is chosen by the validation side of a split.
+
+    Attributes:
+        validate: At how many equal steps the robots are kept, and then play with the validation
+            side, which chooses each seed's checkpoint; default none.
+        best_of: Of how many seeds the best one is chosen too.
+    """
+
+    validate: int = 0
+    best_of: int = 4
 
 
 def parse_steps(text: str) -> int:

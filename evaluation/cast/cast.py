@@ -31,7 +31,7 @@ class Cast:
     robots: Roster
     humans: Roster
     split: Split | None  # of the humans; None of a population without one
-    sides: Mapping[str, str]  # human's id -> "train" or "test"
+    sides: Mapping[str, str]  # human's id -> "train", "validation" or "test"
     releases: tuple[str, ...]  # of all of them that are published
     lock: str | None  # sha256 of the lock that the registry was narrowed down to
     met: MetPartners  # which humans the robots met in training
@@ -123,8 +123,8 @@ def choose_partners(
     if not chosen:
         raise ValueError(
             f"none of the {len(humans)} partners that match is on the "
-            f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, both sides, "
-            "or another split's id (assistax-zoo split list)"
+            f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, another "
+            "side, or another split's id (assistax-zoo split list)"
         )
     return manifest, chosen
 
@@ -250,7 +250,7 @@ def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, st
     """Return the side of each human that is on one, by id."""
     if split is None:
         return {}
-    dealt = {**dict.fromkeys(split.test, "test"), **dict.fromkeys(split.train, "train")}
+    dealt = {team: side for side, teams in split.sides.items() for team in teams}
     return {human.id: dealt[human.team] for human in humans if human.team in dealt}
 
 
@@ -267,6 +267,6 @@ def _unknown_split(registry: Registry, task: str, name: str) -> str:
     near = difflib.get_close_matches(name, [*SIDES, *ids], n=2, cutoff=0.4)
     nearest = f", nearest: {', '.join(near)}" if near else ""
     return (
-        f"split {name!r} is neither a side (test, train, both) nor a split's id{nearest}; "
+        f"split {name!r} is neither a side ({', '.join(SIDES)}) nor a split's id{nearest}; "
         "`assistax-zoo split list` prints the ids"
     )

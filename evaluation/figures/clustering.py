@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
+import polars as pl
 from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
@@ -87,6 +88,50 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
             "axes"
         )
     return cluster_profiles(np.concatenate([matrix, matrix.T], axis=1))
+
+
+def conventions(matrix: np.ndarray) -> np.ndarray:
+    """Return which of two groups each human is in [T]: True where teams do better with one another.
+
+    Humans are alike where the same robots suit them better than others: average linkage of
+    1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
+    because one episode in which somebody is pressed for 20 s outweighs all others of a human.
+
+    Better is the greater median return of robots with humans of their own group.
+
+    Args:
+        matrix: Mean returns [T, T] of robots with humans, by team.
+    """
+    from scipy import stats  # half a second, hence not at every start
+
+    ranks = stats.rankdata(matrix, axis=0)
+    apart = distance.pdist((ranks - ranks.mean(axis=1, keepdims=True)).T, "correlation")
+    first = hierarchy.fcluster(hierarchy.average(apart), 2, "maxclust") == 1
+    within = [np.median(matrix[np.ix_(group, group)]) for group in (first, ~first)]
+    return first if within[0] > within[1] else ~first
+
+
+def convention_groups(pairs: pl.DataFrame) -> dict[str, str]:
+    """Return the convention group, "a" or "b", of each team of a cross-play's table of pairs.
+
+    Raises:
+        ValueError: It is no cross-play of teams, each with its robot and its human.
+    """
+    played = pairs.filter(pl.col("ego_team").is_in(pairs["partner_team"].drop_nulls().to_list()))
+    wide = played.pivot("partner_team", index="ego_team", values="return").sort("ego_team")
+    teams = wide["ego_team"].to_list()
+    if (
+        len(teams) < 3
+        or sorted(wide.columns[1:]) != teams
+        or wide.null_count().row(0) != (0,) * (len(teams) + 1)
+    ):
+        raise ValueError(
+            f"the cross-play has {len(teams)} robots whose humans play too, of "
+            f"{wide.width - 1} humans; convention groups need every robot of 3 teams or more with "
+            "every human of theirs, and no others"
+        )
+    first = conventions(wide.select(teams).to_numpy())
+    return {team: "a" if own else "b" for team, own in zip(teams, first, strict=True)}
 
 
 def least_members(count: int) -> int:

@@ -41,6 +41,13 @@ class References:
     script_with_passive_human: Estimate | None = None
 
 
+# As a league's rows stand: what looks at nothing, the policies themselves, what knows the partner.
+REFERENCE_ORDER = (
+    *("zero_action", "uniform_random", "script", "policies", "self_play", "best_response"),
+    *("passive_human", "script_with_passive_human"),
+)
+
+
 @dataclasses.dataclass(frozen=True)
 class WorstRegret:
     """The partner with which the egos are farthest below the best robot known."""

@@ -1,4 +1,4 @@
-"""How many seeds, partners and episodes an interval of a wished width takes.
+"""How many seeds, partners and episodes an interval of a wished width, or a contrast, takes.
 
 A return J of seed s with partner p, a mean over K episodes, is taken for the sum of a mean, an
 effect of the seed, one of the partner, one of the pair, and over K the luck of the partner's
@@ -11,40 +11,25 @@ a = 1 - 1/S and b = 1 - 1/P, it is in expectation
 
 the variance under resampled rows and columns (Owen, The pigeonhole bootstrap, 2007). With a single
 seed nothing of new seeds is in it, as nothing of them is in the interval.
+
+A contrast is a difference of two methods with the same partners in the same episodes: what a
+partner brings to both cancels, and of partners only how the methods differ with them is left. With
+S seeds of either method the variance of its mean is
+
+    2 seeds^2 / S  +  partners^2 / P  +  2 (pairs^2 + episodes^2 / K) / (S P).
 """
 
 import dataclasses
 import math
-import statistics
 
 import numpy as np
 import polars as pl
 
+from evaluation.figures.metrics.inference import POWER, MeanTest
+from evaluation.figures.metrics.variance import Spread, measure_spread
+
 EPISODES = 32  # of a pair at most: more cost much and buy little
 SEEDS = 64  # of a method at most
-Z = statistics.NormalDist().inv_cdf(0.975)
-
-
-@dataclasses.dataclass(frozen=True)
-class Spread:
-    """Standard deviations of a return, in its units, by what they come from."""
-
-    seeds: float
-    partners: float
-    pairs: float  # who meets whom, beyond what seed and partner bring
-    episodes: float  # of one pair, beside its start
-    starts: float = 0.0  # of a partner's starts, which all seeds meet
-
-    def half_width(self, seeds: int, partners: int, episodes: int) -> float:
-        """Return half the width of the 95% interval of M_test's mean."""
-        a, b = 1 - 1 / seeds, 1 - 1 / partners
-        noise = self.pairs**2 + self.episodes**2 / episodes
-        column = self.partners**2 + self.starts**2 / episodes
-        return Z * math.sqrt(
-            a * self.seeds**2 / seeds
-            + b * column / partners
-            + (a * b + a + b) * noise / (seeds * partners)
-        )
 
 
 # Of the egos of docs/data/v1 with test partners, trained with 16 seeds. All partners had the same
@@ -74,74 +59,6 @@ class EvaluationPlan:
     partners: int
     episodes: int
     half_width: float
-
-
-def measure_spread(episodes: pl.DataFrame) -> Spread:
-    """Return where the returns of an episode table vary, by analyses of variance.
-
-    Args:
-        episodes: Columns `ego`, `partner`, `episode`, `return`: every ego with every partner in the
-            same episodes, at least two egos and two partners.
-
-    Raises:
-        ValueError: It is not such a table.
-
-    Examples:
-        >>> columns = {"ego": "aabb", "partner": "xyxy", "return": [1.0, 2.0, 3.0, 5.0]}
-        >>> pilot = pl.DataFrame({name: list(values) for name, values in columns.items()})
-        >>> round(measure_spread(pilot.with_columns(episode=0)).seeds, 2)
-        1.73
-    """
-    axes = ("ego", "partner", "episode")
-    shape = tuple(episodes[name].n_unique() for name in axes)
-    distinct = episodes.select(axes).n_unique()
-    if not (episodes.height == distinct == math.prod(shape)) or min(shape[:2]) < 2:
-        raise ValueError(
-            "the spread needs every ego with every partner in the same episodes, and two of each "
-            f"at least; here are {shape[0]} egos, {shape[1]} partners, {shape[2]} episodes and "
-            f"{episodes.height} rows"
-        )
-    returns = episodes.sort(axes)["return"].to_numpy().reshape(shape).astype(float)
-    noise, starts = _within_partners(returns) if shape[2] > 1 else (0.0, 0.0)
-    return spread_of(returns.mean(axis=2), shape[2], noise, starts)
-
-
-def spread_of(scores: np.ndarray, episodes: int, noise: float, starts: float) -> Spread:
-    """Return the spread of scores [S, P].
-
-    A mean square of the analysis of variance is in expectation a sum of the variances that it
-    holds; they are solved for from the last to the first, and a negative one is 0.
-
-    Args:
-        scores: Means over the episodes of each pair.
-        episodes: How many.
-        noise: Variance of an episode beside its start.
-        starts: Variance by a partner's starts; 0 where all partners had the same, which no
-            difference between scores shows.
-    """
-    (s, p), scores = scores.shape, scores.astype(float)
-    rows = scores.mean(axis=1, keepdims=True) - scores.mean()
-    columns = scores.mean(axis=0, keepdims=True) - scores.mean()
-    left = scores - scores.mean() - rows - columns
-    residual = (left**2).sum() / ((s - 1) * (p - 1))
-    variances = (
-        rows.var() * s / (s - 1) - residual / p,
-        columns.var() * p / (p - 1) - residual / s - starts / episodes,
-        residual - noise / episodes,
-        noise,
-        starts,
-    )
-    return Spread(*(math.sqrt(max(float(variance), 0.0)) for variance in variances))
-
-
-def _within_partners(returns: np.ndarray) -> tuple[float, float]:
-    """Return the variances of the noise and of the starts of returns [S, P, K], K > 1."""
-    s, p, k = returns.shape
-    centred = returns - returns.mean(axis=2, keepdims=True)
-    by_start = centred.mean(axis=0)
-    noise = ((centred - by_start) ** 2).sum() / ((s - 1) * p * (k - 1))
-    starts = (by_start**2).sum() / (p * (k - 1)) - noise / s
-    return float(noise), max(float(starts), 0.0)
 
 
 def plan_evaluation(
@@ -189,3 +106,120 @@ def plan_evaluation(
         )
     plans = (plan(enough[0], episodes) for episodes in range(1, EPISODES + 1))
     return next(candidate for candidate in plans if candidate.half_width <= half_width)
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastSpread:
+    """Standard deviations of a difference of two methods, in the units of the return."""
+
+    seeds: float  # of either method
+    partners: float  # of the difference, from partner to partner
+    pairs: float  # of either method
+    episodes: float  # of one pair, beside its start, which both methods meet
+
+    def test(self, seeds: int, partners: int, episodes: int) -> MeanTest:
+        """Return the test of no difference that so many would give."""
+        noise = 2 * (self.pairs**2 + self.episodes**2 / episodes) / (seeds * partners)
+        parts = (2 * self.seeds**2 / seeds, self.partners**2 / partners, noise)
+        freedoms = (2 * (seeds - 1), partners - 1, 2 * (seeds - 1) * (partners - 1))
+        variance = sum(parts)
+        lost = sum(part**2 / freedom for part, freedom in zip(parts, freedoms, strict=True))
+        freedom = variance**2 / lost if lost else math.inf
+        return MeanTest(0.0, math.sqrt(variance), freedom, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastPlan:
+    """What to play, and the true difference that is then found with a power of 80%."""
+
+    seeds: int  # of either method
+    partners: int
+    episodes: int
+    detectable: float
+
+
+def measure_contrast(a: pl.DataFrame, b: pl.DataFrame) -> ContrastSpread:
+    """Return where the difference of two methods varies, from a pilot of each.
+
+    Args:
+        a: Episode table of a method, as `measure_spread` takes it.
+        b: That of the other method, with the same partners and as many episodes.
+
+    Raises:
+        ValueError: They are no such tables, or not of the same partners.
+
+    Examples:
+        >>> columns = {"ego": "aabb", "partner": "xyxy", "return": [1.0, 2.0, 3.0, 5.0]}
+        >>> pilot = pl.DataFrame({name: list(values) for name, values in columns.items()})
+        >>> pilot = pilot.with_columns(episode=0)
+        >>> measure_contrast(pilot, pilot).partners
+        0.0
+    """
+    spreads = [measure_spread(table) for table in (a, b)]
+    means = [
+        table.group_by("partner").agg(pl.col("return").cast(pl.Float64).mean()).sort("partner")
+        for table in (a, b)
+    ]
+    if means[0]["partner"].to_list() != means[1]["partner"].to_list():
+        raise ValueError("the two pilots have different partners; evaluate both with the same")
+    differences = (means[0]["return"] - means[1]["return"]).to_numpy()
+    noise = sum(
+        (spread.pairs**2 + spread.episodes**2 / table["episode"].n_unique())
+        / table["ego"].n_unique()
+        for spread, table in zip(spreads, (a, b), strict=True)
+    )
+    partners = math.sqrt(max(float(differences.var(ddof=1)) - noise, 0.0))
+    seeds, pairs, episodes = (
+        float(np.sqrt(np.mean([getattr(spread, name) ** 2 for spread in spreads])))
+        for name in ("seeds", "pairs", "episodes")
+    )
+    return ContrastSpread(seeds, partners, pairs, episodes)
+
+
+def plan_contrast(
+    effect: float,
+    spread: ContrastSpread,
+    *,
+    partners: int = 59,
+    contrasts: int = 1,
+    alpha: float = 0.05,
+) -> ContrastPlan:
+    """Return the fewest seeds, then the fewest episodes, with which a difference is seen.
+
+    Seen is a true difference of `effect` in 80% of repetitions, in a two-sided test at
+    alpha / contrasts, which is Holm's strictest step.
+
+    Args:
+        effect: The true difference of the two methods' returns.
+        spread: Of their difference, see `measure_contrast`.
+        partners: Test partners that will be played.
+        contrasts: How many contrasts are named together.
+        alpha: Chance that any of them is found wrongly.
+
+    Raises:
+        ValueError: No number of seeds sees it with these partners; it says what is seen.
+
+    Examples:
+        >>> plan_contrast(60.0, ContrastSpread(45.0, 60.0, 20.0, 90.0), contrasts=8)
+        ContrastPlan(seeds=20, partners=59, episodes=8, detectable=59.99)
+    """
+    if contrasts < 1 or not 0 < alpha < 1 or partners < 2 or not effect > 0:
+        raise ValueError(
+            f"effect is {effect}, contrasts {contrasts}, alpha {alpha}, partners {partners}; "
+            "allowed are an effect above 0, 1 contrast or more, an alpha between 0 and 1, and 2 "
+            "partners or more"
+        )
+
+    def plan(seeds: int, episodes: int) -> ContrastPlan:
+        seen = spread.test(seeds, partners, episodes).detectable(alpha / contrasts, POWER)
+        return ContrastPlan(seeds, partners, episodes, round(seen, 2))
+
+    enough = [n for n in range(2, SEEDS + 1) if plan(n, EPISODES).detectable <= effect]
+    if not enough:
+        least = plan(SEEDS, EPISODES).detectable
+        raise ValueError(
+            f"effect is {effect}, and {SEEDS} seeds with {partners} partners see {least}; ask for "
+            "more than that, name fewer contrasts, or play more partners"
+        )
+    plans = (plan(enough[0], episodes) for episodes in range(1, EPISODES + 1))
+    return next(candidate for candidate in plans if candidate.detectable <= effect)

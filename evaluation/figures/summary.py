@@ -24,9 +24,11 @@ from evaluation.figures.metrics import (
     group_draws,
     paired_difference,
     rank_stability,
+    same_teams,
     worst_partner,
     zero_shot,
 )
+from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.notes import (
     clipping_notes,
@@ -75,6 +77,7 @@ class Summary(Context):
     # Whether all partners played the same starts, as all did before each had starts of its own.
     common_starts: bool = True
     nonfinite: int  # episodes whose physics became non-finite; they count
+    variance: Variance | None = None  # None with fewer than two robots or partners
     notes: tuple[str, ...]
 
 
@@ -91,9 +94,9 @@ class NamedWorst:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SideFigures:
-    """Figures of the partners of `side`: the test side, or the other if only that was played."""
+    """Figures of the partners of `side`: of those that played, test, validation or training."""
 
-    side: Literal["train", "test"]
+    side: Literal["train", "validation", "test"]
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
@@ -153,6 +156,7 @@ class ComparisonSummary:
     train: Difference | None
     notes: tuple[str, ...]
     met: MetSummary | None = None  # of both methods: no side counts whom either met
+    validation: Difference | None = None
 
 
 def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
@@ -199,6 +203,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         **vars(zero_shot(returns.values, sides, **starts)),
         **_common(returns, context),
         side=side.partners["side"][0],
+        variance=variance_components(side.values),
         by_algorithm=_estimates(by_algorithm),
         by_disability=_estimates(by_disability),
         fairness=fairness(by_disability) if len(by_disability) > 1 else None,
@@ -211,7 +216,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
         egos=tuple(returns.egos["ego"]),
-        partners={name: sides.count(name) for name in SIDES},
+        partners={side: sides.count(side) for side in SIDES if side in {*sides, "train", "test"}},
         notes=(
             *seed_notes(returns.egos.height),
             *group_notes(side),
@@ -233,6 +238,7 @@ def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
     return CrossPlaySummary(
         **vars(figures),
         **_common(returns, context),
+        variance=variance_components(returns.values, ~same_teams(rows, columns)),
         best_ego=BestEgo(returns.egos["ego"][int(means.argmax())], float(means.max())),
         rank_stability=rank_stability(returns.scores) if ranked else None,
         egos=returns.egos.height,
@@ -248,7 +254,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         ValueError: they have other partners, keys or preferences, or no partner on a side.
     """
     first, second = a.returns, b.returns
-    _check_alike(first, second)
+    check_alike(first, second)
 
     def difference(side: str) -> Difference | None:
         mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
@@ -257,17 +263,15 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         values = first.values[:, mask], second.values[:, mask]
         return paired_difference(*values, common_starts=first.common_starts, seed=seed)
 
-    test, train = difference("test"), difference("train")
-    if test is None and train is None:
-        raise ValueError(
-            "no partner is on the test or the train side; evaluate both methods against a split"
-        )
+    sides = {side: difference(side) for side in SIDES}
+    if not any(sides.values()):
+        raise ValueError("no partner is on a side; evaluate both methods against a split")
     egos = min(first.egos.height, second.egos.height)
     notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
-    return ComparisonSummary(test, train, notes)
+    return ComparisonSummary(sides["test"], sides["train"], notes, validation=sides["validation"])
 
 
-def _check_alike(first: Returns, second: Returns) -> None:
+def check_alike(first: Returns, second: Returns) -> None:
     """Refuse methods that met other partners, or the same ones otherwise."""
     if not first.partners.equals(second.partners):
         raise ValueError(

@@ -36,8 +36,9 @@ def zsc_dots(
     figure, axes = _returns(summaries, "Zero-shot coordination", width, head)
     colours = style.algorithm_colours(summaries)
     for i, (name, summary) in enumerate(summaries.items()):
-        for key, shift, fill in (("m_train", -0.13, "white"), ("m_test", 0.13, colours[name])):
-            if value := summary[key]:
+        colour = colours[name]
+        for key, shift, fill in (*_SIDES, ("m_test", 0.13, colour)):
+            if value := summary.get(key):
                 _whisker(axes, i + shift, value, colours[name])
                 axes.plot(
                     [i + shift], [value["mean"]], "o", color=colours[name], markerfacecolor=fill
@@ -50,7 +51,10 @@ def zsc_dots(
                     va="center",
                     fontsize=7,
                 )
-    for label, fill in (("training partners", "white"), ("test partners", style.FAINT)):
+    labels = [("training partners", "white"), ("test partners", style.FAINT)]
+    if any(summary.get("m_validation") for summary in summaries.values()):
+        labels.insert(1, ("validation partners", style.GRID))
+    for label, fill in labels:
         axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
     for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
         axes.axhline(
@@ -68,10 +72,13 @@ def zsc_dots(
     return figure
 
 
+_SIDES = (("m_train", -0.13, "white"), ("m_validation", 0.0, style.GRID))  # beside the test's
+
+
 def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
     """Return limits that hold the dots with their intervals, and the references."""
-    both = [summary[key] for summary in summaries.values() for key in ("m_train", "m_test")]
-    values = [value for value in both if value]
+    sides = ("m_train", "m_validation", "m_test")
+    values = [s[key] for s in summaries.values() for key in sides if s.get(key)]
     ends = [end for value in values for end in (value["mean_ci"] or [value["mean"]])]
     low, high = min([*ends, *references.values()]), max([*ends, *references.values()])
     room = 0.15 * max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
@@ -232,7 +239,8 @@ def _returns(
         raise ValueError(
             f"the folders are of several tasks, {', '.join(sorted(tasks))}; draw one task at a time"
         )
-    figures = [summary[key] for summary in summaries.values() for key in ("m_test", "m_train")]
+    sides = ("m_test", "m_validation", "m_train")
+    figures = [summary.get(key) for summary in summaries.values() for key in sides]
     scopes = sorted({scope(figure["generalises_to"]) for figure in figures if figure})
     caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}"
     size = max(width, 6.2), 3.35 + head, 0.42

@@ -8,7 +8,7 @@ from typing import Literal
 
 import polars as pl
 
-SIDES = ("train", "test")
+SIDES = ("train", "validation", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
 
 # Of which tables some columns are: those with behaviour (all since manifest format 2), of gentle
@@ -127,7 +127,8 @@ def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
     sides = [side for side in table["side"].drop_nulls().unique().sort() if side not in SIDES]
     if sides:
         raise ValueError(
-            f"column side holds {', '.join(map(repr, sides))}; allowed are 'train', 'test' and null"
+            f"column side holds {', '.join(map(repr, sides))}; allowed are "
+            f"{', '.join(map(repr, SIDES))} and null"
         )
     return table
 

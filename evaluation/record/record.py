@@ -14,6 +14,7 @@ from evaluation.record.columns import (
     EGO_COLUMNS,
     PARTNER_COLUMNS,
     TOUCH,
+    SIDES,
     validate_episodes,
     with_safety,
 )
@@ -56,16 +57,16 @@ class Returns:
 
     @functools.cached_property
     def evaluated_side(self) -> "Returns":
-        """Those with the test partners, or with the training partners if only those played.
+        """Those with the test partners, else with the validation, else the training partners.
 
         Raises:
             ValueError: no partner is on a side.
         """
         sides = self.partners["side"]
-        side = next((name for name in ("test", "train") if name in sides), None)
+        side = next((name for name in reversed(SIDES) if name in sides), None)
         if side is None:
             raise ValueError(
-                "no partner is on the test or the train side; evaluate against a split"
+                f"no partner is on a side ({', '.join(SIDES)}); evaluate against a split"
             )
         return self.select_partners((sides == side).fill_null(value=False).to_numpy())
 

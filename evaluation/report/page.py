@@ -18,9 +18,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
+from evaluation.figures.contrasts import ContrastFigures
+from evaluation.figures.league import league_table, read_league, row_folders
+from evaluation.figures.normalised import REFERENCE_ORDER
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.league import league_chart
 from evaluation.plots.matrix import arrange, short_names
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
@@ -40,19 +44,29 @@ _HASHED = (
 )
 
 
-def write_report(folder: Path, path: Path) -> None:
+def write_report(folder: Path, path: Path, *, contrasts: ContrastFigures | None = None) -> None:
     """Write the page about a folder that `evaluate` or `crossplay` filled, complete or not at all.
+
+    A folder of folders that `evaluate` filled is a league, whose rows they are.
+
+    Args:
+        folder: What it is about.
+        path: The page, .html.
+        contrasts: Of the league's methods.
 
     Raises:
         FileNotFoundError: The folder, or a table in it, is missing.
-        ValueError: The folder holds neither an evaluation nor a cross-play.
+        ValueError: The folder holds neither an evaluation nor a cross-play nor a league.
     """
+    league = not (folder / tables.SUMMARY_FILE).is_file() and bool(row_folders(folder))
+    if contrasts is not None and not league:
+        raise ValueError(f"{folder} is no folder of rows, which contrasts are of; leave them out")
     if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
     try:
-        text = _page(folder)
+        text = _league_page(folder, contrasts) if league else _page(folder)
     except _STRANGE as error:
         # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
         reason = (str(error).splitlines() or [""])[0][:200]
@@ -90,6 +104,7 @@ def templates() -> jinja2.Environment:
         "letter": lambda number: chr(ord("A") + number),
         "settings": DISABILITY_SETTINGS,
         "touches": TOUCHES,
+        "reference_order": REFERENCE_ORDER,
     }
     environment.globals.update(known)
     return environment
@@ -115,6 +130,36 @@ def _page(folder: Path) -> str:
             identity=manifest.get("identity"),
             hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
+        )
+    )
+
+
+def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
+    """Return the page about a league's rows."""
+    league = read_league(folder)
+    table, unread = league_table(league), []
+    for name, place in row_folders(folder).items():
+        unread += [f"{name}: {note}" for note in unchecked(place)]
+    notes = (*league.notes, *(contrasts.notes if contrasts else ()), *unread)
+    counts = ("side", "episodes", "episodes_per_pair", "nonfinite")
+    files = {
+        f"{name}/{file}": file_sha256(place / file)
+        for name, place in row_folders(folder).items()
+        for file in (tables.EPISODES_FILE, tables.SUMMARY_FILE)
+    }
+    hashes = {f"contrasts {contrasts.file}": contrasts.sha256} if contrasts else {}
+    return (
+        templates()
+        .get_template("league.html")
+        .render(
+            summary={**vars(league.context), **{name: getattr(league, name) for name in counts}},
+            notes=notes,
+            image=_embedded(league_chart(table, league.context.task)),
+            rows=table.rows(named=True),
+            contrasts=contrasts,
+            run=None,
+            identity=None,
+            hashes=hashes | files,
         )
     )
 

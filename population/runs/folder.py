@@ -3,6 +3,7 @@
 - `config.json`: what was trained, on what
 - `checkpoints/`: training state by number of updates
 - `metrics.parquet`: one row for each update and member
+- `snapshots/`: the teams by number of updates, where they were asked for
 - `teams.json`: the teams, once the run is finished
 - `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by
 '/'-joined path
@@ -51,6 +52,7 @@ class RunFolder:
         self.folder = Path(folder)
         self.checkpoints = self.folder / "checkpoints"
         self.teams = self.folder / "teams.json"
+        self.snapshots = self.folder / "snapshots"
         self._config = self.folder / "config.json"
         self._metrics = self.folder / "metrics.parquet"
 
@@ -88,6 +90,10 @@ class RunFolder:
                     "repeat that configuration to resume it, or choose a new folder"
                 )
         write_json(self._config, content)
+
+    def snapshot(self, update: int) -> "RunFolder":
+        """Return the folder of the teams after so many updates."""
+        return RunFolder(self.snapshots / f"{update:09d}")
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""

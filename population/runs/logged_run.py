@@ -26,6 +26,7 @@ def run_training(
     partners: "FrozenPartners | None" = None,
     resume: bool = True,
     tensorboard: Path | str | None = None,
+    snapshots: int = 0,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedRun:
     """Train a configured run, with event files if they are wanted, and read it back.
@@ -37,6 +38,7 @@ def run_training(
         partners: Frozen partners of egos, as `config.partners` names them.
         resume: Whether to go on with a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
+        snapshots: See `population.runs.train.train`.
         progress: Called after every dispatch.
 
     Raises:
@@ -66,6 +68,7 @@ def run_training(
             folder,
             partners=partners,
             resume=resume,
+            snapshots=snapshots,
             progress=report,
         )
         if files is not None:

@@ -56,14 +56,14 @@ def train(
     partners: FrozenPartners | None = None,
     resume: bool = True,
     stop_on_divergence: bool = True,
+    snapshots: int = 0,
     progress: Callable[[Progress], None] | None = None,
     devices: Sequence[jax.Device] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder.
 
-    A run that was interrupted goes on to the same result. With partners, who are frozen, a member
-    is an ego in the other seat. Several devices share the members: as many as divide their number.
-    A run may go on on other devices than it began on.
+    A run that was interrupted goes on to the same result, on other devices too. Several share the
+    members: as many as divide their number. With partners, who are frozen, a member is an ego.
 
     Args:
         config: What to train.
@@ -72,6 +72,7 @@ def train(
         partners: Who sits in the other seat, the same as `config.partners` names.
         resume: Whether to go on with a run that the folder holds.
         stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
+        snapshots: At how many equal steps of the run the policies are kept, to choose among them.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; see `DeviceShares` if not given.
 
@@ -99,9 +100,8 @@ def train(
             DeviceShares(apart, devices) as shares,
             contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
         ):
-            training = _Training(config, trainer, shares, run, checkpoints)
-            state, metrics = training.loop(*training.load(), report, stop_on_divergence)
-            training.finish(state, metrics)
+            training = _Training(config, trainer, shares, run, checkpoints, snapshots)
+            training.finish(*training.loop(*training.load(), report, stop_on_divergence))
 
     interruptible(work)
     if not extends(config.trainer):
@@ -179,6 +179,7 @@ class _Training:
     shares: DeviceShares
     run: RunFolder
     checkpoints: Checkpoints
+    snapshots: int
 
     def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
         """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
@@ -218,7 +219,7 @@ class _Training:
                 values, config.members, done, config.trainer.batch_steps, clock.seconds()
             )
             metrics.append(rows)
-            done += updates
+            before, done = done, done + updates
             saving = done // config.checkpoint_every > (done - updates) // config.checkpoint_every
             ending = done == config.updates
             if stop_on_divergence and (bad := find_divergence(values)):
@@ -229,6 +230,8 @@ class _Training:
                 self.run.write_metrics(metrics[0])
             if extends(config.trainer) if ending else saving:
                 self.checkpoints.save(done, state)
+            if done * self.snapshots // config.updates > before * self.snapshots // config.updates:
+                self._keep(done, state, clock.seconds())
             progress(clock.progress(config, done, rows))
         return state, pl.concat(metrics, how="diagonal")
 
@@ -254,12 +257,26 @@ class _Training:
 
         return advance
 
+    def _keep(self, done: int, state: TrainState, seconds: float) -> None:
+        """Write the policies as they are after so many updates."""
+        config = dataclasses.replace(self.config, steps=done * self.config.trainer.batch_steps)
+        written = jax.device_get(self._written(state))
+        training = _provenance(config, self.trainer.env, self.shares, seconds)
+        figures = [None] * len(config.members)
+        kept = self.run.snapshot(done)
+        kept.folder.mkdir(parents=True, exist_ok=True)
+        kept.write_teams(config, self.trainer.specs, written, training, figures)
+
+    def _written(self, state: TrainState) -> Any:
+        """Return the policies' parameters as they are written."""
+        # On one device: a few episodes of each team are less than an update was.
+        params = jax.jit(self.trainer.policy_params)(self.shares.gather(state.members))
+        return jax.tree.map(lambda leaf: leaf.astype(self.config.precision), params)
+
     def finish(self, state: TrainState, metrics: pl.DataFrame) -> None:
         """Evaluate the final policies in self-play, unless they are egos, and write them."""
         config, trainer = self.config, self.trainer
-        # On one device: a few episodes of each team are less than an update was.
-        params = jax.jit(trainer.policy_params)(self.shares.gather(state.members))
-        written = jax.tree.map(lambda leaf: leaf.astype(config.precision), params)
+        written = self._written(state)
         params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), written)  # as they are read
         figures: list[dict[str, Any] | None] = [None] * len(config.members)
         if config.self_play_episodes and not trainer.partners:

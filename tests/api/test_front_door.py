@@ -97,6 +97,8 @@ def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
         "assistax_zoo.zoos",
         "assistax_zoo.evaluating",
         "assistax_zoo.results",
+        "assistax_zoo.comparing",
+        "evaluation.figures.metrics.variance",
         "evaluation.cast.partners",
         "evaluation.figures.planning",
         "assistax_zoo.films",
@@ -109,7 +111,7 @@ def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.chdir(tmp_path)
     received: dict[str, Any] = {}
-    if module == "assistax_zoo.results":
+    if module in ("assistax_zoo.results", "assistax_zoo.comparing"):
         options: dict[str, Any] = {"task": "scratch", "episodes": 1, "progress": False}
         near = {"split": "both", "partners": "scratch/ippo-d1-s[01]-v1", "references": False}
         received["result"] = az.evaluate(lambda obs: obs[:, :7] * 0.0, **options, **near)

@@ -1,4 +1,5 @@
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,7 +7,10 @@ from scipy.cluster import hierarchy
 from scipy.spatial import distance
 
 from evaluation.figures import clustering
-from tests.evaluation.episode_tables import clustered_matrix
+from evaluation.figures.clustering import convention_groups
+from evaluation.figures.saved_tables import pair_table
+from evaluation.record.record import Record
+from tests.evaluation.episode_tables import clustered_matrix, episode_table, team_id, teams
 from tools.release_page.paper.measures import branches
 
 
@@ -112,3 +116,16 @@ def test_json_names_policies_in_order():
     assert set(clusters["order"][:2]) == {"b", "d"}
     assert [set(cluster["members"]) for cluster in clusters["clusters"]] == [{"b", "d"}, {"a", "c"}]
     assert clusters["leaves"] == ["a", "b", "c", "d"]
+
+
+def test_convention_groups_are_those_in_which_the_same_robots_suit() -> None:
+    """Six teams of two groups: robots earn 900 within their group and 600 across."""
+    matrix = clustered_matrix(6, 2)
+    matrix[::2, ::2] += 100.0  # teams of this group do better with one another
+    table = episode_table(matrix[:, :, None], teams(6), teams(6))
+    pairs = pair_table(Record(table, Path("nowhere")))
+    groups = convention_groups(pairs)
+    names = [team_id(team) for team in teams(6)]
+    assert [groups[name] for name in names] == ["a", "b"] * 3
+    with pytest.raises(ValueError, match="convention groups need every robot"):
+        convention_groups(pairs[1:])

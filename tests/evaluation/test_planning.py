@@ -8,7 +8,15 @@ import polars as pl
 import pytest
 
 from evaluation.figures.bootstrap import estimate
-from evaluation.figures.planning import MEASURED, Spread, measure_spread, plan_evaluation, spread_of
+from evaluation.figures.metrics.inference import mean_test
+from evaluation.figures.metrics.variance import Spread, measure_spread, spread_of
+from evaluation.figures.planning import (
+    MEASURED,
+    ContrastSpread,
+    measure_contrast,
+    plan_contrast,
+    plan_evaluation,
+)
 
 EGOS = Path(__file__).parents[2] / "docs" / "data" / "v1" / "egos"
 TRUE = Spread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0, starts=90.0)
@@ -97,3 +105,59 @@ def test_a_plan_has_the_fewest_seeds_and_then_episodes() -> None:
 def test_what_cannot_be_reached_is_said() -> None:
     with pytest.raises(ValueError, match=r"64 seeds with 59 partners reach \d+\.\d"):
         plan_evaluation(1.0, task="arm_assist")
+
+
+CONTRAST = ContrastSpread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0)
+
+
+def two_pilots(rng: np.random.Generator, shape: tuple[int, int, int], effect: float = 0.0):
+    """Return the returns of two methods that share partners' effects and starts."""
+    s, p, k = shape
+    shared = rng.normal(0.0, 70.0, (1, p, 1)) + rng.normal(0.0, 60.0, (1, p, k))
+    apart = rng.normal(effect, CONTRAST.partners, (1, p, 1))
+
+    def method(bias: np.ndarray) -> np.ndarray:
+        return (
+            rng.normal(0.0, CONTRAST.seeds, (s, 1, 1))
+            + rng.normal(0.0, CONTRAST.pairs, (s, p, 1))
+            + rng.normal(0.0, CONTRAST.episodes, (s, p, k))
+            + shared
+            + bias
+        )
+
+    return method(apart), method(np.zeros((1, p, 1)))
+
+
+def as_table(returns: np.ndarray) -> pl.DataFrame:
+    ego, partner, episode = (axis.ravel().astype(str) for axis in np.indices(returns.shape))
+    columns = {"ego": ego, "partner": partner, "episode": episode, "return": returns.ravel()}
+    return pl.DataFrame(columns)
+
+
+def test_the_spread_of_a_contrast_leaves_out_what_partners_bring_to_both() -> None:
+    rng = np.random.default_rng(8)
+    found = [
+        dataclasses.astuple(measure_contrast(*map(as_table, two_pilots(rng, (12, 40, 4)))))
+        for _ in range(20)
+    ]
+    squares = np.mean(np.square(found), axis=0)
+    assert np.sqrt(squares) == pytest.approx(dataclasses.astuple(CONTRAST), rel=0.15)
+
+
+def test_a_planned_contrast_is_seen_in_four_of_five() -> None:
+    plan = plan_contrast(60.0, CONTRAST, partners=40)
+    assert plan.detectable <= 60.0
+    assert plan_contrast(60.0, CONTRAST, partners=40, contrasts=10).seeds > plan.seeds
+    rng, shape = np.random.default_rng(9), (plan.seeds, plan.partners, plan.episodes)
+    seen = [
+        mean_test(*(returns.mean(axis=2) for returns in two_pilots(rng, shape, 60.0))).p < 0.05
+        for _ in range(500)
+    ]
+    assert 0.74 < np.mean(seen) < 0.88  # whole episodes see somewhat more than was asked for
+
+
+def test_a_contrast_that_cannot_be_seen_is_said() -> None:
+    with pytest.raises(ValueError, match=r"64 seeds with 59 partners see \d+\.\d"):
+        plan_contrast(1.0, CONTRAST)
+    with pytest.raises(ValueError, match="an effect above 0"):
+        plan_contrast(0.0, CONTRAST)

@@ -216,7 +216,8 @@ def test_what_enters_a_template_is_escaped_and_none_says_otherwise():
     with pytest.raises(jinja2.UndefinedError):
         environment.from_string("{{ missing }}").render()
     assert set(environment.list_templates()) == {
-        *("crossplay.html", "evaluation.html", "figures.html", "macros.html", "page.html")
+        *("crossplay.html", "evaluation.html", "figures.html", "league.html", "macros.html"),
+        "page.html",
     }
     for path in (ROOT / "evaluation" / "report").glob("**/*.*"):
         if path.suffix in (".py", ".html"):

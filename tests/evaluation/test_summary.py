@@ -245,3 +245,24 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
     alone = table.filter(pl.col("partner") == own)
     with pytest.raises(ValueError, match="let include_own count them"):
         derived.save_evaluation(Record(alone, tmp_path / "none"), CONTEXT)
+
+
+def test_the_validation_side_has_a_figure_of_its_own():
+    table = evaluation_table(egos=2)
+    sides = dict(table.select("partner", "side").unique().rows())
+    some = sorted(name for name, side in sides.items() if side == "test")[:2]
+    table = table.with_columns(
+        pl.when(pl.col("partner").is_in(some))
+        .then(pl.lit("validation"))
+        .otherwise("side")
+        .alias("side")
+    )
+    figures = summary.summarise_evaluation(Record(table, Path("nowhere")), CONTEXT)
+    assert figures.m_validation is not None and figures.m_validation.n == 2 * 2
+    assert figures.m_test is not None and figures.side == "test"
+    assert figures.partners["validation"] == 2
+    alone = summary.summarise_evaluation(
+        Record(table.filter(side="validation"), Path("nowhere")), CONTEXT
+    )
+    assert (alone.side, alone.m_test, alone.gap) == ("validation", None, None)
+    assert alone.m_validation is not None and alone.variance is not None

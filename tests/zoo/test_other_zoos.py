@@ -128,7 +128,7 @@ def test_their_splits_and_locks_are_theirs(
             *split.train,
             *split.test,
         }
-    with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
+    with pytest.raises(ValueError, match="after the colon test, train, validation, both are"):
         choose_partners(both, "scratch", "lab:half-s0:tset", None)
     assert all(team.startswith("lab:") and team in both.data.teams for team in split.train)
     assert both.split("scratch") == registry.split("scratch")

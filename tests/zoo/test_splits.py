@@ -1,18 +1,21 @@
 import json
 import random
+import statistics
 
+import numpy as np
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError
 from zoo.history.merkle import with_roots
 from zoo.ids import parse_team
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.saving import dump_registry
-from zoo.splits import check_split, shared_parameters
+from zoo.splits import check_split, shared_parameters, split_id
 from zoo.splitting import rules
-from zoo.splitting.create import create_split
+from zoo.splitting.create import competent, create_split
 from zoo.splitting.rules import RULES, half_side, make_split
 from zoo.splitting.sides import parse_split
 
@@ -272,5 +275,92 @@ def test_every_rule_has_a_row_in_the_documentation() -> None:
 )
 def test_what_split_asks_for(text: str | None, expected: tuple[str | None, str]) -> None:
     assert parse_split(text, ["", "lab"]) == expected
-    with pytest.raises(ValueError, match="after the colon test, train, both are allowed"):
+    with pytest.raises(ValueError, match="after the colon test, train, validation, both are"):
         parse_split("other:half-s0", ["", "lab"])
+
+
+def three(teams, **arguments):
+    return make(teams, "three-sides", **arguments)
+
+
+def test_three_sides_have_their_shares_of_all_and_of_every_stratum() -> None:
+    split = three(ids(seeds=range(20)))  # 360 teams in 18 strata of 20
+    counts = {side: len(teams) for side, teams in split.sides.items()}
+    assert counts == {"train": 216, "validation": 54, "test": 90}
+    for algorithm in ("ippo", "mappo"):
+        for setting in range(1, 10):
+            stratum = f"/{algorithm}-d{setting}-"
+            dealt = [sum(stratum in team for team in teams) for teams in split.sides.values()]
+            assert np.abs(np.array(dealt) - [12, 3, 5]).max() <= 1
+    assert sorted(sum(split.sides.values(), ())) == sorted(ids(seeds=range(20)))
+    assert three(ids(seeds=range(20))[::-1]) == split
+    assert three(ids(seeds=range(20)), seed=1).id != split.id
+
+
+def test_three_sides_stratify_by_convention_group_too() -> None:
+    teams = ids(("ippo",), (1,), range(40))
+    groups = {team: "a" if parse_team(team).seed % 4 else "b" for team in teams}  # 30 and 10
+    split = three(teams, groups=groups)
+    of_b = [sum(groups[team] == "b" for team in side) for side in split.sides.values()]
+    assert np.abs(np.array(of_b) - [6, 1.5, 2.5]).max() <= 1
+
+
+def test_held_out_preferences_are_a_split_of_their_own() -> None:
+    teams = [f"gentle_lift/mappo-d{d}-s{s}-v1" for d in (1, 2) for s in range(10)]
+    plain, held = (
+        make_split(
+            teams, task="gentle_lift", release="v1", rule="three-sides", test_preferences=names
+        )
+        for names in ((), ("p1", "p5", "p9"))
+    )
+    assert plain.sides == held.sides and plain.id != held.id and not plain.preferences
+    assert held.preferences["validation"] == held.preferences["train"]
+    assert "p1" not in held.preferences["train"] and held.preferences["test"] == ("p1", "p5", "p9")
+    assert "three-sides-p1-p5-p9-s0-v1" in held.id
+
+
+def test_splits_of_two_sides_keep_their_content() -> None:
+    split = make(ids())
+    assert "validation" not in split.content and list(split.sides) == ["train", "test"]
+    registry = load_registry()
+    assert all(name.sha256 == json_sha256(name.content) for name in registry.data.splits)
+    assert '"validation"' not in dump_registry(registry.part("").data)
+
+
+def test_a_team_on_two_of_three_sides_is_refused() -> None:
+    split = three(ids())
+    for one, other in (("train", "validation"), ("validation", "test"), ("train", "test")):
+        team = getattr(split, one)[0]
+        twice = {other: tuple(sorted((*getattr(split, other), team)))}
+        content = split.model_copy(update=twice).content
+        changed = split.model_copy(
+            update={**twice, "sha256": json_sha256(content), "id": split_id(content)}
+        )
+        with pytest.raises(LeakageError, match=team):
+            check_split(changed)
+
+
+def test_too_few_teams_have_no_three_sides() -> None:
+    with pytest.raises(SplitError, match="5 teams or more"):
+        three(ids(("ippo",), (1,), range(2)))
+
+
+def test_partners_with_whom_nobody_earns_much_leave() -> None:
+    data = load_registry().part("").data
+    teams = [team for team in data.teams if team.startswith("scratch/ippo-d1-")]
+    figures = {team: data.teams[team].self_play for team in teams}
+    own = {team: figure.mean for team, figure in figures.items() if figure is not None}
+    assert len(own) == len(teams)
+    median = statistics.median(own.values())
+    assert competent(data, teams, {}) == [t for t in teams if own[t] >= 0.25 * median]
+    worst = {teams[0]: 0.2 * median, teams[1]: 0.3 * median}  # what best responses earn decides
+    left = {*teams} - {*competent(data, teams, worst)}
+    assert teams[0] in left and teams[1] not in left
+    assert competent(data, teams, dict.fromkeys(teams, -1.0)) == teams
+
+
+def test_a_split_of_three_sides_is_kept_and_asked_for_by_side(registry: Registry) -> None:
+    split = create_split(registry.path, task="scratch", rule="three-sides", release="v0")
+    again = load_registry(registry.path).split("scratch", "three-sides")
+    assert again == split and len(split.validation) == 1
+    assert parse_split("three-sides:validation", ()) == ("three-sides", "validation")

@@ -178,8 +178,8 @@ def cluster(
         python -m tools.release_page cluster gentle_bath --release v2 --data docs/data/v2
     """
     from assistax_zoo.commands.options import parse_names
+    from evaluation.figures.clustering import conventions
     from tools.release_page.data import CROSSPLAY, read_crossplay
-    from tools.release_page.gentle.measures import conventions
     from zoo.ids import parse_team
     from zoo.splitting.create import create_split
 

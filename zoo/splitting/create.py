@@ -1,5 +1,6 @@
 """A new split of a release's partners, kept in the registry or among the user's own."""
 
+import statistics
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from zoo.namespaces import qualify_split, split_namespace
 from zoo.registry import Registry, load_registry
 from zoo.saving import keep_split, save_registry, writable_registry
 from zoo.schema import RegistryFile, Split
-from zoo.splits import refuse_leak, shared_parameters
-from zoo.splitting.rules import LEAVE_ONE_OUT, make_split
+from zoo.splits import leaks, refuse_leak
+from zoo.splitting.rules import LEAVE_ONE_OUT, THREE, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
+
+LEAST = 0.25  # of the median of what partners let robots earn; who lets them earn less leaves
 
 
 def create_split(
@@ -24,6 +27,7 @@ def create_split(
     rule: str = "half",
     release: str | None = None,
     default: bool = False,
+    earned: Mapping[str, float] | None = None,
     **arguments: Any,
 ) -> Split:
     """Make a split of a release's partners, write it to the registry, and return it.
@@ -31,7 +35,8 @@ def create_split(
     A split that exists is left as it is. An official registry is never written to: splits of its
     partners go to a file of the user's, and stand beside the published ones from then on.
     A leave-one-out rule leaves out training partners that act nearly as one of the test partners
-    does.
+    does. `three-sides` leaves them out too, and partners with whom nobody earns much: less than a
+    quarter of what the median partner lets its best response earn.
 
     Args:
         registry_path: The registry to write to; if not given, the one in use, or the user's own
@@ -41,24 +46,32 @@ def create_split(
         release: Release of the partners; the newest whole one that has the task if not given.
             "own:v0" is one of the user's own zoo.
         default: Make it the release's default split of the task.
+        earned: What the best response to a team's human earns, by team; of others it is what the
+            team earns itself.
         **arguments: The others of `zoo.splitting.rules.make_split`.
 
     Raises:
         SplitError: The rule cannot be applied to the partners of the release.
         LeakageError: A team, the same parameters, or, by another rule, humans that act nearly alike
-            would stand on both sides.
+            would stand on two sides.
         PublishError: The registry that was given is official.
     """
     namespace, name = split_namespace(release or "")
     if registry_path is None and namespace == OWN:
         sides = {side: _own_teams(arguments.pop(side, ())) for side in ("train", "test")}
-        fields = {"task": task, "rule": rule, "release": name, "default": default}
-        return qualify_split(create_split(own_registry(), **fields, **sides, **arguments), OWN)
+        fields: dict[str, Any] = {"task": task, "rule": rule, "release": name}
+        fields["default"] = default
+        named = {
+            name: {team.removeprefix(f"{OWN}:"): value for team, value in (known or {}).items()}
+            for name, known in (("earned", earned), ("groups", arguments.pop("groups", None)))
+        }
+        made = create_split(own_registry(), **fields, **sides, **named, **arguments)
+        return qualify_split(made, OWN)
     path = writable_registry(registry_path)
     with exclusive(path or own_splits_file()):
         registry = load_registry(path).part("")
         split = _checked_split(
-            registry, task, rule, release or registry.release_of(task), arguments
+            registry, task, rule, release or registry.release_of(task), earned or {}, arguments
         )
         if path is None:
             _keep_own(registry, split, default)
@@ -68,24 +81,43 @@ def create_split(
 
 
 def _checked_split(
-    registry: Registry, task: str, rule: str, release: str, arguments: Mapping[str, Any]
+    registry: Registry,
+    task: str,
+    rule: str,
+    release: str,
+    earned: Mapping[str, float],
+    arguments: Mapping[str, Any],
 ) -> Split:
     """Return a split, without partners that nearly the same humans play on the other side."""
     partners = partner_teams(registry.data, task, release)
     if not partners:
         raise _no_partners(registry.data, task, release)
-    split = make_split(partners, task=task, release=release, rule=rule, **arguments)
-    pairs = shared_parameters(split.train, split.test, registry.data.teams)
-    if pairs:
-        refuse_leak(split.id, pairs)
-    alike = similar_pairs(registry, split)
-    if alike and rule in LEAVE_ONE_OUT:  # what is held out stays whole
-        twins = {pair.train for pair in alike}
+    if rule == THREE:
+        partners = competent(registry.data, partners, earned)
+    while True:
+        split = make_split(partners, task=task, release=release, rule=rule, **arguments)
+        if pairs := leaks(split, registry.data.teams):
+            refuse_leak(split.id, pairs)
+        alike = [pair for pair in similar_pairs(registry, split) if pair.train in partners]
+        if not alike:
+            return split
+        if rule not in (*LEAVE_ONE_OUT, THREE):
+            raise similar_leak(split.id, alike)
+        twins = {pair.train for pair in alike}  # what is held out stays whole
         partners = [team for team in partners if team not in twins]
-        return make_split(partners, task=task, release=release, rule=rule, **arguments)
-    if alike:
-        raise similar_leak(split.id, alike)
-    return split
+
+
+def competent(data: RegistryFile, teams: Iterable[str], earned: Mapping[str, float]) -> list[str]:
+    """Return the teams whose human lets a robot earn `LEAST` of the median, or more.
+
+    A team of which nothing is known stays, and all stay where the median is not above 0.
+    """
+    teams = list(teams)
+    own = {team: data.teams[team].self_play for team in teams}
+    known = {team: figure.mean for team, figure in own.items() if figure is not None}
+    known |= {team: earned[team] for team in teams if team in earned}
+    median = statistics.median(known.values()) if known else 0.0
+    return [team for team in teams if median <= 0 or known.get(team, median) >= LEAST * median]
 
 
 def _keep_own(registry: Registry, split: Split, default: bool) -> None:

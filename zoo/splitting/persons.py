@@ -66,7 +66,7 @@ def choose_persons(
             f"persons {', '.join(globs)}",
             f"persons on the {side} side of {dealt.id}",
             "none that match",
-            f"choose others, or another side: {', '.join((*SIDES, VALIDATION))}",
+            f"choose others, or another side: {', '.join(SIDES)}",
         )
     drawn = sorted(wanted, key=lambda team: sha256(team.encode()))[: MOST if most is None else most]
     return dealt, known_persons(data, sorted(f"{team}/human" for team in drawn))
@@ -74,9 +74,8 @@ def choose_persons(
 
 def _parsed(text: str | None, default: str) -> tuple[str, str]:
     """Return a split's name and a side of it, of what a user says."""
-    sides = (*SIDES, VALIDATION)
     name, _, side = (text or "").rpartition(":")
-    if side not in sides:
+    if side not in SIDES:
         name, side = text or "", default
     if side == VALIDATION:
         namespace = name.rpartition(":")[0] + ":" * (":" in name)

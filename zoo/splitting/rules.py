@@ -7,13 +7,20 @@
 | `leave-one-disability-out` | every other disability setting | the held-out setting |
 | `small-train` | n teams of the half's train side, chosen at random | the half's test side |
 | `custom` | the teams given | the teams given |
+| `three-sides` | 60% of each algorithm x disability x convention group | 25% |
+
+`three-sides` has a validation side too, the other 15%. By it checkpoints, seeds and
+hyperparameters are chosen, so that the test side is played once. Teams are dealt stratum by
+stratum, each to the side that lacks most of its share so far: the sides have their shares of all
+teams to within one team, and nearly so of each stratum.
 
 With any rule, a gentle task's split may hold preferences out too: its test partners then like what
-no training partner did.
+no training partner did, nor any partner of the validation side. Such a split is another one, with
+an id of its own, so that new partners and new preferences are told apart.
 
-Humans that act nearly alike (`zoo/splitting/similar_humans.py`) may not stand on both sides.
-`zoo.splitting.create.create_split` leaves such training partners out of a leave-one-out split,
-whose test side is to be whole, and refuses any other.
+Humans that act nearly alike (`zoo/splitting/similar_humans.py`) may not stand on two sides.
+`zoo.splitting.create.create_split` leaves one of them out where the rule can do without, and
+refuses the split otherwise.
 
 In `half`, a team's side depends on its own id and the split's seed alone: seeds 2k and 2k+1 of a
 stratum are a pair, and the lowest bit of
@@ -23,7 +30,8 @@ with consecutive seeds are halved exactly; the odd one of an odd stratum falls b
 either side.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 from assistax_base.digest import json_sha256, sha256
@@ -38,6 +46,8 @@ LEAVE_ONE_OUT = {
     "leave-one-algorithm-out": "algorithm",
     "leave-one-disability-out": "disability",
 }  # what is held out
+THREE = "three-sides"
+SHARES = {"train": 0.60, "validation": 0.15, "test": 0.25}  # of the teams, by `three-sides`
 
 
 def make_split(
@@ -53,6 +63,7 @@ def make_split(
     test: Iterable[str] = (),
     train_preferences: Iterable[str] = (),
     test_preferences: Iterable[str] = (),
+    groups: Mapping[str, str] | None = None,
 ) -> Split:
     """Return the split that the rule makes of the task's teams in a release.
 
@@ -61,20 +72,54 @@ def make_split(
         task: Of the split.
         release: Of the split.
         rule: One of `RULES`.
-        seed: Of the rules that choose at random, `half` and `small-train`.
+        seed: Of the rules that choose at random: `half`, `small-train` and `three-sides`.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Number of training partners of `small-train`.
         train: Team ids of the train side of `custom`.
         test: Those of the test side.
         train_preferences: What the train side's humans like; one side's alone leaves the rest.
         test_preferences: What the test side's like.
+        groups: Convention group of each team, by which `three-sides` stratifies too.
 
     Raises:
         SplitError: An unknown rule or preference, no argument, or an empty side.
-        LeakageError: A team or a preference is on both sides.
+        LeakageError: A team is on two sides, or a preference of the test side on another.
     """
     ids = set(map(parse_team, teams))
     known = sorted(str(t) for t in ids if (t.task, t.release, t.namespace) == (task, release, ""))
+    given = sorted(train), sorted(test)
+    sides = _sides(known, rule, seed, held_out, n, given, groups or {})
+    content: dict[str, Any] = {
+        "task": task,
+        "release": release,
+        "rule": rule,
+        "held_out": held_out if rule in LEAVE_ONE_OUT else None,
+        "n": n if rule == "small-train" else None,
+        "seed": seed if rule in ("half", "small-train", THREE) else 0,
+        **{side: tuple(own) for side, own in sides.items()},
+    }
+    preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
+    if preferences and rule == THREE:
+        preferences["validation"] = preferences["train"]
+    content |= {"preferences": preferences} if preferences else {}
+    named = {"id": split_id(content), "sha256": json_sha256(content)}
+    split = Split.model_validate(named | content)
+    check_split(split)
+    return split
+
+
+def _sides(
+    known: Sequence[str],
+    rule: str,
+    seed: int,
+    held_out: str | None,
+    n: int,
+    given: tuple[list[str], list[str]],
+    groups: Mapping[str, str],
+) -> dict[str, list[str]]:
+    """Return the teams of each side by a rule."""
+    if rule == THREE:
+        return _three_sides(known, seed, groups)
     if rule == "half":
         sides = _by(known, lambda team: half_side(team, seed))
     elif rule in LEAVE_ONE_OUT:
@@ -82,24 +127,10 @@ def make_split(
     elif rule == "small-train":
         sides = _small_train(known, n, seed)
     elif rule == "custom":
-        sides = _custom(known, sorted(train), sorted(test))
+        sides = _custom(known, *given)
     else:
         raise SplitError("rule", f"one of {', '.join(RULES)}", shorten(rule))
-    content: dict[str, Any] = {
-        "task": task,
-        "release": release,
-        "rule": rule,
-        "held_out": held_out if rule in LEAVE_ONE_OUT else None,
-        "n": n if rule == "small-train" else None,
-        "seed": seed if rule in ("half", "small-train") else 0,
-        **{side: tuple(own) for side, own in zip(("train", "test"), sides, strict=True)},
-    }
-    preferences = _preferences(task, sorted(train_preferences), sorted(test_preferences))
-    content |= {"preferences": preferences} if preferences else {}
-    named = {"id": split_id(content), "sha256": json_sha256(content)}
-    split = Split.model_validate(named | content)
-    check_split(split)
-    return split
+    return dict(zip(("train", "test"), sides, strict=True))
 
 
 def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
@@ -145,6 +176,25 @@ def _small_train(known: Sequence[str], n: int, seed: int) -> tuple[list[str], li
             "n of small-train", f"1 to {len(train)}, the teams of the half's train side", str(n)
         )
     return sorted(sorted(train, key=lambda team: sha256(f"{seed}:{team}".encode()))[:n]), test
+
+
+def _three_sides(
+    known: Sequence[str], seed: int, groups: Mapping[str, str]
+) -> dict[str, list[str]]:
+    """Return the teams of three sides."""
+
+    def place(team: str) -> tuple[str, ...]:
+        named = parse_team(team)
+        stratum = (named.algorithm, named.disability, groups.get(team, ""))
+        return *stratum, sha256(f"{seed}:{team}".encode())
+
+    dealt: dict[str, list[str]] = {side: [] for side in SHARES}
+    for count, team in zip(itertools.count(1), sorted(known, key=place), strict=False):
+        lacking = max(SHARES, key=lambda side: SHARES[side] * count - len(dealt[side]))
+        dealt[lacking].append(team)
+    if not all(dealt.values()):
+        raise SplitError(THREE, "5 teams or more", str(len(known)))
+    return {side: sorted(teams) for side, teams in dealt.items()}
 
 
 def _custom(known: Sequence[str], train: list[str], test: list[str]) -> tuple[list[str], list[str]]:

@@ -2,7 +2,12 @@
 
 from collections.abc import Collection
 
-SIDES = {"test": ("test",), "train": ("train",), "both": ("train", "test")}
+SIDES = {
+    "test": ("test",),
+    "train": ("train",),
+    "validation": ("validation",),
+    "both": ("train", "test"),
+}
 DEFAULT_SIDE = "test"
 
 

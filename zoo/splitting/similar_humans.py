@@ -17,6 +17,7 @@ assist, where two pairs of MAPPO's humans, who have little to do there, stand be
 without being copies: they may share a side.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -36,7 +37,7 @@ _SEED = 0
 class Pair(NamedTuple):
     """Two teams whose humans act nearly alike."""
 
-    train: str
+    train: str  # on the side that stands before the other's: train, validation, test
     test: str
     difference: float  # mean absolute difference of their actions, each in [-1, 1]
 
@@ -52,20 +53,19 @@ def similar_pairs(registry: Registry, split: Split, threshold: float = THRESHOLD
     Raises:
         IntegrityError: A shard is missing or damaged.
     """
-    teams = {*split.train, *split.test}
+    teams = {team for side in split.sides.values() for team in side}
     humans = [entry for entry in registry.policies if entry.role == "human" and entry.team in teams]
     pairs: list[Pair] = []
     for group in load_stacks(registry, humans):
         names = [policy.rpartition("/")[0] for policy in group.ids]
-        train, test = (
-            [i for i, name in enumerate(names) if name in side]
-            for side in (split.train, split.test)
-        )
-        if train and test:
-            distances = differences(probe_actions(group))[np.ix_(train, test)]
+        sides = [[i for i, n in enumerate(names) if n in side] for side in split.sides.values()]
+        if sum(map(bool, sides)) < 2:
+            continue
+        distances = differences(probe_actions(group))
+        for before, after in itertools.combinations(sides, 2):
             pairs += [
-                Pair(names[train[i]], names[test[j]], float(distances[i, j]))
-                for i, j in np.argwhere(distances < threshold)
+                Pair(names[before[i]], names[after[j]], float(distances[before[i], after[j]]))
+                for i, j in np.argwhere(distances[np.ix_(before, after)] < threshold)
             ]
     return sorted(pairs, key=lambda pair: pair.difference)
 

@@ -174,7 +174,10 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     robots = len(summary["egos"])
     split = summary["split"]["id"]
     title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
-    names = (("M_test", "m_test"), ("M_train", "m_train"), ("M_train - M_test", "gap"))
+    names = (
+        *(("M_test", "m_test"), ("M_validation", "m_validation"), ("M_train", "m_train")),
+        ("M_train - M_test", "gap"),
+    )
     rows = [(name, summary[key]) for name, key in names]
     for key in ("by_algorithm", "by_disability", "by_preference", "by_place"):
         word = "episode " * (key == "by_place")
@@ -191,13 +194,17 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
         _print_figures("how people were touched", rows, "mean over episodes", digits=3)
     if summary["references"]:
         _print_references(summary["references"], summary["relative"])
+    _print_variance(summary["variance"])
     worst = summary["worst_partner"]
     print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
     _print_origin(summary)
 
 
 def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
-    rows = [(name.replace("_", " "), figure) for name, figure in references.items()]
+    from evaluation.figures.normalised import REFERENCE_ORDER
+
+    names = [name for name in REFERENCE_ORDER if name in references]
+    rows = [(name.replace("_", " "), references[name]) for name in names]
     _print_figures("to compare with: the same partners and episodes", rows)
     if relative["normalised_return"] is None:
         print("nobody's best response is known, so that nothing is relative to one")
@@ -227,9 +234,22 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
     )
     title = f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans"
     _print_figures(title, [(name, summary[key]) for name, key in names])
+    _print_variance(summary["variance"])
     best = summary["best_ego"]
     print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
     _print_origin(summary)
+
+
+def _print_variance(variance: dict[str, Any] | None) -> None:
+    if variance is None or variance["interaction_index"] is None:
+        return
+    names = {"seeds": "robots", "partners": "partners", "pairs": "pairs"}
+    parts = ", ".join(f"{word} {variance['spread'][name]:.1f}" for name, word in names.items())
+    chance = variance["interaction_p"]
+    beyond = (
+        "" if chance is None else f" (p {chance:.3f} that pairs differ by their episodes alone)"
+    )
+    print(f"SD of {parts}; interaction index {variance['interaction_index']:.2f}{beyond}")
 
 
 def _print_origin(summary: dict[str, Any]) -> None:

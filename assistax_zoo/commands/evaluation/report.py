@@ -1,31 +1,48 @@
 """What finished folders tell: differences of methods, strategies of partners, and a page."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table
+from evaluation.record.columns import SIDES
 
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
 
 
-def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
+def compare(
+    *folders: Path, contrasts: Path | None = None, seed: int = 0, json: bool = False
+) -> None:
     """Compare method A with method B: paired differences A - B over the same partners and episodes.
 
+    With --contrasts, compare as a file says that was written before the test side was played: each
+    named method less its baseline, with p-values corrected for all of them, and the difference
+    that could have been seen. A folder's name is its method's.
+
     Args:
-        a: Folder that `assistax-zoo evaluate --out` filled.
-        b: Another, of the same task, split, episodes and seed.
+        folders: A and B, which `assistax-zoo evaluate --out` filled, of the same task, split,
+            episodes and seed; with --contrasts a folder for each method and task.
+        contrasts: File of named contrasts, TOML or JSON; docs/evaluation.md shows one.
         seed: Seed of the bootstrap.
         json: Print JSON.
 
     Example:
         assistax-zoo compare results/mine results/baseline
     """
-    from assistax_zoo.results import compare as compare_results
+    from assistax_zoo.comparing import compare as compare_results
 
+    if contrasts is not None:
+        _compare_named(contrasts, folders, seed, json)
+        return
+    if len(folders) != 2:
+        raise ValueError(
+            f"{counted(len(folders), 'folder')} to compare; give two, or a file of contrasts"
+        )
+    a, b = folders
     comparison = compare_results(a, b, seed=seed)
-    sides = (("train", comparison.train), ("test", comparison.test))
+    sides = [(side, getattr(comparison, side)) for side in SIDES]
     answer(
         json,
         {"a": str(a), "b": str(b), **comparison.to_json()},
@@ -33,6 +50,37 @@ def compare(a: Path, b: Path, /, *, seed: int = 0, json: bool = False) -> None:
         *(_difference_line(side, difference) for side, difference in sides if difference),
         *(printable(f"note: {note}") for note in comparison.notes),
     )
+
+
+def _compare_named(file: Path, folders: Sequence[Path], seed: int, json: bool) -> None:
+    """Print the contrasts of a file."""
+    from assistax_zoo.comparing import compare_named
+    from evaluation.record import tables
+
+    figures = compare_named(file, folders, seed=seed)
+    if json:
+        print_json(tables.to_json(figures))
+        return
+    table = new_table(f"contrasts on the test side, alpha {figures.alpha:g} for all")
+    table.add_column("method less baseline", overflow="fold")
+    for name in ("mean", "95%\ninterval", "p", "p\nHolm", "detect-\nable"):
+        table.add_column(name, justify="right")
+    for figure in figures.contrasts:
+        digits = 1 if figure.metric == "return" else 3
+        mean, ends = figure.difference.mean, figure.difference.mean_ci
+        named = figure.p_holm is not None
+        table.add_row(
+            printable(f"{figure.method} - {figure.baseline}, {figure.task}, {figure.metric}"),
+            f"{mean:+.{digits}f}",
+            " ".join(f"{end:+.{digits}f}" for end in ends or ()) or "-",
+            f"{figure.p:.4f}",
+            f"{figure.p_holm:.4f}{' *' if figure.found else ''}" if named else "not named",
+            f"{figure.detectable:.{digits}f}",
+        )
+    print_table(table)
+    print(printable(f"named in {figures.file}, sha256 {figures.sha256}"))
+    for note in figures.notes:
+        print(printable(f"note: {note}"))
 
 
 def strategies(folder: Path, /, *, json: bool = False) -> None:
@@ -59,22 +107,30 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
         _print_strategies(groups)
 
 
-def report(folder: Path, /, *, out: Path) -> None:
-    """Write one page about a finished evaluation or cross-play, for a browser.
+def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None:
+    """Write one page about a finished evaluation or cross-play, or a league, for a browser.
 
     It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
     cross-play can be zoomed and searched in it.
 
     Args:
-        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
+        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled; or one of
+            such evaluations, in folders of their rows' names: a league on one task.
         out: Page to write, .html.
+        contrasts: File of named contrasts, whose figures a league's page has.
 
     Example:
         assistax-zoo report xp --out report.html
     """
     from evaluation.report import write_report
 
-    write_report(folder, out)
+    figures = None
+    if contrasts is not None:
+        from assistax_zoo.comparing import compare_named
+        from evaluation.figures.league import row_folders
+
+        figures = compare_named(contrasts, list(row_folders(folder).values()))
+    write_report(folder, out, contrasts=figures)
     print(out)
 
 

@@ -7,10 +7,11 @@ from assistax_base.errors import ZooError, counted
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
+from evaluation.record.columns import SIDES
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
 from zoo.splitting.create import create_split, partner_teams
-from zoo.splitting.rules import LEAVE_ONE_OUT
+from zoo.splitting.rules import LEAVE_ONE_OUT, THREE
 
 
 def list_splits(
@@ -32,14 +33,14 @@ def list_splits(
         split for release in loaded.data.releases.values() for split in release.splits.values()
     }
     table = [{**_brief(split), "default": split.id in defaults} for split in splits]
-    names = ("id", "rule", "n_train", "n_test")
+    names = ("id", "rule", "n_train", "n_validation", "n_test")
     rows = [(*(str(row[name]) for name in names), "yes" * row["default"]) for row in table]
-    columns = ("split", "rule", "train", "test", "default")
+    columns = ("split", "rule", "train", "validation", "test", "default")
     answer(json, table, *table_lines(columns, rows, counted(len(splits), "split")))
 
 
 def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
-    """Show a split: rule, sha256, and the teams of both sides.
+    """Show a split: rule, sha256, and the teams of its sides.
 
     Args:
         id: A split's id, or a task for its default split.
@@ -52,7 +53,7 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
     task, _, rest = id.partition("/")
     split = load_registry(registry).split(task, id if rest else None)
     lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
-    for side, teams in (("train", split.train), ("test", split.test)):
+    for side, teams in split.sides.items():
         likes = ", ".join(split.preferences.get(side, ()))
         lines += [
             f"\n{side}{f', under {likes}' if likes else ''}",
@@ -73,26 +74,30 @@ def create(
     test: tuple[str, ...] = (),
     train_preferences: str = "",
     test_preferences: str = "",
+    best_responses: tuple[Path, ...] = (),
+    conventions: Path | None = None,
     default: bool = False,
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
     """Make a split of a release's partners, which other commands then know.
 
-    It is kept among your own: an official registry is never changed.
-    Where one is held out, training partners that act nearly as a test partner does are left out.
+    It is kept among your own. Partners that act nearly as one of another side may be left out.
 
     Args:
         task: Task of the split.
         rule: How the partners are divided.
         release: Release of the partners, such as own:v0; default the newest that has the task.
-        seed: Seed of the rules half and small-train.
+        seed: Seed of the rules half, small-train and three-sides.
         held_out: Algorithm or disability setting that a leave-one-out rule tests on.
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What its humans like, such as p2,p3; those that the test side lacks.
+        train_preferences: What its humans like, such as p2,p3; what the test side lacks.
         test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
+        best_responses: Finished evaluation or cross-play, whose best robots tell with whom nobody
+            earns a quarter of the median: three-sides leaves them out. Repeat it for more.
+        conventions: Finished cross-play, by whose two groups of humans three-sides stratifies.
         default: Make it the release's default split of the task, in a registry of your own.
         registry: Registry of your own to write to, for a split of its partners.
         json: Print JSON.
@@ -101,26 +106,32 @@ def create(
         assistax-zoo split create --task scratch --rule leave-one-disability-out --held-out d9
     """
     loaded = load_registry(registry)
-    sides = {"train": _teams(loaded, train), "test": _teams(loaded, test)}
+    where = {"task": task, "release": release, "rule": rule}
     split = create_split(
         registry,
-        task=task,
-        release=release,
-        rule=rule,
+        **where,
+        train=_teams(loaded, train),
+        test=_teams(loaded, test),
         seed=seed,
         held_out=held_out,
         n=n,
         default=default,
         train_preferences=parse_names(train_preferences),
         test_preferences=parse_names(test_preferences),
-        **sides,
+        earned=_earned(best_responses),
+        groups=_groups(conventions),
     )
-    lines = [f"split {split.id}: {len(split.train)} train, {len(split.test)} test"]
-    rest = {*partner_teams(loaded.data, task, split.release)} - {*split.train, *split.test}
-    if rest and rule in LEAVE_ONE_OUT:
-        twins = ", ".join(sorted(rest))
-        lines.append(f"left out, because they act nearly as a test partner does: {twins}")
-    answer(json, split.model_dump(mode="json"), *lines)
+    answer(json, split.model_dump(mode="json"), *_created(split, loaded))
+
+
+def _created(split: Split, registry: Registry) -> list[str]:
+    """Say how many teams are on each side, and which are on none."""
+    counts = ", ".join(f"{len(teams)} {side}" for side, teams in split.sides.items())
+    partners = partner_teams(registry.data, split.task, split.release)
+    rest = sorted(set(partners).difference(*split.sides.values()))
+    why = _LEFT_OUT.get(split.rule)
+    left = [f"left out, because {why}: {', '.join(rest)}"] if rest and why else []
+    return [f"split {split.id}: {counts}", *left]
 
 
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
@@ -157,12 +168,44 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
         raise SystemExit(1)
 
 
+_LEFT_OUT = {
+    **dict.fromkeys(LEAVE_ONE_OUT, "they act nearly as a test partner does"),
+    THREE: "nobody earns much with them, or they act nearly as a partner of another side does",
+}
+
+
+def _earned(folders: tuple[Path, ...]) -> dict[str, float]:
+    """Return what the best robot of finished folders earns with each team's human."""
+    from evaluation.record.record import Record
+    from evaluation.record.verification import check_whole
+
+    earned: dict[str, float] = {}
+    for folder in folders:
+        check_whole(folder)
+        returns = Record.read(folder).returns
+        best = zip(returns.partners["partner_team"], returns.scores.max(axis=0), strict=True)
+        earned |= {t: max(float(value), earned.get(t, float("-inf"))) for t, value in best if t}
+    return earned
+
+
+def _groups(folder: Path | None) -> dict[str, str]:
+    """Return the convention groups of a finished cross-play."""
+    if folder is None:
+        return {}
+    from evaluation.figures.clustering import convention_groups
+    from evaluation.record import tables
+    from evaluation.record.verification import check_whole
+
+    check_whole(folder)
+    return convention_groups(tables.read_parquet(folder / tables.PAIRS_FILE))
+
+
 def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
     entries = registry.select(patterns, role="human") if patterns else []
     return sorted({entry.team for entry in entries})
 
 
 def _brief(split: Split) -> dict[str, Any]:
-    exclude = {"train", "test", "preferences"}
+    exclude = {"train", "validation", "test", "preferences"}
     content = split.model_dump(mode="json", exclude=exclude, exclude_none=True)
-    return {**content, "n_train": len(split.train), "n_test": len(split.test)}
+    return content | {f"n_{side}": len(getattr(split, side)) for side in SIDES}

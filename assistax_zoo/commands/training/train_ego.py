@@ -1,20 +1,22 @@
 """The command that trains robots with frozen partners of the zoo, for zero-shot coordination."""
 
+import dataclasses
 import json as jsonlib
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from assistax_base.errors import counted
-from assistax_zoo.commands.options import Training, parse_names
+from assistax_zoo.commands.options import Choosing, Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
-from assistax_zoo.shell.console import answer, command_line
+from assistax_zoo.shell.console import answer, command_line, study_progress
 from zoo.ids import PERSONS
-from zoo.registry import load_registry
+from zoo.registry import Registry, load_registry
 
 if TYPE_CHECKING:
-    from evaluation.ego_training import TrainedEgos
+    from evaluation.ego_training import EgoTraining, TrainedEgos
+    from evaluation.validation import Choices
 
 
 def train_ego(
@@ -26,6 +28,7 @@ def train_ego(
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
+    choosing: Choosing = Choosing(),
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -48,6 +51,7 @@ def train_ego(
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
             those of the split's training half, or all, drawn anew each episode, where it holds
             none out.
+        choosing: What is chosen among.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
@@ -59,12 +63,11 @@ def train_ego(
     """
     what = training.what(steps)
     with shown_training(f"{task} {algorithm}", json_lines) as progress:
-        from evaluation.ego_training import prepare, train_egos
-        from evaluation.record.manifest import record_command
-        from population.runs.folder import RunFolder
+        from evaluation.ego_training import prepare
 
+        loaded = load_registry(registry)
         prepared = prepare(
-            load_registry(registry),
+            loaded,
             task,
             split=split,
             partners=partners,
@@ -72,28 +75,72 @@ def train_ego(
             preferences=parse_names(preferences),
             **what,
         )
-        print(prepared.summary, file=sys.stderr)
-        finished = RunFolder(out).finished(prepared.config)
-        egos = train_egos(prepared, out, progress=progress, **training.how())
+        egos = _trained(prepared, out, choosing, progress=progress, **training.how())
+    _report(egos, _choices(loaded, prepared, egos, choosing, training.backend), json, json_lines)
+
+
+def _trained(
+    prepared: "EgoTraining", out: Path, choosing: Choosing, **options: Any
+) -> "TrainedEgos":
+    """Train, and record by which command."""
+    from evaluation.ego_training import train_egos
+    from evaluation.record.manifest import record_command
+    from evaluation.validation import check_validation
+    from population.runs.folder import RunFolder
+
+    if choosing.validate:
+        check_validation(prepared.split)
+    print(prepared.summary, file=sys.stderr)
+    finished = RunFolder(out).finished(prepared.config)
+    egos = train_egos(prepared, out, snapshots=choosing.validate, **options)
     record_command(out, command_line(), filled=not finished)
-    _report(egos, json, json_lines)
+    return egos
 
 
-def _report(egos: "TrainedEgos", json: bool, json_lines: bool) -> None:
-    """Print the policy files."""
+def _choices(
+    registry: Registry,
+    prepared: "EgoTraining",
+    egos: "TrainedEgos",
+    choosing: Choosing,
+    backend: str,
+) -> "Choices | None":
+    """Return what the validation side chooses, where it is to."""
+    if not choosing.validate:
+        return None
+    from evaluation.play.how import How
+    from evaluation.validation import choose
+
+    task = prepared.config.task
+    with study_progress(f"validate {task}") as line:
+        where = registry, prepared, egos.run, How(task, backend=backend)
+        return choose(*where, best_of=choosing.best_of, on_progress=line)
+
+
+def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lines: bool) -> None:
+    """Print the policy files, and which of them were chosen."""
+    from evaluation.validation import CHOSEN
+
     run = egos.run
-    result = {
+    result: dict[str, Any] = {
         "run": str(run.folder),
         "split": egos.split.id,
         "partners": len(egos.split.train),
         "policies": [str(path) for path in egos.files],
     }
+    result |= {"choices": dataclasses.asdict(choices)} if choices else {}
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
     whom = "--split both"
     if egos.split.rule == PERSONS:
         whom = "--partners persons"
+    chosen = [
+        f"seed {choice.seed}: {choice.steps:,} steps, {choice.mean:.1f} on the validation side"
+        for choice in (choices.by_seed if choices else ())
+    ]
+    if choices:
+        files = run.folder / CHOSEN / "*.safetensors"
     lines = [
-        f"{counted(len(egos.files), 'robot')} in {egos.files[0].parent}; next:",
+        *chosen,
+        f"{counted(len(egos.files), 'robot')} in {Path(files).parent}; next:",
         f"assistax-zoo evaluate --task {run.config.task} {whom} --policy {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

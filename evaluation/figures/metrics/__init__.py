@@ -14,7 +14,7 @@ from evaluation.figures.metrics.comparison import (
     paired_difference,
     rank_stability,
 )
-from evaluation.figures.metrics.crossplay import CrossPlay, Traits, cross_play
+from evaluation.figures.metrics.crossplay import CrossPlay, Traits, cross_play, same_teams
 from evaluation.figures.metrics.generalisation import (
     Fairness,
     WorstPartner,
@@ -50,6 +50,7 @@ __all__ = [
     "rank_methods",
     "rank_stability",
     "regret",
+    "same_teams",
     "worst_partner",
     "zero_shot",
 ]

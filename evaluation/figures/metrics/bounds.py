@@ -53,6 +53,41 @@ class Coverage(Interval):
     epsilon: float
 
 
+def share_of_range(
+    scores: Num[np.ndarray, "S P"], low: Num[np.ndarray, " P"], high: Num[np.ndarray, " P"]
+) -> Interval | None:
+    """Share of a range that scores reach: (mean of scores - low) / (mean of high - low).
+
+    Its interval resamples seeds, and partners of numerator and denominator together, so that a
+    partner with a wide range counts in both. None where the range is not above 0.
+    """
+    scores, gain = score_matrix(scores), np.asarray(high, float) - np.asarray(low, float)
+    if not gain.mean() > 0:
+        return None
+    counts = crossed_counts(scores.shape, False, RESAMPLES, seed=0)
+    reached = ((counts.seeds @ (scores - low)) * counts.partners).sum(axis=1) / len(scores)
+    ranges = counts.partners @ gain
+    shares = np.divide(reached, ranges, out=np.full(RESAMPLES, np.nan), where=ranges > 0)
+    to = counts.generalises_to
+    value = float((scores - low).mean() / gain.mean())
+    return Interval(value, interval(shares, to), scores.size, to)
+
+
+def best_of_robots(returns: Num[np.ndarray, "E P K"]) -> Float[np.ndarray, " P"]:
+    """Return of the robot that is best with each partner, chosen apart from where it is valued.
+
+    It is chosen on even episodes and valued on odd ones, and the other way round: the maximum of
+    noisy means would be too high. Of one episode it is the maximum.
+    """
+    returns = np.asarray(returns, float)
+    if returns.shape[2] < 2:
+        return returns.mean(axis=2).max(axis=0)
+    halves = [returns[:, :, start::2].mean(axis=2) for start in (0, 1)]
+    partners = np.arange(returns.shape[1])
+    values = [halves[1 - i][halves[i].argmax(axis=0), partners] for i in (0, 1)]
+    return np.mean(values, axis=0)
+
+
 def normalised_return(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, "S P"]:
     """X = (J - L) / (B - L) of scores, not clipped.
 

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Num
+from jaxtyping import Bool, Num
 
 from assistax_base.statistics import returns_of
 from evaluation.figures.bootstrap import (
@@ -74,7 +74,7 @@ def cross_play(
     starts = draw_starts(scores.shape, common_starts, resamples, rng)
     to = _generalises_to(rows.teams, columns.teams, starts is not None)
     counts = Counts(row_counts, column_counts, starts, to)
-    own = _equal(rows.teams, columns.teams)  # robot and human were trained together
+    own = same_teams(rows, columns)
     same_algorithm = _equal(rows.algorithms, columns.algorithms)
     same_disability = _equal(rows.disabilities, columns.disabilities)
     known_algorithm = _known(rows.algorithms, columns.algorithms)
@@ -98,6 +98,11 @@ def cross_play(
         relative_gap=_relative(sp, xp) if sp and xp else None,
         **{name: draw.estimate() if draw else None for name, draw in draws.items()},
     )
+
+
+def same_teams(rows: Traits, columns: Traits) -> Bool[np.ndarray, "R C"]:
+    """Return which robots and humans were trained together."""
+    return _equal(rows.teams, columns.teams)
 
 
 def _self_play(scores: np.ndarray, own: np.ndarray, counts: Counts) -> Draws | None:

@@ -24,11 +24,12 @@ from evaluation.figures.bootstrap import (
 
 @dataclasses.dataclass(frozen=True)
 class ZeroShot:
-    """M over the test and the training partners; None for a side that was not evaluated."""
+    """M over the partners of each side; None for a side that was not evaluated."""
 
     m_test: Estimate | None
     m_train: Estimate | None
     gap: Estimate | None  # m_train - m_test, the same resampled seeds on both sides
+    m_validation: Estimate | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,16 +59,16 @@ def zero_shot(
 
     Args:
         scores: Returns [S, P, K], or mean returns J [S, P].
-        sides: "test", "train" or None (in neither) for each partner [P].
+        sides: "test", "validation", "train" or None (on no side) for each partner [P].
         common_starts: Whether all partners played the same K starts.
     """
     groups = group_draws(scores, sides, common_starts=common_starts)
-    draws = {side: draw for side, draw in groups.items() if side in ("test", "train")}
-    if not draws:
-        raise ValueError("no partner is on the test or the train side; evaluate against a split")
-    test, train = draws.get("test"), draws.get("train")
+    test, validation, train = (groups.get(side) for side in ("test", "validation", "train"))
+    if not (test or validation or train):
+        raise ValueError("no partner is on a side; evaluate against a split")
     gap = train - test if train and test else None
-    return ZeroShot(*(draw.estimate() if draw else None for draw in (test, train, gap)))
+    figures = (test, train, gap, validation)
+    return ZeroShot(*(draws.estimate() if draws else None for draws in figures))
 
 
 def group_draws(

@@ -6,9 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.cluster import hierarchy
-from scipy.spatial.distance import pdist
-from scipy.stats import rankdata
 
 from assistax_base.statistics import score_matrix
 from evaluation.figures.bootstrap import (
@@ -151,25 +148,6 @@ def effective_rank(matrix: np.ndarray) -> float:
         return 0.0
     shares = values / values.sum()
     return float(np.exp(-(shares * np.log(shares)).sum()))
-
-
-def conventions(matrix: np.ndarray) -> np.ndarray:
-    """Return which of two groups each human is in [T]: True where teams do better with one another.
-
-    Humans are alike where the same robots suit them better than others: average linkage of
-    1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
-    because one episode in which somebody is pressed for 20 s outweighs all others of a human.
-
-    Better is the greater median return of robots with humans of their own group.
-
-    Args:
-        matrix: Mean returns [T, T] of robots with humans, by team.
-    """
-    ranks = rankdata(matrix, axis=0)
-    apart = pdist((ranks - ranks.mean(axis=1, keepdims=True)).T, "correlation")
-    first = hierarchy.fcluster(hierarchy.average(apart), 2, "maxclust") == 1
-    within = [np.median(matrix[np.ix_(group, group)]) for group in (first, ~first)]
-    return first if within[0] > within[1] else ~first
 
 
 def diversity(played: CrossPlayed, size: int, *, seed: int = 0) -> Diverse:

@@ -1,0 +1,153 @@
+"""Methods compared: two of them, or as a file names them before the test side is played."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_zoo.results import EvaluationResult, brief, load_result
+from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
+from evaluation.figures.contrasts import (
+    ContrastFigures,
+    Pair,
+    contrast_figures,
+    named_pairs,
+    read_contrasts,
+)
+from evaluation.figures.summary import ComparisonSummary, summarise_comparison
+from evaluation.record import tables
+from evaluation.record.record import Record
+from evaluation.record.verification import unchecked
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class Comparison(ComparisonSummary):
+    """Method a minus method b: paired differences over the same partners and episodes.
+
+    Examples:
+        >>> compare(result, result)
+        Comparison(scratch: test partners 0.0, train partners 0.0)
+    """
+
+    task: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as `compare --json` prints them."""
+        return tables.to_json(self)
+
+    def __repr__(self) -> str:
+        sides = {"test": self.test, "validation": self.validation, "train": self.train}
+        parts = [f"{side} partners {brief(figure)}" for side, figure in sides.items() if figure]
+        return f"Comparison({self.task}: {', '.join(parts)})"
+
+
+def compare(
+    a: "EvaluationResult | Path | str", b: "EvaluationResult | Path | str", *, seed: int = 0
+) -> Comparison:
+    """Compare two methods: paired differences a - b over the same partners and episodes.
+
+    Args:
+        a: A result, or its folder.
+        b: Another, of the same task, split, episodes and seed.
+        seed: Of the bootstrap.
+
+    Raises:
+        ValueError: They were not evaluated alike.
+
+    Examples:
+        >>> compare(result, result.folder).test.mean
+        0.0
+    """
+    first, second = evaluation_of(a), evaluation_of(b)
+    played, met = paired_records(first, second)
+    summary = summarise_comparison(*played, seed=seed)
+    notes = [*summary.notes, *comparison_notes(met)]
+    notes += [*unchecked(first.folder), *unchecked(second.folder)]
+    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
+    return Comparison(**vars(summary), task=first.summary.task)
+
+
+def paired_records(
+    first: EvaluationResult, second: EvaluationResult
+) -> tuple[list[Record], MetSummary]:
+    """Return the episodes of two methods that were evaluated alike, and whom robots of them met.
+
+    Left out are partners that a robot of either met in training.
+
+    Raises:
+        ValueError: They were not evaluated alike, or no partner is left.
+    """
+    methods = first, second
+    for name in ("task", "env_version", "backend", "engine"):
+        values = [getattr(method.summary, name) for method in methods]
+        if values[0] != values[1]:
+            raise ValueError(
+                f"{name} is {values[0]} in {first.folder} and {values[1]} in {second.folder}; "
+                "evaluate both methods alike"
+            )
+    records = [Record(method.episodes, method.folder) for method in methods]
+    met = both_met((first.summary.met, records[0].table), (second.summary.met, records[1].table))
+    played = [record.without(met.left_out) for record in records]
+    if any(record.table.is_empty() for record in played):
+        raise ValueError("every partner was trained with a robot of either method; choose others")
+    return played, met
+
+
+def evaluation_of(result: "EvaluationResult | Path | str") -> EvaluationResult:
+    """Return a result, or that of a folder, which must be an evaluation's."""
+    loaded = load_result(result) if isinstance(result, Path | str) else result
+    if not isinstance(loaded, EvaluationResult):
+        raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
+    return loaded
+
+
+def compare_named(
+    contrasts: Path | str, folders: Sequence[Path | str], *, seed: int = 0
+) -> ContrastFigures:
+    """Return what came of the contrasts that a file names, on the test side.
+
+    Each is a method less a baseline with the same partners and episodes: an interval that resamples
+    seeds and partners, a p-value, the same corrected for all named contrasts by Holm, and the
+    difference that is found in 80% of repetitions. Methods beside a baseline of the file that it
+    does not name are shown too, as not named.
+
+    Args:
+        contrasts: The file, TOML or JSON, see `evaluation.figures.contrasts`.
+        folders: Finished evaluations, one for each method and task; a folder's name is its
+            method's.
+        seed: Of the resamples.
+
+    Raises:
+        FormatError: The file is none of contrasts.
+        ValueError: Two folders are of one method and task, or methods were not evaluated alike.
+
+    Examples:
+        >>> import json
+        >>> one = {"task": "scratch", "split": "half", "method": "gru", "baseline": "ppo"}
+        >>> content = {"schema": 1, "alpha": 0.05, "contrasts": [{**one, "seeds": 16}]}
+        >>> _ = Path("contrasts.json").write_text(json.dumps(content))
+        >>> compare_named("contrasts.json", [result.folder]).missing
+        ('gru less ppo on scratch, return',)
+    """
+    path = Path(contrasts)
+    file, digest = read_contrasts(path)
+    results = {}
+    for folder in map(Path, folders):
+        result = evaluation_of(folder)
+        key = result.summary.task, folder.resolve().name
+        if key in results:
+            raise ValueError(
+                f"{folder} and {results[key].folder} are both {key[1]} on {key[0]}; a folder is "
+                "named for its method, so give one for each method and task"
+            )
+        results[key] = result
+    pairs, notes = {}, []
+    for task, method, baseline in named_pairs(file, list(results)):
+        first, second = results[task, method], results[task, baseline]
+        records, met = paired_records(first, second)
+        split = first.summary.split.id if first.summary.split else None
+        pairs[task, method, baseline] = Pair(*records, split)
+        notes += comparison_notes(met)
+    figures = contrast_figures(file, digest, path.name, pairs, seed=seed)
+    said = tuple(dict.fromkeys((*figures.notes, *notes)))
+    return dataclasses.replace(figures, notes=said)

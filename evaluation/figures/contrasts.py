@@ -1,0 +1,252 @@
+"""Contrasts that were named in a file before the test side was played, and their figures.
+
+The file is TOML or JSON:
+
+    schema = 1
+    alpha = 0.05                       # chance that any of the contrasts is found wrongly
+
+    [[contrasts]]
+    task = "gentle_scratch"
+    split = "gentle_scratch/three-sides-s0-v3-0123abcd"
+    method = "gru"                     # less
+    baseline = "ppo"
+    metric = "return"                  # or safe_success, violations
+    seeds = 32                         # of either
+"""
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.digest import sha256
+from assistax_base.errors import FormatError
+from assistax_base.validated import first_problem
+from evaluation.figures.league import FIRST, LAST
+from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.metrics.inference import holm, mean_test
+from evaluation.figures.summary import check_alike
+from evaluation.record.record import Record, Returns
+
+MOST_BYTES = 1024 * 1024
+METRICS = {"return": "values", "safe_success": "safe", "violations": "violated"}
+Metric = Literal["return", "safe_success", "violations"]
+_Name = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Contrast(_Strict):
+    """A method less a baseline."""
+
+    task: _Name
+    split: _Name
+    method: _Name
+    baseline: _Name
+    metric: Metric = "return"
+    seeds: Annotated[int, Field(ge=1)]  # of either
+
+    @property
+    def words(self) -> str:
+        """What it is, for a reader."""
+        return f"{self.method} less {self.baseline} on {self.task}, {self.metric}"
+
+
+class ContrastsFile(_Strict):
+    """Contrasts that are tested together."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    alpha: Annotated[float, Field(gt=0, lt=1)]
+    contrasts: Annotated[tuple[Contrast, ...], Field(min_length=1, strict=False)]
+
+    @model_validator(mode="after")
+    def _distinct(self) -> "ContrastsFile":
+        words = [contrast.words for contrast in self.contrasts]
+        if twice := next((text for text in words if words.count(text) > 1), None):
+            raise ValueError(f"{twice} is named twice")
+        for contrast in self.contrasts:
+            if contrast.method == contrast.baseline:
+                raise ValueError(f"{contrast.words}: a method is not tested against itself")
+        return self
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastFigure:
+    """What came of a contrast on the test side."""
+
+    task: str
+    method: str
+    baseline: str
+    metric: str
+    named: bool  # whether the file names it; else nothing of it is corrected
+    seeds: tuple[int, int]
+    partners: int
+    difference: Difference  # its intervals resample seeds and partners
+    p: float  # of `evaluation.figures.metrics.inference.mean_test`
+    p_holm: float | None  # over all named contrasts
+    found: bool | None  # whether p_holm is at most alpha
+    detectable: float  # the true difference that is found in 80%, at alpha alone
+    detectable_holm: float  # the same at Holm's strictest step
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastFigures:
+    """The contrasts of a file."""
+
+    file: str
+    sha256: str  # of the file's bytes
+    alpha: float
+    contrasts: tuple[ContrastFigure, ...]
+    missing: tuple[str, ...]  # named, and not among the folders; they count as p = 1
+    notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """Two methods that were evaluated alike, without partners that a robot of either met."""
+
+    method: Record
+    baseline: Record
+    split: str | None
+
+
+def read_contrasts(path: Path) -> tuple[ContrastsFile, str]:
+    """Return the contrasts of a file, and the sha256 of its bytes.
+
+    Raises:
+        FormatError: It is missing, or no such file.
+    """
+    remedy = "docs/evaluation.md shows such a file"
+    text = read_text(path, MOST_BYTES, FormatError, "contrasts", remedy)
+    try:
+        content = parse_json(text) if path.suffix == ".json" else tomllib.loads(text)
+        return ContrastsFile.model_validate(content), sha256(text.encode())
+    except ValidationError as error:
+        found = first_problem(error)
+    except (ValueError, RecursionError) as error:
+        found = f"{type(error).__name__}: {error}"
+    expected = "named contrasts in TOML or JSON"
+    raise FormatError(f"contrasts {path}", expected, found, remedy, "nothing was compared")
+
+
+def contrast_figures(
+    file: ContrastsFile,
+    digest: str,
+    name: str,
+    pairs: Mapping[tuple[str, str, str], Pair],
+    *,
+    seed: int = 0,
+) -> ContrastFigures:
+    """Return the figures of a file's contrasts, and of others that were asked for.
+
+    Args:
+        file: The contrasts.
+        digest: Of the file.
+        name: Of the file, for readers.
+        pairs: By task, method and baseline; those that the file does not name are shown as such.
+        seed: Of the resamples.
+
+    Raises:
+        ValueError: A pair was played on another split, or its tables lack the metric.
+    """
+    figures, notes, missing, chances = [], [], [], []
+    for contrast in file.contrasts:
+        pair = pairs.get((contrast.task, contrast.method, contrast.baseline))
+        if pair is None:
+            missing.append(contrast.words)
+            chances.append(1.0)
+            continue
+        if pair.split != contrast.split:
+            raise ValueError(
+                f"{contrast.words} was played on split {pair.split}, and {name} names "
+                f"{contrast.split}; evaluate both on that"
+            )
+        figures.append(_figure(contrast, pair, file, seed, named=True))
+        chances.append(figures[-1].p)
+        if min(figures[-1].seeds) < contrast.seeds:
+            had = " and ".join(map(str, figures[-1].seeds))
+            notes.append(
+                f"{contrast.words}: {had} seeds, and {contrast.seeds} of either were named"
+            )
+    adjusted = iter(holm(chances))
+    done = iter(figures)
+    corrected = []
+    for contrast in file.contrasts:
+        chance = next(adjusted)
+        if contrast.words not in missing:
+            found = chance <= file.alpha
+            corrected.append(dataclasses.replace(next(done), p_holm=chance, found=found))
+    named = {(c.task, c.method, c.baseline) for c in file.contrasts}
+    for (task, method, baseline), pair in pairs.items():
+        if (task, method, baseline) not in named:
+            other = Contrast.model_construct(
+                task=task, split="", method=method, baseline=baseline, metric="return", seeds=1
+            )
+            corrected.append(_figure(other, pair, file, seed, named=False))
+            notes.append(f"{other.words}: not named in {name}, hence not corrected")
+    if missing:
+        notes.append(f"named and not played, they count as p = 1: {'; '.join(missing)}")
+    return ContrastFigures(name, digest, file.alpha, tuple(corrected), tuple(missing), tuple(notes))
+
+
+def _figure(
+    contrast: Contrast, pair: Pair, file: ContrastsFile, seed: int, *, named: bool
+) -> ContrastFigure:
+    check_alike(pair.method.returns, pair.baseline.returns)
+    sides = [_test_side(record, contrast) for record in (pair.method, pair.baseline)]
+    a, b = (_values(returns, contrast) for returns in sides)
+    difference = paired_difference(a, b, common_starts=sides[0].common_starts, seed=seed)
+    test = mean_test(a.mean(axis=2), b.mean(axis=2))
+    return ContrastFigure(
+        *(contrast.task, contrast.method, contrast.baseline, contrast.metric),
+        named=named,
+        seeds=(len(a), len(b)),
+        partners=a.shape[1],
+        difference=difference,
+        p=test.p,
+        p_holm=None,
+        found=None,
+        detectable=test.detectable(file.alpha),
+        detectable_holm=test.detectable(file.alpha / len(file.contrasts)),
+    )
+
+
+def _test_side(record: Record, contrast: Contrast) -> Returns:
+    side = (record.returns.partners["side"] == "test").fill_null(value=False).to_numpy()
+    if not side.any():
+        raise ValueError(f"{contrast.words}: no partner of the test side was played; play that")
+    return record.returns.select_partners(side)
+
+
+def _values(returns: Returns, contrast: Contrast) -> np.ndarray:
+    values = getattr(returns, METRICS[contrast.metric])
+    if values is None:
+        raise ValueError(
+            f"{contrast.words}: tables of this task have no {contrast.metric}; name return"
+        )
+    return values.astype(float)
+
+
+def named_pairs(
+    file: ContrastsFile, methods: Sequence[tuple[str, str]]
+) -> list[tuple[str, str, str]]:
+    """Return task, method and baseline of all pairs to play out: those named, and the others.
+
+    The others are methods of a task beside each baseline that the file has there; rows that know
+    more than a method may, such as told robots, are no methods.
+    """
+    here = set(methods)
+    baselines = {(c.task, c.baseline) for c in file.contrasts} & here
+    pairs = {(c.task, c.method, c.baseline) for c in file.contrasts}
+    pairs |= {(t, m, b) for t, b in baselines for task, m in methods if task == t and m != b}
+    played = [(t, m, b) for t, m, b in sorted(pairs) if {(t, m), (t, b)} <= here]
+    named = {(c.task, c.method, c.baseline) for c in file.contrasts}
+    apart = {*FIRST, *LAST}
+    return [p for p in played if p in named or not (p[:2] in baselines or p[1] in apart)]

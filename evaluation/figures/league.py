@@ -1,0 +1,276 @@
+"""The rows of a league on a task: what stands beside what, in one order, on one scale.
+
+A folder holds a finished evaluation for each row, in folders of the rows' names, all of them with
+the same partners and starts. Rows of best responses have robots for some of the partners, each of
+which was trained with one of them.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from evaluation.figures.bootstrap import Estimate, Interval, estimate
+from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
+from evaluation.figures.metrics.variance import variance_components
+from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
+from evaluation.figures.notes import ENOUGH
+from evaluation.figures.summary import Context, EvaluationSummary, read_summary
+from evaluation.record import tables
+from evaluation.record.record import Record, Returns
+
+FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
+TOLD, TOLD_PARTNER, MIRROR = "told-preference", "told-partner", "mirror"
+RESPONSE, TOLD_RESPONSE = "best-response", "told-best-response"
+REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
+FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
+LAST = (TOLD, TOLD_PARTNER, MIRROR, RESPONSE, TOLD_RESPONSE)
+
+
+@dataclasses.dataclass(frozen=True)
+class LeagueRow:
+    """A row: its return with the partners of the side, and what it means."""
+
+    row: str
+    robots: int
+    partners: int
+    mean: Estimate
+    share: Interval | None  # of (told best response - script); None where either is missing
+    safe_success: Estimate | None
+    violations: Estimate | None
+    seed_sd: float | None  # between robots, beside the luck of their episodes
+    partner_sd: float | None
+    pair_sd: float | None
+    interaction_index: float | None  # see `evaluation.figures.metrics.variance.Spread`
+
+
+@dataclasses.dataclass(frozen=True)
+class League:
+    """All rows of a task, in order."""
+
+    context: Context
+    side: str
+    episodes: int
+    episodes_per_pair: int
+    nonfinite: int
+    rows: tuple[LeagueRow, ...]
+    by_partner: pl.DataFrame  # a row for each row and partner: `row`, `partner`, `mean`
+    notes: tuple[str, ...]
+
+
+def ordered(names: Iterable[str]) -> list[str]:
+    """Return rows' names in the order of a league: methods by name, between the others."""
+    names = set(names)
+    methods = sorted(names - {*FIRST, *LAST})
+    return [name for name in (*FIRST, *methods, *LAST) if name in names]
+
+
+def row_folders(folder: Path) -> dict[str, Path]:
+    """Return the folders of a league's rows by name, in order; none where it is no league."""
+    found = {
+        place.name: place
+        for place in (folder.iterdir() if folder.is_dir() else ())
+        if (place / tables.SUMMARY_FILE).is_file()
+    }
+    return {name: found[name] for name in ordered(found)}
+
+
+def read_league(folder: Path) -> League:
+    """Return the league that a folder of rows holds.
+
+    Raises:
+        FileNotFoundError: It holds no row.
+        ValueError: Rows are of several tasks, versions or partners.
+    """
+    folders = row_folders(folder)
+    if not folders:
+        raise FileNotFoundError(
+            f"{folder} has no finished evaluation in a folder of its own; a league has one for "
+            "each row"
+        )
+    summaries = {name: _evaluation(place) for name, place in folders.items()}
+    first = next(iter(summaries))
+    for name, summary in summaries.items():
+        _check_alike(first, summaries[first], name, summary)
+    returns = {name: _counted(folders[name], summary) for name, summary in summaries.items()}
+    _check_starts(returns)
+    shown = {**_references(folders, returns), **returns}
+    means = {name: _means(name, part) for name, part in shown.items()}
+    rows = tuple(_row(name, shown[name], means) for name in ordered(shown))
+    return League(
+        context=Context(**{f.name: getattr(summaries[first], f.name) for f in _CONTEXT}),
+        side=summaries[first].side,
+        episodes=sum(part.values.size for part in shown.values()),
+        episodes_per_pair=summaries[first].episodes_per_pair,
+        nonfinite=sum(int(part.nonfinite.sum()) for part in shown.values()),
+        rows=rows,
+        by_partner=pl.concat([_by_partner(name, means[name]) for name in ordered(shown)]),
+        notes=tuple(_notes(rows)),
+    )
+
+
+def league_table(league: League) -> pl.DataFrame:
+    """Return the rows as a table, one line each, for CSV."""
+    lines = []
+    for row in league.rows:
+        low, high = row.mean.mean_ci or (None, None)
+        share_low, share_high = (row.share.value_ci if row.share else None) or (None, None)
+        lines.append(
+            {
+                "row": row.row,
+                "robots": row.robots,
+                "partners": row.partners,
+                "mean": row.mean.mean,
+                "low": low,
+                "high": high,
+                "share": row.share.value if row.share else None,
+                "share_low": share_low,
+                "share_high": share_high,
+                "safe_success": row.safe_success.mean if row.safe_success else None,
+                "violations": row.violations.mean if row.violations else None,
+                "seed_sd": row.seed_sd,
+                "partner_sd": row.partner_sd,
+                "pair_sd": row.pair_sd,
+                "interaction_index": row.interaction_index,
+            }
+        )
+    texts, counts = {"row": pl.String}, dict.fromkeys(("robots", "partners"), pl.Int64)
+    schema = {name: {**texts, **counts}.get(name, pl.Float64) for name in lines[0]}
+    return pl.DataFrame(lines, schema=schema)
+
+
+_CONTEXT = dataclasses.fields(Context)
+
+
+def _evaluation(folder: Path) -> EvaluationSummary:
+    summary = read_summary(folder)
+    if not isinstance(summary, EvaluationSummary):
+        raise ValueError(f"{folder} holds a cross-play; a league has evaluations")
+    return summary
+
+
+def _check_alike(
+    first: str, summary: EvaluationSummary, name: str, other: EvaluationSummary
+) -> None:
+    for what in ("task", "env_version", "backend", "release", "side", "split"):
+        values = [getattr(one, what) for one in (summary, other)]
+        if values[0] != values[1]:
+            raise ValueError(
+                f"{what} is {values[0]} in {first} and {values[1]} in {name}; the rows of a league "
+                "are evaluated alike"
+            )
+
+
+def _counted(folder: Path, summary: EvaluationSummary) -> Returns:
+    """Return the episodes of a row that its figures count."""
+    record = Record.read(folder).without(summary.met.left_out if summary.met else ())
+    return record.returns.evaluated_side
+
+
+def _references(folders: Mapping[str, Path], rows: Mapping[str, Returns]) -> dict[str, Returns]:
+    """Return the episodes of reference robots, of the row that has most partners."""
+    having = [n for n, place in folders.items() if (place / tables.REFERENCES_FILE).is_file()]
+    if not having:
+        return {}
+    widest = max(having, key=lambda name: rows[name].partners.height)
+    table = tables.read_parquet(folders[widest] / tables.REFERENCES_FILE)
+    partners = rows[widest].partners["partner"].to_list()
+    found = {}
+    for name in REFERENCES:
+        own = table.filter((pl.col(COLUMN) == name) & pl.col("partner").is_in(partners))
+        if own.height:
+            found[name] = Record(own.drop(COLUMN), folders[widest]).returns
+    return found
+
+
+def _check_starts(rows: Mapping[str, Returns]) -> None:
+    """Refuse rows whose robots met a partner in other episodes."""
+    known: dict[str, tuple[str, np.ndarray]] = {}
+    for name, returns in rows.items():
+        if returns.keys is None:
+            raise ValueError(f"robots of {name} played different episodes; evaluate them together")
+        for partner, keys in zip(returns.partners["partner"], returns.keys, strict=True):
+            other, expected = known.setdefault(partner, (name, keys))
+            if not np.array_equal(expected, keys):
+                raise ValueError(
+                    f"{name} and {other} met {partner} in different episodes; evaluate all rows "
+                    "with the same seed and episodes"
+                )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Means:
+    """Mean returns [S, P] with named partners; of best responses [1, P]."""
+
+    scores: np.ndarray
+    partners: list[str]
+
+    def of(self, partners: Iterable[str]) -> np.ndarray:
+        """Return those with some partners, in their order."""
+        places = {partner: place for place, partner in enumerate(self.partners)}
+        return self.scores[:, [places[partner] for partner in partners]]
+
+
+def _means(name: str, returns: Returns) -> _Means:
+    alone = name in (RESPONSE, TOLD_RESPONSE)
+    scores = best_of_robots(returns.values)[None] if alone else returns.scores
+    return _Means(scores, returns.partners["partner"].to_list())
+
+
+def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
+    alone = name in (RESPONSE, TOLD_RESPONSE)
+    variance = None if alone else variance_components(returns.values)
+    spread = variance.spread if variance else None
+    starts = {"common_starts": returns.common_starts}
+
+    def episodes(happened: np.ndarray | None) -> Estimate | None:
+        """Return in which share of episodes it happened; best responses are chosen by returns."""
+        return None if happened is None or alone else estimate(happened, **starts)
+
+    return LeagueRow(
+        row=name,
+        robots=returns.egos.height,
+        partners=returns.partners.height,
+        mean=estimate(means[name].scores) if alone else estimate(returns.values, **starts),
+        share=_share(means[name], means),
+        safe_success=episodes(returns.safe),
+        violations=episodes(returns.violated),
+        seed_sd=spread.seeds if spread else None,
+        partner_sd=spread.partners if spread else None,
+        pair_sd=spread.pairs if spread else None,
+        interaction_index=variance.interaction_index if variance else None,
+    )
+
+
+def _share(own: _Means, means: Mapping[str, _Means]) -> Interval | None:
+    """Return a row's share of the range from script to told best response."""
+    if SCRIPT not in means or TOLD_RESPONSE not in means:
+        return None
+    ends = means[SCRIPT], means[TOLD_RESPONSE]
+    common = [name for name in own.partners if all(name in end.partners for end in ends)]
+    if not common:
+        return None
+    low, high = (end.of(common).mean(axis=0) for end in ends)
+    return share_of_range(own.of(common), low, high)
+
+
+def _by_partner(name: str, means: _Means) -> pl.DataFrame:
+    content = {"partner": means.partners, "mean": means.scores.mean(axis=0)}
+    return pl.DataFrame(content).select(pl.lit(name).alias("row"), "partner", "mean")
+
+
+def _notes(rows: Iterable[LeagueRow]) -> Iterable[str]:
+    """Say what no figure of a row says."""
+    rows = list(rows)
+    few = [row.row for row in rows if row.row not in REFERENCES and row.robots < ENOUGH]
+    if few:
+        yield (
+            f"fewer than {ENOUGH} robots: {', '.join(few)}; intervals of few seeds are too narrow"
+        )
+    if not any(row.share for row in rows):
+        yield f"no share of the range: it takes the rows {SCRIPT} and {TOLD_RESPONSE}"
+    counts = {row.partners for row in rows}
+    if len(counts) > 1:
+        yield "rows with fewer partners are of a part of the side; shares are over those in common"

@@ -1,0 +1,163 @@
+"""Contrasts of a file that was written before the test side was played."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assistax_base.digest import sha256
+from assistax_base.errors import FormatError
+from assistax_zoo.comparing import compare_named
+from assistax_zoo.shell.main import run
+from evaluation.figures.contrasts import read_contrasts
+from evaluation.figures.metrics.inference import mean_test
+from evaluation.figures.saved_tables import save_evaluation
+from evaluation.record import tables
+from evaluation.record.record import Record
+from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
+
+SPLIT = "scratch-half-v0"  # of CONTEXT
+NAMED = f"""schema = 1
+alpha = 0.05
+
+[[contrasts]]
+task = "scratch"
+split = "{SPLIT}"
+method = "gru"
+baseline = "ppo"
+seeds = 4
+
+[[contrasts]]
+task = "scratch"
+split = "{SPLIT}"
+method = "sac"
+baseline = "ppo"
+seeds = 8
+"""
+
+
+def method(folder: Path, shift: float, seed: int, seeds: int = 4, **context: str) -> Path:
+    """An evaluation of a method's seeds with 12 partners, `shift` above that of shift 0."""
+    partners = np.random.default_rng(0).normal(500, 80, (1, 12, 2))
+    returns = partners + np.random.default_rng(seed).normal(shift, 10, (seeds, 12, 2))
+    names = [f"{folder.name}-{place}" for place in range(seeds)]
+    table = episode_table(returns, names, teams(12), ["test", "test", "train"] * 4)
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    save_evaluation(Record(table, folder), dataclasses.replace(CONTEXT, **context))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("rows")
+    shifts = {"ppo": 0.0, "gru": 50.0, "sac": 0.0, "own": 30.0}
+    return {
+        name: method(root / name, shift, seed)
+        for seed, (name, shift) in enumerate(shifts.items(), 1)
+    }
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "contrasts.toml").write_text(NAMED)
+    return tmp_path / "contrasts.toml"
+
+
+def test_named_contrasts_are_tested_together(rows: dict[str, Path], file: Path) -> None:
+    figures = compare_named(file, [rows[name] for name in ("ppo", "gru", "sac")])
+    gru, sac = figures.contrasts
+    assert (gru.found, sac.found) == (True, False) and gru.named and sac.named
+    assert gru.difference.mean == pytest.approx(50, abs=6)
+    ends = gru.difference.mean_ci
+    assert ends is not None and ends[0] < gru.difference.mean < ends[1]
+    assert gru.p_holm == pytest.approx(min(1.0, 2 * gru.p)) and sac.p_holm == sac.p
+    assert 0 < gru.detectable < gru.detectable_holm < 50
+    assert (gru.seeds, gru.partners) == ((4, 4), 8)  # the test side alone
+    assert figures.sha256 == sha256(file.read_bytes())
+    assert figures.notes[0] == (
+        "sac less ppo on scratch, return: 4 and 4 seeds, and 8 of either were named"
+    )
+
+
+def test_the_figures_are_those_of_the_test_side(rows: dict[str, Path], file: Path) -> None:
+    gru = compare_named(file, [rows["ppo"], rows["gru"]]).contrasts[0]
+    sides = [Record.read(rows[name]).returns.evaluated_side for name in ("gru", "ppo")]
+    assert gru.p == mean_test(*(side.scores for side in sides)).p
+
+
+def test_a_contrast_that_was_not_named_is_called_so(rows: dict[str, Path], file: Path) -> None:
+    figures = compare_named(file, list(rows.values()))
+    own = figures.contrasts[-1]
+    assert (own.method, own.named, own.p_holm, own.found) == ("own", False, None, None)
+    assert any("own less ppo on scratch, return: not named in contrasts.toml" in note for note in
+               figures.notes)  # fmt: skip
+    assert [c.p_holm for c in figures.contrasts[:2]] == [
+        c.p_holm for c in compare_named(file, [rows[n] for n in ("ppo", "gru", "sac")]).contrasts
+    ]
+
+
+def test_what_was_named_and_not_played_counts_against_the_others(
+    rows: dict[str, Path], file: Path
+) -> None:
+    figures = compare_named(file, [rows["ppo"], rows["sac"]])
+    assert figures.missing == ("gru less ppo on scratch, return",)
+    assert figures.contrasts[0].p_holm == pytest.approx(min(1.0, 2 * figures.contrasts[0].p))
+
+
+def test_another_split_or_metric_is_refused(rows: dict[str, Path], file: Path) -> None:
+    both = [rows["ppo"], rows["gru"]]
+    file.write_text(NAMED.replace(SPLIT, "scratch/other"))
+    with pytest.raises(ValueError, match=r"played on split scratch-half-v0, and contrasts\.toml"):
+        compare_named(file, both)
+    file.write_text(NAMED.replace("seeds = 4", 'metric = "violations"\nseeds = 4'))
+    with pytest.raises(ValueError, match="tables of this task have no violations; name return"):
+        compare_named(file, both)
+
+
+def test_two_folders_of_one_method_are_refused(
+    rows: dict[str, Path], file: Path, tmp_path: Path
+) -> None:
+    again = method(tmp_path / "again" / "ppo", 0.0, 9)
+    with pytest.raises(ValueError, match="are both ppo on scratch"):
+        compare_named(file, [rows["ppo"], again])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("schema = 1", "schema = 2", "schema is 2"),
+        ("alpha = 0.05", "alpha = 1.5", "alpha is 1.5"),
+        ("seeds = 4", "seed = 4", "seeds is missing"),
+        ('method = "sac"', 'method = "gru"', "is named twice"),
+        ('method = "sac"', 'method = "ppo"', "not tested against itself"),
+        ("schema = 1", "schema = = 1", "TOMLDecodeError"),
+    ],
+)
+def test_a_file_that_is_none_of_contrasts_gets_one_line(
+    file: Path, old: str, new: str, words: str
+) -> None:
+    file.write_text(NAMED.replace(old, new))
+    with pytest.raises(FormatError, match=words):
+        read_contrasts(file)
+
+
+def test_json_says_the_same(file: Path, tmp_path: Path) -> None:
+    content = read_contrasts(file)[0].model_dump(by_alias=True)
+    (tmp_path / "contrasts.json").write_text(json.dumps(content))
+    assert read_contrasts(tmp_path / "contrasts.json")[0] == read_contrasts(file)[0]
+
+
+def test_the_command_prints_hash_and_verdicts(
+    rows: dict[str, Path], file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compare", *map(str, rows.values()), "--contrasts", str(file)]
+    assert run(words) == 0
+    printed = capfd.readouterr().out
+    assert f"sha256 {sha256(file.read_bytes())}" in printed and "not named" in printed
+    assert run([*words, "--json"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    assert [c["found"] for c in answer["contrasts"]] == [True, False, None]
+    assert run(["compare", str(rows["ppo"])]) == 1
+    assert "1 folder to compare; give two" in capfd.readouterr().err

@@ -1,0 +1,186 @@
+"""A league: its rows in order, the share of the range, the page and the figures."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from assistax_zoo.shell.main import run
+from evaluation.figures.league import (
+    FIRST,
+    LAST,
+    league_table,
+    ordered,
+    read_league,
+    row_folders,
+)
+from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
+from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
+from evaluation.figures.saved_tables import save_evaluation
+from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
+from evaluation.record import tables
+from evaluation.record.record import Record
+from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
+from tests.evaluation.test_contrasts import NAMED
+
+PARTNERS = 10
+
+
+def played(means: np.ndarray, names: list[str], seed: int) -> pl.DataFrame:
+    """Return the table of robots by partners with these means [S, P], in four episodes."""
+    noise = np.random.default_rng(seed).normal(0, 5, (*means.shape, 4))
+    table = episode_table(means[..., None] + noise, names, teams(means.shape[1]), None)
+    return table.with_columns(pl.lit("test").alias("side"))
+
+
+def put(root: Path, row: str, means: np.ndarray, *, baselines: bool = False) -> None:
+    names = [f"{row}-{place}" for place in range(len(means))]
+    table, folder = played(means, names, len(row)), root / row
+    references = None
+    if baselines:
+        levels = {ZERO: 10.0, RANDOM: 20.0, SCRIPT: 100.0}
+        shape = 1, means.shape[1]
+        episodes = pl.concat(
+            played(np.full(shape, level), [name], 1).with_columns(pl.lit(name).alias(COLUMN))
+            for name, level in levels.items()
+        )
+        bounds = pl.DataFrame(
+            {
+                "partner": episodes["partner"].unique(maintain_order=True),
+                "low": 10.0,
+                "low_episodes": 4,
+                "best": 400.0,
+                "source": "self-play",
+            }
+        )
+        references = episodes, bounds
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    save_evaluation(Record(table, folder), CONTEXT, references=references)
+
+
+@pytest.fixture(scope="module")
+def league(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """PPO at 200, GRU at 300; the told best responses of six partners at 500, others' at 50."""
+    root = tmp_path_factory.mktemp("league")
+    put(root, "ppo", np.full((4, PARTNERS), 200.0), baselines=True)
+    put(root, "gru", np.full((4, PARTNERS), 300.0))
+    put(root, "told-best-response", np.where(np.eye(6), 500.0, 50.0))
+    return root
+
+
+def test_rows_stand_in_the_leagues_order() -> None:
+    names = ["told-best-response", "sac", "ppo", "script", "gru", "zero-action", "mirror"]
+    expected = ["zero-action", "script", "ppo", "gru", "sac", "mirror", "told-best-response"]
+    assert ordered(names) == expected
+    assert not set(FIRST) & set(LAST)
+
+
+def test_a_league_reads_rows_references_and_shares(league: Path) -> None:
+    assert list(row_folders(league)) == ["ppo", "gru", "told-best-response"]
+    found = read_league(league)
+    by_name = {row.row: row for row in found.rows}
+    assert list(by_name) == [ZERO, RANDOM, SCRIPT, "ppo", "gru", "told-best-response"]
+    assert by_name["told-best-response"].mean.mean == pytest.approx(500, abs=5)
+    assert by_name["told-best-response"].partners == 6
+    for row, share in (("ppo", 0.25), ("gru", 0.5), (SCRIPT, 0.0), ("told-best-response", 1.0)):
+        figure = by_name[row].share
+        assert figure is not None and figure.value_ci is not None
+        assert figure.value == pytest.approx(share, abs=0.02)
+        assert figure.value_ci[0] - 1e-9 <= figure.value <= figure.value_ci[1] + 1e-9
+    assert (by_name["ppo"].robots, by_name["ppo"].mean.n) == (4, 40)
+    table = league_table(found)
+    assert table["row"].to_list() == list(by_name) and table["share"].null_count() == 0
+    assert any("fewer than 16 robots: ppo, gru, told-best-response" in n for n in found.notes)
+
+
+def test_rows_that_were_played_otherwise_are_refused(league: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(league, tmp_path / "other")
+    place = tmp_path / "other" / "gru"
+    table = tables.read_episodes(place / tables.EPISODES_FILE).with_columns(pl.col("key") + 1)
+    tables.write_episodes(table, place / tables.EPISODES_FILE)
+    with pytest.raises(ValueError, match=r"gru and ppo met .* in different episodes"):
+        read_league(tmp_path / "other")
+    with pytest.raises(FileNotFoundError, match="no finished evaluation in a folder"):
+        read_league(tmp_path)
+
+
+def test_share_of_a_range_by_hand() -> None:
+    scores = np.array([[2.0, 6.0], [4.0, 8.0]])
+    share = share_of_range(scores, np.array([1.0, 3.0]), np.array([5.0, 11.0]))
+    assert share is not None and share.value == pytest.approx(3.0 / 6.0)
+    assert share_of_range(scores, np.array([1.0, 3.0]), np.array([1.0, 3.0])) is None
+
+
+def test_a_share_of_proportional_scores_has_no_width() -> None:
+    """Where everybody earns half of the range with each partner, no resample says otherwise."""
+    rng = np.random.default_rng(2)
+    low, high = rng.normal(0, 50, 12), rng.normal(500, 100, 12)
+    share = share_of_range(np.tile((low + high) / 2, (5, 1)), low, high)
+    assert share is not None and share.value_ci == pytest.approx((0.5, 0.5))
+
+
+def test_the_interval_of_a_share_covers_it() -> None:
+    """Seeds of SD 30, partners' ranges of SD 100: 95% of intervals hold the true share."""
+    rng, covered = np.random.default_rng(4), 0
+    for _ in range(300):
+        high = rng.normal(500, 100, 30)
+        scores = 0.4 * high + rng.normal(0, 30, (16, 1)) + rng.normal(0, 40, (16, 30))
+        share = share_of_range(scores, np.zeros(30), high)
+        assert share is not None and share.value_ci is not None
+        covered += share.value_ci[0] <= 0.4 <= share.value_ci[1]
+    assert 0.89 < covered / 300 < 0.99
+
+
+def test_the_best_robot_is_not_chosen_where_it_is_valued() -> None:
+    returns = np.random.default_rng(3).normal(100, 50, (16, 200, 8))
+    assert returns.mean(axis=2).max(axis=0).mean() > 120  # the maximum of noise
+    assert best_of_robots(returns).mean() == pytest.approx(100, abs=5)
+    best = np.where(np.arange(16)[:, None, None] == 3, 300.0, returns)
+    assert best_of_robots(best) == pytest.approx(np.full(200, 300.0))
+    assert best_of_robots(returns[..., :1]).shape == (200,)
+
+
+def test_the_page_has_rows_contrasts_and_their_hash(league: Path, tmp_path: Path) -> None:
+    file, page = tmp_path / "contrasts.toml", tmp_path / "page.html"
+    file.write_text(NAMED)
+    words = ["report", str(league), "--out", str(page)]
+    assert run(words) == 0
+    text = page.read_text()
+    assert "League: scratch" in text and "told-best-response" in text and "Contrasts" not in text
+    assert run([*words, "--contrasts", str(file)]) == 0
+    text = page.read_text()
+    assert "gru - ppo" in text and "sha256 <code>" in text
+    assert "named and not played, they count as p = 1: sac less ppo" in text
+
+
+def test_contrasts_are_of_leagues(league: Path, tmp_path: Path, capfd) -> None:
+    file = tmp_path / "contrasts.toml"
+    file.write_text(NAMED)
+    words = ["report", str(league / "ppo"), "--out", str(tmp_path / "page.html")]
+    assert run([*words, "--contrasts", str(file)]) == 1
+    assert "is no folder of rows" in capfd.readouterr().err
+
+
+def test_who_fails_with_whom(league: Path) -> None:
+    shares = failures(read_league(league).by_partner)
+    told = shares.filter(row="told-best-response")
+    assert told["share"].to_list() == pytest.approx([1.0] * 6)
+    ppo = shares.filter(row="ppo").sort("partner")
+    assert not ppo["fails"].any() and ppo["share"].max() == pytest.approx(2 / 3, abs=0.05)
+    assert shares.filter(row=ZERO)["fails"].all()
+
+
+def test_figures_have_a_place_for_every_row(league: Path) -> None:
+    found = read_league(league)
+    labels = [t.get_text() for t in league_chart(league_table(found), "scratch").axes[0].get_yticklabels()]  # fmt: skip # noqa: E501
+    assert labels == [row.row for row in found.rows]
+    chart = failure_chart(failures(found.by_partner), "scratch")
+    assert len(chart.axes[0].get_yticklabels()) == len(found.rows)
+    curve = pl.DataFrame(
+        {"seed": [0, 0, 1, 1], "steps": [10, 20, 10, 20], "return": [1.0, 2.0, 3.0, 4.0]}
+    )
+    lines = validation_curves({"ppo": curve, "gru": curve}, "scratch").axes[0].lines
+    assert [list(line.get_ydata()) for line in lines] == [[2.0, 3.0]] * 2

@@ -1,0 +1,139 @@
+"""Rows of the league from nothing, at tiny sizes, and the tables of its page."""
+
+import json
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from evaluation.ego_training import ALGORITHMS, ROWS
+from evaluation.figures.league import read_league, row_folders
+from evaluation.record.record import Record
+from tests import untrained
+from tools.league.__main__ import run
+from tools.league.rows import named, rows
+from zoo.registry import load_registry
+from zoo.splitting.create import create_split
+
+TINY = ["--set", "num_envs=60", "--set", "rollout_steps=4", "--set", "minibatches=1"]
+TINY += ["--set", "hidden=(8, 8)", "--steps", "480", "--episodes", "2", "--backend", "native"]
+TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
+
+
+def test_rows_are_those_of_train_ego_and_the_bounds(capsys) -> None:
+    known = list(rows())
+    assert set(ALGORITHMS) <= set(ROWS) <= set(known)
+    assert known[:3] == ["best-fixed", "ppo", "ppo-best-of-4"]
+    assert known[-2:] == ["best-response", "told-best-response"]
+    assert run(["rows"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == known
+
+
+def test_a_new_preset_of_train_ego_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ROWS, "new", ("ppo", {"hidden": (8,)}))
+    made = named("new")
+    assert (made.algorithm, made.changes, made.source) == ("ppo", {"hidden": (8,)}, "train")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["row", "dreamer", "scratch"], "row is 'dreamer'; allowed are best-fixed, ppo"),
+        (["row", "ppo", "swim"], "task is 'swim'"),
+        (["row", "ppo", "scratch", "--split", "half-s0-v0"], "has no validation side"),
+    ],
+)
+def test_what_cannot_be_made_gets_one_line(words, message, tmp_path, capsys) -> None:
+    assert run([*words, "--out", str(tmp_path / "league")]) == 1
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "league").exists()
+
+
+def test_a_page_without_rows_is_refused(tmp_path: Path, capsys) -> None:
+    assert run(["page", str(tmp_path)]) == 1
+    assert "no folder of a task with rows" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twenty untrained teams, and a split of three sides: 12, 3 and 5."""
+    path = untrained.published(untrained.teams_of(10), tmp_path_factory.mktemp("zoo"))
+    with pytest.MonkeyPatch.context() as patch:  # humans that nobody trained act alike
+        patch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [])
+        create_split(path, task="scratch", rule="three-sides", default=True)
+    return path
+
+
+@pytest.mark.slow
+def test_rows_from_nothing_and_their_page(
+    registry: Path, tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
+    monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "cache"))
+    split, league = load_registry(registry).split("scratch"), tmp_path / "league"
+    contrasts = tmp_path / "contrasts.toml"
+    contrasts.write_text(
+        f"""schema = 1
+alpha = 0.05
+[[contrasts]]
+task = "scratch"
+split = "{split.id}"
+method = "gru"
+baseline = "ppo"
+seeds = 4
+"""
+    )
+
+    def make(name: str) -> dict:
+        words = ["row", name, "scratch", "--out", str(league), "--registry", str(registry)]
+        capfd.readouterr()
+        code = run([*words, "--seeds", "4", "--contrasts", str(contrasts), *TINY])
+        printed = capfd.readouterr()
+        assert code == 0, printed.err
+        return json.loads(printed.out)
+
+    made = {
+        name: make(name)
+        for name in ("ppo", "ppo-best-of-4", "gru", "best-fixed", "mirror", "best-response")
+    }
+    counts = {name: record["robots"] for name, record in made.items()}
+    assert counts == {
+        **{"ppo": 4, "ppo-best-of-4": 2, "gru": 4, "best-fixed": 1},
+        **{"mirror": 4, "best-response": 8},
+    }
+    ppo = made["ppo"]
+    assert ppo["steps"] == 480 and ppo["total_steps"] == 4 * 480 and ppo["seeds"] == [0, 1, 2, 3]
+    assert set(ppo["device_minutes"]) == {"training", "validation", "evaluation"}
+    assert ppo["device_minutes_in_all"] > 0 and len(ppo["contrasts"]) == 64
+    assert made["best-response"]["total_steps"] == 8 * 480
+    teams = {name: set(_partners(league / "scratch" / name)) for name in made}
+    assert all(teams[name] == set(split.test) for name in made if name != "best-response")
+    assert len(teams["best-response"]) == 2 and teams["best-response"] < set(split.test)
+    assert _partners(league / "scratch/runs/ppo/training/validation") == list(split.validation)
+    [fixed] = made["best-fixed"]["robot_files"].values()
+    assert fixed.rpartition("/")[0] in split.train
+    again = make("ppo")  # found finished: the same, and the minutes that it took
+    assert again["m_test"] == ppo["m_test"]
+    assert again["device_minutes"]["evaluation"] >= ppo["device_minutes"]["evaluation"]
+    found = read_league(league / "scratch")
+    assert [row.row for row in found.rows][:2] == ["zero-action", "uniform-random"]
+    assert list(row_folders(league / "scratch")) == [
+        *("best-fixed", "ppo", "ppo-best-of-4", "gru", "mirror", "best-response")
+    ]
+    out, images = tmp_path / "tables", tmp_path / "images"
+    words = ["page", str(league), "--out", str(out), "--images", str(images)]
+    assert run([*words, "--contrasts", str(contrasts)]) == 0
+    assert {path.name for path in out.iterdir()} == {
+        *("scratch-league.csv", "scratch-partners.csv", "scratch-validation.csv"),
+        *("rows.csv", "contrasts.csv", "contrasts.json"),
+    }
+    assert {path.name for path in images.iterdir()} == {
+        f"scratch-{kind}.png" for kind in ("league", "partners", "validation")
+    }
+    assert pl.read_csv(out / "contrasts.csv")["method"].to_list() == ["gru"]
+    assert pl.read_csv(out / "rows.csv")["device_minutes_in_all"].null_count() == 0
+    assert pl.read_csv(out / "scratch-validation.csv").height == 2 * 4 * 2
+
+
+def _partners(folder: Path) -> list[str]:
+    return sorted(Record.read(folder).returns.partners["partner_team"])

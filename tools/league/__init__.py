@@ -1,0 +1,1 @@
+"""The league: any of its rows from nothing, and the page's tables and figures."""

@@ -1,0 +1,146 @@
+"""The league: any of its rows from nothing, and the tables and figures of its page.
+
+Run from a checkout: `python -m tools.league rows`, `row` and `page`.
+"""
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+from cyclopts.exceptions import CycloptsError
+
+PROGRAM = "python -m tools.league"
+SEEDS = {"gentle_lift": "64"}  # of which seeds differ most; 32 elsewhere
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; return 0 when done, 1 after an error, 2 after wrong usage.
+
+    Args:
+        arguments: Words of the command line; this process's own if None.
+    """
+    app = App(name=PROGRAM, help=__doc__)
+    for command in (rows, row, page):
+        app.command(command)
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        app(words, print_error=False, exit_on_error=False, result_action="return_value")
+    except CycloptsError as error:
+        print(f"error: {error}\ntry: {PROGRAM} --help", file=sys.stderr)
+        return 2
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def rows() -> None:
+    """Print the rows that can be made, in the league's order."""
+    from tools.league.rows import rows as known
+
+    for made in known().values():
+        print(f"{made.name:20} {made.source}{', told' * made.told}")
+
+
+def row(
+    name: str,
+    task: str,
+    /,
+    *,
+    out: Path,
+    split: str | None = None,
+    seeds: str | None = None,
+    steps: str = "50M",
+    episodes: int | None = None,
+    seed: int = 0,
+    checkpoints: int = 10,
+    best_of: int = 4,
+    sampled: int = 16,
+    persons: int | None = None,
+    contrasts: Path | None = None,
+    backend: str = "auto",
+    max_envs: int | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    registry: Path | None = None,
+) -> None:
+    """Make a row from nothing: train, choose by the validation side, play the test side.
+
+    OUT/TASK/ROW is the evaluation with the test side, and OUT/TASK/runs/ROW has the trainings, the
+    validation and row.json: seeds, steps, command and device minutes. What was interrupted goes on.
+
+    Args:
+        name: Row, such as ppo; `rows` prints them.
+        task: Task, such as gentle_scratch.
+        out: Folder of the league.
+        split: Split of three sides, or persons; default the release's own.
+        seeds: How many, or which; default 32, and 64 in gentle_lift.
+        steps: Environment steps of each robot, such as 50M.
+        episodes: Of each pair; default the task's.
+        seed: Seed of the episodes.
+        checkpoints: At how many equal steps the validation side is played.
+        best_of: Of how many seeds the best is the row ppo-best-of-4's.
+        sampled: Test partners that have best responses.
+        persons: How many persons of a side play.
+        contrasts: File of named contrasts, whose sha256 the record keeps.
+        backend: Physics.
+        max_envs: Most simulations in a saved part of an evaluation.
+        set_: Another hyperparameter, such as num_envs=1024; repeat it for more.
+        registry: Registry to read instead of the installed one.
+
+    Example:
+        python -m tools.league row ppo gentle_scratch --out league
+    """
+    from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
+    from evaluation.play.how import How
+    from tools.league.making import Making, Sizes, make_row
+    from tools.league.rows import named
+    from zoo.registry import load_registry
+
+    made, how = named(name), How(task, episodes, seed, backend, max_envs=max_envs)
+    loaded = load_registry(registry)
+    sizes = Sizes(
+        seeds=tuple(parse_seeds(seeds or SEEDS.get(task, "32"))),
+        steps=parse_steps(steps),
+        best_of=best_of,
+        checkpoints=checkpoints,
+        sampled=sampled,
+        persons=persons,
+        changes=parse_changes(set_),
+    )
+    command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])
+    chosen, folder = loaded.split(task, split), out / task
+    record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts))
+    print(json.dumps(record, indent=1))
+
+
+def page(
+    folder: Path,
+    /,
+    *,
+    out: Path = Path("docs/data/league"),
+    images: Path = Path("docs/images/league"),
+    contrasts: Path | None = None,
+) -> None:
+    """Write the tables of the results' page as CSV, and its figures.
+
+    Args:
+        folder: Of the league, which `row` fills.
+        out: Folder of the tables.
+        images: Folder of the figures.
+        contrasts: File of named contrasts.
+
+    Example:
+        python -m tools.league page league --contrasts docs/data/league/contrasts.toml
+    """
+    from tools.league.page import write_tables
+
+    for path in write_tables(folder, out, images, contrasts):
+        print(path)
+
+
+if __name__ == "__main__":
+    sys.exit(run())

@@ -1,0 +1,256 @@
+"""A row of the league from nothing: training, choice by validation, the test side, its record."""
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+from assistax_base.bounded_reading import parse_json
+from assistax_base.digest import sha256
+from assistax_base.files import write_json
+from assistax_envs import make
+from assistax_workshop.gates.audit import BOTH
+from assistax_zoo.shell.console import TrainingLine
+from evaluation.cast.cast import choose_partners
+from evaluation.ego_training import EgoTraining, prepare, train_egos, write_egos
+from evaluation.evaluate import cast_robots, evaluate
+from evaluation.figures.contrasts import read_contrasts
+from evaluation.figures.saved_tables import save_evaluation
+from evaluation.figures.summary import read_summary
+from evaluation.play.evaluator import run_job
+from evaluation.play.how import How
+from evaluation.play.study import context_of, make_job, seal
+from evaluation.record.manifest import describe_machine, write_run
+from evaluation.record.record import Record
+from evaluation.validation import check_validation, choose
+from population.runs.train import train
+from population.runs.trained import TrainedRun, read_trained_run
+from tools.league.rows import Row
+from zoo.ids import PERSONS
+from zoo.locations import cache_root
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry, Split
+
+RUNS, RECORD = "runs", "row.json"  # of a task's folder: trainings, and a row's record
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizes:
+    """How much is trained and played."""
+
+    seeds: tuple[int, ...]
+    steps: int  # of each robot
+    best_of: int = 4
+    checkpoints: int = 10  # among which validation chooses
+    sampled: int = 16  # partners of the test side that have best responses
+    persons: int | None = None  # of a side, where they are the partners
+    changes: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the preset
+
+
+@dataclasses.dataclass(frozen=True)
+class Making:
+    """One row on one task."""
+
+    registry: Registry
+    row: Row
+    how: How
+    split: Split
+    sizes: Sizes
+    folder: Path  # of the task
+    command: str
+    contrasts: Path | None = None
+
+    @property
+    def runs(self) -> Path:
+        """The folder of the row's trainings, and of its record."""
+        return self.folder / RUNS / self.row.name
+
+
+def make_row(making: Making) -> dict[str, Any]:
+    """Train, choose and play a row, and return its record, which lies beside its trainings.
+
+    What was interrupted goes on, and what is finished is not repeated.
+
+    Raises:
+        ValueError: The split has no validation side, or what is there is of another row.
+    """
+    check_validation(making.split)
+    digest = read_contrasts(making.contrasts)[1] if making.contrasts else None
+    seconds: dict[str, float] = {}
+    files, trainings = _robots(making, seconds)
+    _evaluate(making, files, seconds)
+    path = making.runs / RECORD
+    before = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    # What was found finished took no time now: it took what it took before.
+    old = before.get("device_minutes", {})
+    minutes = {name: max(round(s / 60, 2), old.get(name, 0.0)) for name, s in seconds.items()}
+    summary: Any = read_summary(making.folder / making.row.name)
+    record = {
+        "row": making.row.name,
+        "task": making.how.task,
+        "command": making.command,
+        "split": making.split.id,
+        "seeds": list(making.sizes.seeds),
+        "robots": len(files),
+        "steps": trainings[0].training["steps"] if trainings else 0,
+        "total_steps": sum(t.training["steps"] * len(t.config.members) for t in trainings),
+        "device": trainings[0].training["device"] if trainings else None,
+        "device_minutes": minutes,
+        "device_minutes_in_all": round(sum(minutes.values()), 2),
+        "robot_files": {Path(file).name: file for file in files},
+        "contrasts": digest,
+        # Of best responses with all partners, not with each one's own.
+        "m_test": {"mean": summary.m_test.mean, "mean_ci": summary.m_test.mean_ci},
+        "machine": describe_machine(),
+    }
+    making.runs.mkdir(parents=True, exist_ok=True)
+    write_json(path, record)
+    return record
+
+
+def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[TrainedRun]]:
+    """Return the robots of a row as references, and the trainings that they are of."""
+    row, split = making.row, making.split
+    if row.source == "published":
+        return [_best_published(making, seconds)], []
+    if row.source == "each":
+        files, runs = [], []
+        for human in sampled(making):
+            own = split.model_copy(update={"train": (human.team,)})
+            name = human.team.partition("/")[2]
+            run, made = _trained(making, own, making.runs / name, seconds)
+            files += made
+            runs.append(run)
+        return files, runs
+    own = split.model_copy(update={"train": split.test}) if row.source == "test" else split
+    run, files = _trained(making, own, making.folder / RUNS / row.of / "training", seconds)
+    return files, [run]
+
+
+def sampled(making: Making) -> list[PolicyEntry]:
+    """Return the partners of the test side that have best responses: a draw, fewer part of more."""
+    name = f"{PERSONS if making.split.rule == PERSONS else making.split.id}:test"
+    _, humans = choose_partners(making.registry, making.how.task, name, None, making.sizes.persons)
+    drawn = sorted(humans, key=lambda human: sha256(human.id.encode()))[: making.sizes.sampled]
+    return sorted(drawn, key=lambda human: human.id)
+
+
+def _trained(
+    making: Making, split: Split, folder: Path, seconds: dict[str, float]
+) -> tuple[TrainedRun, list[str]]:
+    """Train with a split's training side, and return the robots that validation chooses.
+
+    Told robots, the mirror's and best responses are bounds and no methods: they stay as they are
+    at the end of their training.
+    """
+    row, sizes = making.row, making.sizes
+    learning = prepare(
+        making.registry,
+        making.how.task,
+        split=split,
+        algorithm=row.algorithm,
+        seeds=sizes.seeds,
+        steps=sizes.steps,
+        hyperparameters={**row.changes, **sizes.changes},
+    )
+    method = row.source in ("train", "best-of") and not row.told
+    run = _train(learning, folder, making.how.backend, row.told, sizes.checkpoints * method)
+    seconds["training"] = seconds.get("training", 0.0) + float(run.training["seconds"])
+    if not method:
+        return run, [str(path) for path in write_egos(run, learning).files]
+    start, how = time.perf_counter(), making.how
+    chosen = choose(
+        making.registry, learning, run, how, best_of=sizes.best_of, persons=sizes.persons
+    )
+    seconds["validation"] = time.perf_counter() - start
+    picked = chosen.best if row.source == "best-of" else chosen.by_seed
+    if not picked:
+        raise ValueError(
+            f"seeds are {len(sizes.seeds)}, and the best of each {sizes.best_of} is wanted; give "
+            "that many or more"
+        )
+    return run, [str(run.folder / choice.file) for choice in picked]
+
+
+def _train(
+    learning: EgoTraining, folder: Path, backend: str, told: bool, snapshots: int
+) -> TrainedRun:
+    line = TrainingLine(str(folder))
+    try:
+        if not told:
+            kept: dict[str, Any] = {"snapshots": snapshots, "progress": line}
+            return train_egos(learning, folder, backend=backend, **kept).run
+        env = make(learning.config.task, backend, version=learning.config.env_version, told=BOTH)
+        train(learning.config, env, folder, partners=learning.partners, progress=line)
+        return read_trained_run(folder)
+    finally:
+        line.close()
+
+
+def _best_published(making: Making, seconds: dict[str, float]) -> str:
+    """Return the published robot that is best with the validation side.
+
+    Candidates are the egos of the release, and the robots of the training side's teams: those of
+    other sides know a partner of theirs.
+    """
+    registry, split, task = making.registry, making.split, making.how.task
+    release = split.release
+    robots = [
+        entry
+        for entry in registry.select(task=task, role="robot")
+        if entry.release == release and (entry.trained_against or entry.team in split.train)
+    ]
+    if not robots:
+        raise ValueError(f"release {release} has no robot of {task} that could be the best one")
+    partners = choose_partners(
+        registry,
+        task,
+        f"{PERSONS if split.rule == PERSONS else split.id}:validation",
+        None,
+        making.sizes.persons,
+    )
+    cast = cast_robots(registry, [entry.id for entry in robots], partners)
+    start, folder = time.perf_counter(), making.runs / "validation"
+    evaluate(cast, making.how, folder, include_own=True)
+    seconds["validation"] = time.perf_counter() - start
+    returns = Record.read(folder).returns.evaluated_side
+    return str(returns.egos["ego"][int(returns.scores.mean(axis=1).argmax())])
+
+
+def _evaluate(making: Making, files: list[str], seconds: dict[str, float]) -> None:
+    """Play the robots with the test side into the row's folder."""
+    row, folder = making.row, making.folder / making.row.name
+    persons = making.split.rule == PERSONS
+    name = f"{PERSONS if persons else making.split.id}:test"
+    split, humans = choose_partners(
+        making.registry, making.how.task, name, None, making.sizes.persons
+    )
+    if row.source == "each":
+        humans = sampled(making)
+    knowing = row.source in ("test", "each")  # robots that train with the test side
+    references = not knowing and not row.told
+    cast = cast_robots(making.registry, files, (split, humans), baselines=references)
+    start = time.perf_counter()
+    if row.told:
+        _evaluate_told(making, cast, folder, include_own=knowing)
+        played = True
+    else:
+        kept = cache_root() / "references" if references else None
+        summary = evaluate(cast, making.how, folder, include_own=knowing, references=kept)
+        played = summary.env_steps_per_second is not None
+    seconds["evaluation"] = time.perf_counter() - start
+    write_run(folder, making.command, played)
+
+
+def _evaluate_told(making: Making, cast: Any, folder: Path, *, include_own: bool) -> None:
+    """Play robots that observe what the human likes, which no command does."""
+    usual, job = make_job(making.how, cast.robots, cast.humans, cast.sides, cast.version)
+    if cast.split.preferences and making.how.preferences is None:
+        job = job.with_side_preferences(cast.split.preferences)
+    job = dataclasses.replace(job, engine={**job.engine, "condition": "told"})
+    env = make(making.how.task, usual.backend, version=cast.version, told=BOTH)
+    result = run_job(env, job, folder)
+    context = context_of(job, result, split=cast.split, release=cast.split.release, lock=cast.lock)
+    saved = Record(result.table, folder)
+    save_evaluation(saved, context, met=cast.met, include_own=include_own)
+    seal(folder, cast, [path for who in cast.robots.members.values() for path in who.files])
