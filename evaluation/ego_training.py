@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from assistax_base.files import atomic_write
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
-from population.hyperparameters import TrainerConfig, preset
+from population.hyperparameters import TrainerConfig, robot_preset
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
 from zoo.ids import PERSONS
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from population.runs.train import Progress
     from population.trainers.frozen_partners import FrozenPartners
 
-ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
 
@@ -72,6 +71,7 @@ def prepare(
     preferences: Sequence[str] = (),
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
+    told: bool = False,
 ) -> EgoTraining:
     """Return what is to be trained with the partners of a split's training half.
 
@@ -85,7 +85,7 @@ def prepare(
         split: Split whose training half are the partners: an id or the beginning of one; default
             the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
-        algorithm: "ppo" or "sac".
+        algorithm: "ppo", "sac", or a method: `population.hyperparameters.METHODS`.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
@@ -93,16 +93,15 @@ def prepare(
             the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched to the device at once; default the algorithm's.
+        told: Whether the robot observes what the human likes: a row to compare with, and no robot.
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.
         assistax_base.errors.ZooError: There is no such split, or its partners cannot be read.
     """
     check_names(task)
-    if algorithm not in ALGORITHMS:
-        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(ALGORITHMS)}")
     changes = dict(hyperparameters or {})
-    trainer = preset(ALGORITHMS[algorithm], **changes)
+    trainer = robot_preset(algorithm, **changes)
     chosen = _chosen_split(registry, task, split, partners)
     frozen = _load_frozen(registry, chosen, preferences)
     config = make_run(
@@ -118,6 +117,7 @@ def prepare(
         preferences=preferences or chosen.preferences.get("train", ()),
         env_version=older_version(registry, chosen),
     )
+    config = dataclasses.replace(config, told=told)
     return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
 
 
@@ -244,6 +244,7 @@ def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
             "split": split.id,
             "training": {"run": run.folder.resolve().name, **run.training},
             **training.met.claim,
+            **({"told": True} if run.config.told else {}),
         }
         write_policy_file(files[-1], robots.spec, robots.row(row), metadata)
     return TrainedEgos(run, split, tuple(files))

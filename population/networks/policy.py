@@ -118,6 +118,10 @@ class Critic(_Network):
         obs = jnp.zeros(self.spec.observation_size)
         return self._module.init(key, self.initial_carry(()), obs, jnp.zeros((), bool))["params"]
 
+    def inputs(self, params: Params, obs: jax.Array) -> jax.Array:
+        """Return what the first layer reads of obs [..., O]: all of it, as it is."""
+        return obs
+
     def step(
         self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, jax.Array]:

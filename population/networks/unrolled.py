@@ -57,6 +57,7 @@ def unroll_critic(
     """Return the carry after a chunk, and the values [T, ...]."""
     if critic.spec.torso == "mlp":
         return critic.step(params, carry, obs, first)
+    obs = critic.inputs(params, obs)
     carry, features = _remember(critic.spec, params, carry, obs, first)
     return carry, _linear(params[f"Dense_{len(critic.spec.hidden) - 1}"], features)[..., 0]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
@@ -101,6 +102,16 @@ class FrozenPartners:
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return the humans [N] of episodes that begin from `keys` [N]: those who were there."""
         return humans
+
+    @property
+    def numbers(self) -> np.ndarray | None:
+        """What describes each of them [P, W]; None of networks, whom only their place names."""
+        return None
+
+    def who(self, humans: Any, num_envs: int) -> jax.Array:
+        """Return the places among them [N] of the partners in members' simulations."""
+        simulations = jax.tree.leaves(humans)[0].shape[0]
+        return jnp.arange(simulations) % num_envs // (num_envs // len(self))
 
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""

@@ -5,20 +5,22 @@ each; with frozen partners in one seat, only the other learns.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
 
 from population.config import Member
 from population.environment import Environment
 from population.hyperparameters import PPOConfig
+from population.methods.hidden import WithHidden
+from population.methods.method import make_method
+from population.methods.ppo_loss import Samples, ppo_loss
 from population.networks import shared_network
 from population.networks.members import member_map
-from population.networks.policy import Critic, Gaussian, Policy, normalise
+from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
 from population.networks.spec import Role
 from population.networks.unrolled import unroll_critic, unroll_policy
@@ -37,6 +39,9 @@ from population.trainers.trainer import (
 )
 
 
+_METHOD = 1  # folded into a learner's key: the networks that a method adds
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Learner:
@@ -45,20 +50,6 @@ class Learner:
     networks: dict[str, Params]  # "actor" and "critic"
     optimisers: dict[str, Any]  # by the same names
     critic_carry: dict[str, Carry]  # by role [N, ...]
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Samples:
-    """What one role learns from; leaves [T, N, ...]."""
-
-    obs: jax.Array
-    critic_obs: jax.Array  # normalised
-    first: jax.Array
-    raw: jax.Array  # raw actions
-    log_prob: jax.Array  # of the raw actions, when they were drawn
-    advantage: jax.Array
-    target: jax.Array  # of the value
 
 
 class PPO(Trainer):
@@ -71,6 +62,15 @@ class PPO(Trainer):
         updates: int,
         partners: FrozenPartners | None = None,
     ) -> None:
+        if config.method and not partners:
+            raise ValueError(
+                f"method is {config.method!r}, which robots train by with frozen partners: give "
+                "partners, or leave method out"
+            )
+        self.method = make_method(config, env, partners)
+        self.sees = self.method.sees
+        if self.sees and partners:
+            env = WithHidden(env, partners, config.num_envs)
         super().__init__(config, env, updates, partners)
         if config.shared and partners:
             raise ValueError(
@@ -116,6 +116,7 @@ class PPO(Trainer):
             "critic": self._value_network(roles).init(critic),
         }
         networks["actor"].pop("normaliser", None)
+        networks |= self.method.init(self.policies[roles[0]], jax.random.fold_in(key, _METHOD))
         start = optimiser(self.config.adam_eps, 1.0)
         return Learner(
             networks=networks,
@@ -189,6 +190,10 @@ class PPO(Trainer):
         )
         if self.config.normalise:
             obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
+        for extra in self.method.critic_sees:
+            more = (x[extra] for x in (batch.obs, batch.tally.final_obs, batch.last_obs))
+            pairs = zip((obs, final_obs, last_obs), more, strict=True)
+            obs, final_obs, last_obs = (jnp.concatenate(pair, axis=-1) for pair in pairs)
         carry, value, next_value = gae.values(
             self.critics[role],
             self._critic_params(role, learner.networks["critic"]),
@@ -217,6 +222,7 @@ class PPO(Trainer):
             log_prob=batch.log_prob[role],
             advantage=advantage,
             target=advantage + value,
+            beside={name: batch.obs[name] for name in self.sees},
         )
 
     def _descend(
@@ -266,7 +272,7 @@ class PPO(Trainer):
         """Return the loss, its mean over roles where they share networks, and what to log."""
         loss, metrics = jnp.zeros(()), {}
         for role, part in samples.items():
-            actor = self.actor(role, member, networks["actor"])
+            actor = self.actor(role, member, networks)
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
             _, gaussian = unroll_policy(
@@ -276,8 +282,11 @@ class PPO(Trainer):
                 self.critics[role], critic, critic_carry, part.critic_obs, part.first
             )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
-            loss = loss + role_loss / len(samples)
-            metrics |= {f"{name}_{role}": value for name, value in logged.items()}
+            own_loss, own = self.method.loss(
+                networks, self.policies[role], actor, part, actor_carry
+            )
+            loss = loss + (role_loss + hyper["aux_coef"] * own_loss) / len(samples)
+            metrics |= {f"{name}_{role}": value for name, value in (logged | own).items()}
         return loss, metrics
 
     def _network(self, roles: tuple[str, ...]) -> Policy:
@@ -299,47 +308,24 @@ class PPO(Trainer):
         sizes = {role: self.critics[role].spec.observation_size for role in roles}
         return self.critic(shared_network.padded_size(sizes))
 
-    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
+    def critic(self, width: int) -> Critic:
+        """Return a critic of inputs of a width."""
+        return self.method.critic(super().critic(width).spec)
+
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critic reads."""
+        more = (self.env.observation_size[name] for name in self.method.critic_sees)
+        return super().critic_width(role) + sum(more)
+
+    def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
         if self.config.shared:
-            spec = self.specs[role]
-            actor = shared_network.fold(actor, role, spec.observation_size, spec.action_size)
-        return super().actor(role, member, actor)
+            spec, shared = self.specs[role], networks["actor"]
+            own = shared_network.fold(shared, role, spec.observation_size, spec.action_size)
+            networks = {**networks, "actor": own}
+        return super().actor(role, member, networks)
 
     def _critic_params(self, role: str, params: Params) -> Params:
         if not self.config.shared:
             return params
         return shared_network.fold(params, role, self.critics[role].spec.observation_size)
-
-
-def ppo_loss(
-    gaussian: Gaussian, value: Float[Array, "T N"], samples: Samples, hyper: Hyper
-) -> tuple[Float[Array, ""], Metrics]:
-    """Return the loss of one role, and what to log.
-
-    L = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)] + c_v E[(V - target)^2] / 2 - c_e E[H], where
-    r = exp(log pi(a | o) - log pi_old(a | o)) and A are the advantages, normalised over the
-    minibatch (Schulman et al., 2017, "Proximal Policy Optimization Algorithms", equations 7 and 9,
-    negated).
-
-    Args:
-        gaussian: The policy now at the samples' observations [T, N, A].
-        value: The critic's values there [T, N].
-        samples: A minibatch; leaves [T, N, ...].
-        hyper: eps is `clip_eps`, c_v `value_coef` and c_e `entropy_coef`; scalars.
-    """
-    log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
-    ratio = jnp.exp(log_ratio)
-    advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
-    clipped = jnp.clip(ratio, 1.0 - hyper["clip_eps"], 1.0 + hyper["clip_eps"])
-    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-    value_loss = 0.5 * jnp.square(value - samples.target).mean()
-    entropy = gaussian.entropy().mean()
-    loss = policy_loss + hyper["value_coef"] * value_loss - hyper["entropy_coef"] * entropy
-    return loss, {
-        "policy_loss": policy_loss,
-        "value_loss": value_loss,
-        "entropy": entropy,
-        "approx_kl": (ratio - 1.0 - log_ratio).mean(),
-        "clip_fraction": (jnp.abs(ratio - 1.0) > hyper["clip_eps"]).mean(),
-    }

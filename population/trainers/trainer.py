@@ -7,7 +7,7 @@ value errors in the hundreds would otherwise use up the norm that a policy share
 
 import abc
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -65,6 +65,8 @@ class Trainer(abc.ABC):
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
+    sees: tuple[str, ...] = ()  # observations that a rollout keeps beside those of networks
+
     def __init__(
         self,
         config: Any,
@@ -85,7 +87,7 @@ class Trainer(abc.ABC):
         self.critic_obs: dict[str, str] = {
             role: "global" if config.critic == "central" else role for role in self.roles
         }
-        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values()]))
+        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values(), *self.sees]))
         self.critics: dict[str, Critic] = {
             role: self.critic(self.critic_width(role)) for role in self.roles
         }
@@ -157,7 +159,7 @@ class Trainer(abc.ABC):
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
         return {
-            role: self.actor(role, members, members.learners[name].networks["actor"])
+            role: self.actor(role, members, members.learners[name].networks)
             for name, roles in self.learners.items()
             for role in roles
         }
@@ -179,14 +181,14 @@ class Trainer(abc.ABC):
         """Return what keeps past transitions; nothing unless a trainer learns from them."""
         return ()
 
-    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
-        """Return an actor's parameters as `Policy` reads them, with what normalises observations.
+    def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
+        """Return a role's parameters as `Policy` reads them, with what normalises observations.
 
         Leading axes of the leaves are free.
         """
         if not self.config.normalise:
-            return actor
-        return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
+            return networks["actor"]
+        return {**networks["actor"], "normaliser": normaliser.to_params(member.statistics[role])}
 
     def _reset(self, keys: jax.Array, humans: Any) -> Any:
         """Start an episode in each simulation [N], from members' keys [M]."""

@@ -26,6 +26,7 @@ def train_ego(
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
+    told: bool = False,
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -42,12 +43,13 @@ def train_ego(
         split: Split whose training half are the partners: an id or the beginning of one; default
             the release's own.
         partners: persons for a new person of the training side each episode, in place of networks.
-        algorithm: ppo or sac.
+        algorithm: ppo, sac, or a method: asymmetric.
         steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
             updates.
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
             those of the split's training half, or all, drawn anew each episode, where it holds
             none out.
+        told: Let the robot observe what the human likes: a row to compare with, and no robot.
         training: How it trains.
         registry: Registry to read instead of the installed one.
         json: Print the policy files as JSON at the end.
@@ -70,6 +72,7 @@ def train_ego(
             partners=partners,
             algorithm=algorithm,
             preferences=parse_names(preferences),
+            told=told,
             **what,
         )
         print(prepared.summary, file=sys.stderr)
