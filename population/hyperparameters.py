@@ -78,12 +78,21 @@ class PPOConfig(Hyperparameters):
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
     method: str = ""  # what a robot's training adds to PPO: one of METHODS; "" adds nothing
     aux_coef: NonNegativeFloat = 1.0  # weight of the method's own loss
+    # Width of what a memory makes of observations and actions for the policy to read; 0 for none.
+    latent: NonNegativeInt = 0
+    kl_coef: NonNegativeFloat = 0.0  # within the method's loss: how little a latent may say
+    student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 
     def __post_init__(self) -> None:
         if self.method not in ("", *METHODS):
             raise ValueError(
                 f"method is {self.method!r}; allowed are {', '.join(METHODS)}, and those that "
                 "`population.methods.method.register` was given in this process"
+            )
+        if self.latent and (self.torso == "gru" or not self.method):
+            raise ValueError(
+                f"latent is {self.latent} with torso {self.torso!r} and method {self.method!r}; "
+                "only a method trains a latent, whose policy is no gru: leave latent out"
             )
         if self.shared and self.torso == "gru" and len(self.hidden) < 2:
             raise ValueError(
@@ -155,6 +164,7 @@ class SACConfig(Hyperparameters):
     # temperature falls throughout a run.
     target_entropy_scale: float = 5.0
     population_coef: ClassVar[float] = 0.0
+    latent: ClassVar[int] = 0
     squash: ClassVar[str] = "tanh"
     std: ClassVar[str] = "state"
     activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
@@ -207,6 +217,9 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
 # its hyperparameters differ from PPO's. `population.methods.method.register` adds to it.
 METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
+    "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
+    "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
+    "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }
 
 

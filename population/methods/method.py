@@ -15,9 +15,10 @@ import jax.numpy as jnp
 
 from population.environment import Environment
 from population.hyperparameters import METHODS, PPOConfig
-from population.methods.ppo_loss import Metrics, Samples
+from population.methods.ppo_loss import Hyper, Metrics, Samples
 from population.networks.policy import Critic, CriticSpec, Policy
 from population.networks.seat import Carry, Params
+from population.networks.spec import PolicySpec
 
 if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
@@ -42,6 +43,20 @@ class Method:
     ) -> None:
         self.config, self.env, self.partners = config, env, partners
 
+    def policy(self, spec: PolicySpec) -> Policy:
+        """Return what acts in training for the network of a spec, which is published."""
+        return Policy(spec)
+
+    def acting(self, params: Params, networks: Mapping[str, Params], progress: jax.Array) -> Params:
+        """Return the parameters of what acts at a share of the run; leaves [M, ...].
+
+        Args:
+            params: Those of the network that is published.
+            networks: All networks of the learner.
+            progress: Share of the run [].
+        """
+        return params
+
     def critic(self, spec: CriticSpec) -> Critic:
         """Return the critic; its spec has the width of all that it is given."""
         return Critic(spec)
@@ -49,6 +64,18 @@ class Method:
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
         """Return the method's networks by name, beside "actor" and "critic"."""
         return {}
+
+    def scheduled(self, hyper: Hyper, progress: jax.Array) -> Hyper:
+        """Return the hyperparameters [M] at a share of the run."""
+        return hyper
+
+    def rate(self, network: str, hyper: Hyper) -> jax.Array:
+        """Return the learning rate of a network."""
+        return hyper["learning_rate"]
+
+    def latent(self, networks: Mapping[str, Params], samples: Samples) -> jax.Array:
+        """Return the latents [T, N, Z] with which PPO learns."""
+        return samples.latent
 
     def loss(
         self,

@@ -1,6 +1,7 @@
 """What PPO learns from, and its loss."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,9 @@ class Samples:
     advantage: jax.Array
     target: jax.Array  # of the value
     beside: dict[str, jax.Array]  # observations that the method sees
-    partner: jax.Array | None = None  # its action and its joints' speeds, rad/s
+    partner: Any = ()  # what the partner did, where the method watches: `Batch.partner`
+    latent: Any = ()  # what the memory made of the rollout, of a policy that reads it
+    noise: Any = ()  # standard normal, of the latent's shape
 
 
 def ppo_loss(

@@ -5,7 +5,8 @@ Training for Zero-Shot Human-AI Coordination") pays a team for doing what its po
 does.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -50,3 +51,19 @@ def log_mean_density(
         return jax.nn.logsumexp(densities, axis=0) - jnp.log(len(densities))
 
     return member_map(usual)(peers, batch.obs[ROLE], batch.first, batch.raw[ROLE])
+
+
+def with_bonus(
+    policy: Policy, params: Params, batch: Batch, hyper: Mapping[str, jax.Array]
+) -> tuple[Batch, dict[str, jax.Array]]:
+    """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
+
+    Logged are the population's entropy, and what of it is due to differences: between 0, where
+    all humans act alike, and log n, where none would do what another does.
+    """
+    usual = log_mean_density(policy, params, hyper["peers"], batch)
+    reward = batch.reward - hyper["population_coef"][:, None, None] * usual
+    return dataclasses.replace(batch, reward=reward), {
+        "population_entropy": -usual.mean((1, 2)),
+        "population_divergence": (batch.log_prob[ROLE] - usual).mean((1, 2)),
+    }

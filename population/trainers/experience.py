@@ -16,6 +16,7 @@ from population.networks.seat import Carry, Params
 from population.trainers.frozen_partners import FrozenPartners
 
 EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
+STEP, FASTEST = 0.02, 20.0  # s, a control step; rad/s, beyond which a joint's speed is cut
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 
 
@@ -71,6 +72,7 @@ class Batch:
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
     last_first: jax.Array  # [N]
     tally: Tally
+    partner: Any = ()  # [T, N, A + J] its actions and its joints' speeds, rad/s, where watched
 
 
 def begin(
@@ -109,6 +111,7 @@ def collect(
     partners: FrozenPartners | None = None,
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
+    watched: bool = False,
 ) -> tuple[Simulations, Batch]:
     """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
 
@@ -123,13 +126,14 @@ def collect(
         partners: Who acts in the role that has no policy here.
         partner_params: Their parameters.
         sample: How raw actions are drawn.
+        watched: Whether the batch holds what the partner did.
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
 
     def step(loop: _Loop, keys: jax.Array) -> tuple[_Loop, dict[str, Any]]:
         state, tally = loop
-        obs = to_members({role: state.env.obs[role] for role in policies}, members)
+        obs = to_members({r: _read(p, r, state.env.obs) for r, p in policies.items()}, members)
         carry, acted = act(params, state.carry, obs, to_members(state.first, members), keys)
         action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
@@ -151,6 +155,9 @@ def collect(
         seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
         seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
         seen |= {"terminated": terminated, "truncated": truncated}
+        if watched and partners:
+            angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
+            seen["partner"] = _watched(action[partners.role], *angles)
         state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
         return (state, tally), seen
 
@@ -166,7 +173,7 @@ def by_member(batch: Batch, members: int) -> Batch:
     def over_time(leaf: jax.Array) -> jax.Array:
         return jnp.moveaxis(leaf.reshape(leaf.shape[0], members, -1, *leaf.shape[2:]), 1, 0)
 
-    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated")
+    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated", "partner")
     return Batch(
         **{
             name: jax.tree.map(over_time, value) if name in timed else to_members(value, members)
@@ -214,10 +221,24 @@ def _act(
     """
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
-        carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)
+        after, gaussian = policies[role].step(params[role], carries[role], obs[role], first)
         raw[role] = sample(gaussian, role_key)
         action[role], log_prob[role] = gaussian.action(raw[role]), gaussian.log_prob(raw[role])
+        carry[role] = policies[role].acted(after, action[role])
     return carry, (action, raw, log_prob)
+
+
+def _read(policy: Policy, role: str, obs: dict[str, jax.Array]) -> jax.Array:
+    """Return what a policy reads [N, O]: its role's observation, and what it sees beside it."""
+    if not policy.beside:
+        return obs[role]
+    return jnp.concatenate([obs[role], *(obs[name] for name in policy.beside)], axis=-1)
+
+
+def _watched(action: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
+    """Return what a partner did in a step [N, A + J]; speeds of a simulation that diverged end."""
+    speed = jnp.clip((after - before) / STEP, -FASTEST, FASTEST)
+    return jnp.concatenate([jnp.clip(action, -1.0, 1.0), jnp.nan_to_num(speed)], axis=-1)
 
 
 def _gains(state: EnvState) -> dict[str, jax.Array]:

@@ -16,13 +16,14 @@ from population.config import Member
 from population.environment import Environment
 from population.hyperparameters import PPOConfig
 from population.methods.hidden import WithHidden
+from population.methods.latents import latents
 from population.methods.method import make_method
 from population.methods.ppo_loss import Samples, ppo_loss
 from population.networks import shared_network
 from population.networks.members import member_map
 from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
-from population.networks.spec import Role
+from population.networks.spec import PolicySpec, Role
 from population.networks.unrolled import unroll_critic, unroll_policy
 from population.trainers import diversity, experience, gae, normaliser
 from population.trainers.experience import Batch
@@ -37,7 +38,6 @@ from population.trainers.trainer import (
     optimiser,
     role_keys,
 )
-
 
 _METHOD = 1  # folded into a learner's key: the networks that a method adds
 
@@ -68,7 +68,7 @@ class PPO(Trainer):
                 "partners, or leave method out"
             )
         self.method = make_method(config, env, partners)
-        self.sees = self.method.sees
+        self.sees, self.watches = self.method.sees, self.method.watches
         if self.sees and partners:
             env = WithHidden(env, partners, config.num_envs)
         super().__init__(config, env, updates, partners)
@@ -99,14 +99,30 @@ class PPO(Trainer):
             "population_coef": config.anneal_entropy,
         }
         hyper = {n: value * left if annealed.get(n) else value for n, value in hyper.items()}
+        hyper = self.method.scheduled(hyper, 1.0 - left)
         batch = experience.by_member(batch, len(keys))
         metrics = member_map(experience.episode_metrics)(batch)
         if config.population_coef:
-            batch, logged = self._with_bonus(state.members, batch, hyper)
+            humans = self.policies[diversity.ROLE]
+            of_humans = self.policy_params(state.members)[diversity.ROLE]
+            batch, logged = diversity.with_bonus(humans, of_humans, batch, hyper)
             metrics |= logged
         members, losses = member_map(self._learn)(state.members, batch, hyper, keys)
         state = dataclasses.replace(state, members=members, update=state.update + 1)
         return state, metrics | losses
+
+    def policy(self, spec: PolicySpec) -> Policy:
+        """Return what acts in training."""
+        return self.method.policy(spec)
+
+    def acting(self, state: TrainState) -> dict[str, Params]:
+        """Return the parameters of what acts in the next rollout."""
+        progress = state.update.astype(jnp.float32) / self.updates
+        params = self.policy_params(state.members)
+        for name, roles in self.learners.items():
+            networks = state.members.learners[name].networks
+            params |= {r: self.method.acting(params[r], networks, progress) for r in roles}
+        return params
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
         """Return one member's learner of these roles."""
@@ -116,6 +132,8 @@ class PPO(Trainer):
             "critic": self._value_network(roles).init(critic),
         }
         networks["actor"].pop("normaliser", None)
+        if self.config.latent:
+            networks["memory"] = networks["actor"].pop("memory")
         networks |= self.method.init(self.policies[roles[0]], jax.random.fold_in(key, _METHOD))
         start = optimiser(self.config.adam_eps, 1.0)
         return Learner(
@@ -125,23 +143,6 @@ class PPO(Trainer):
                 role: self.critics[role].initial_carry((self.config.num_envs,)) for role in roles
             },
         )
-
-    def _with_bonus(
-        self, members: MemberState, batch: Batch, hyper: Hyper
-    ) -> tuple[Batch, Metrics]:
-        """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
-
-        Logged are the population's entropy, and what of it is due to differences: between 0, where
-        all humans act alike, and log n, where none would do what another does.
-        """
-        role = diversity.ROLE
-        params = self.policy_params(members)[role]
-        usual = diversity.log_mean_density(self.policies[role], params, hyper["peers"], batch)
-        reward = batch.reward - hyper["population_coef"][:, None, None] * usual
-        return dataclasses.replace(batch, reward=reward), {
-            "population_entropy": -usual.mean((1, 2)),
-            "population_divergence": (batch.log_prob[role] - usual).mean((1, 2)),
-        }
 
     def _learn(
         self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
@@ -169,8 +170,11 @@ class PPO(Trainer):
         """Improve a role's networks, or those that both share; return them and what to log."""
         learner = member.learners[name]
         samples, carries, critic_carry, explained = {}, {}, {}, {}
+        noise = jax.random.fold_in(key, _METHOD)
         for role in self.learners[name]:
-            critic_carry[role], samples[role] = self._samples(role, member, learner, batch, hyper)
+            critic_carry[role], samples[role] = self._samples(
+                role, member, learner, batch, hyper, noise
+            )
             carries[role] = (batch.carry[role], learner.critic_carry[role])
             advantage, target = samples[role].advantage, samples[role].target
             explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (
@@ -180,20 +184,16 @@ class PPO(Trainer):
         return dataclasses.replace(learner, critic_carry=critic_carry), losses | explained
 
     def _samples(
-        self, role: str, member: MemberState, learner: Learner, batch: Batch, hyper: Hyper
+        self,
+        role: str,
+        member: MemberState,
+        learner: Learner,
+        batch: Batch,
+        hyper: Hyper,
+        key: jax.Array,
     ) -> tuple[Carry, Samples]:
         """Return the critic's carry after the batch, and what the role learns from."""
-        name = self.critic_obs[role]
-        stats = normaliser.to_params(member.statistics[name])
-        obs, final_obs, last_obs = (
-            x[name] for x in (batch.obs, batch.tally.final_obs, batch.last_obs)
-        )
-        if self.config.normalise:
-            obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
-        for extra in self.method.critic_sees:
-            more = (x[extra] for x in (batch.obs, batch.tally.final_obs, batch.last_obs))
-            pairs = zip((obs, final_obs, last_obs), more, strict=True)
-            obs, final_obs, last_obs = (jnp.concatenate(pair, axis=-1) for pair in pairs)
+        obs, final_obs, last_obs, extra = self._critic_inputs(role, member, learner, batch, key)
         carry, value, next_value = gae.values(
             self.critics[role],
             self._critic_params(role, learner.networks["critic"]),
@@ -223,7 +223,29 @@ class PPO(Trainer):
             advantage=advantage,
             target=advantage + value,
             beside={name: batch.obs[name] for name in self.sees},
+            partner=batch.partner,
+            **extra,
         )
+
+    def _critic_inputs(
+        self, role: str, member: MemberState, learner: Learner, batch: Batch, key: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
+        """Return what the critic reads, acted on, at time limits and last, and latents if any."""
+        everything = batch.obs, batch.tally.final_obs, batch.last_obs
+        name, extra = self.critic_obs[role], {}
+        parts: list[Any] = [tuple(obs[name] for obs in everything)]
+        if self.config.normalise:
+            stats = normaliser.to_params(member.statistics[name])
+            parts = [tuple(normalise(stats, obs) for obs in parts[0])]
+        parts += [tuple(obs[name] for obs in everything) for name in self.method.critic_sees]
+        if self.config.latent:
+            params = self.actor(role, member, learner.networks)
+            made = latents(self.policies[role], params, role, batch)
+            parts.append(made)
+            noise = jax.random.normal(key, made.acted.shape)
+            extra = {"latent": made.acted, "noise": noise}
+        obs, final, last = (jnp.concatenate(of, axis=-1) for of in zip(*parts, strict=True))
+        return obs, final, last, extra
 
     def _descend(
         self,
@@ -250,7 +272,8 @@ class PPO(Trainer):
             for network in learner.networks:
                 gradient = gradients[network]
                 losses[f"{network}_grad_norm_{name}"] = optax.tree.norm(gradient)
-                learner = descended(learner, network, gradient, clipped, hyper["learning_rate"])
+                rate = self.method.rate(network, hyper)
+                learner = descended(learner, network, gradient, clipped, rate)
             return learner, losses
 
         keys = jax.random.split(key, config.epochs)
@@ -275,16 +298,16 @@ class PPO(Trainer):
             actor = self.actor(role, member, networks)
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
-            _, gaussian = unroll_policy(
-                self.policies[role], actor, actor_carry, part.obs, part.first
-            )
+            policy = self.policies[role]
+            if self.config.latent:
+                gaussian = policy.given(actor, part.obs, self.method.latent(networks, part))
+            else:
+                _, gaussian = unroll_policy(policy, actor, actor_carry, part.obs, part.first)
             _, value = unroll_critic(
                 self.critics[role], critic, critic_carry, part.critic_obs, part.first
             )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
-            own_loss, own = self.method.loss(
-                networks, self.policies[role], actor, part, actor_carry
-            )
+            own_loss, own = self.method.loss(networks, policy, actor, part, actor_carry)
             loss = loss + (role_loss + hyper["aux_coef"] * own_loss) / len(samples)
             metrics |= {f"{name}_{role}": value for name, value in (logged | own).items()}
         return loss, metrics
@@ -293,14 +316,7 @@ class PPO(Trainer):
         """Return the network that is initialised: a role's own, or the one that roles share."""
         if len(roles) == 1:
             return self.policies[roles[0]]
-        specs = {role: self.specs[role] for role in roles}
-        width = shared_network.padded_size(
-            {role: spec.observation_size for role, spec in specs.items()}
-        )
-        actions = max(spec.action_size for spec in specs.values())
-        return Policy(
-            dataclasses.replace(specs[roles[0]], observation_size=width, action_size=actions)
-        )
+        return Policy(shared_network.shared_spec([self.specs[role] for role in roles]))
 
     def _value_network(self, roles: tuple[str, ...]) -> Critic:
         if len(roles) == 1:
@@ -315,7 +331,7 @@ class PPO(Trainer):
     def critic_width(self, role: str) -> int:
         """Return the width of what a role's critic reads."""
         more = (self.env.observation_size[name] for name in self.method.critic_sees)
-        return super().critic_width(role) + sum(more)
+        return super().critic_width(role) + sum(more) + self.config.latent
 
     def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
@@ -323,7 +339,8 @@ class PPO(Trainer):
             spec, shared = self.specs[role], networks["actor"]
             own = shared_network.fold(shared, role, spec.observation_size, spec.action_size)
             networks = {**networks, "actor": own}
-        return super().actor(role, member, networks)
+        params = super().actor(role, member, networks)
+        return {**params, "memory": networks["memory"]} if self.config.latent else params
 
     def _critic_params(self, role: str, params: Params) -> Params:
         if not self.config.shared:

@@ -66,6 +66,7 @@ class Trainer(abc.ABC):
     """
 
     sees: tuple[str, ...] = ()  # observations that a rollout keeps beside those of networks
+    watches = False  # whether it keeps what the partner did
 
     def __init__(
         self,
@@ -80,7 +81,7 @@ class Trainer(abc.ABC):
             role for role in ROLES if not partners or role != partners.role
         )
         self.specs = _policy_specs(config, env, self.roles)
-        self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
+        self.policies = {role: self.policy(spec) for role, spec in self.specs.items()}
         # Learners by name, each of one role.
         self.learners: dict[str, tuple[Role, ...]] = {role: (role,) for role in self.roles}
         # What critics see: the role's own observation, or everything.
@@ -130,7 +131,7 @@ class Trainer(abc.ABC):
         simulations, batch = experience.collect(
             self.env,
             self.policies,
-            self.policy_params(members),
+            self.acting(state),
             act_keys,
             state.simulations,
             fresh,
@@ -138,6 +139,7 @@ class Trainer(abc.ABC):
             self.partners,
             partners,
             self.sampler(state),
+            self.watches,
         )
         members = dataclasses.replace(members, key=keys[:, 3])
         state = dataclasses.replace(state, members=members, simulations=simulations)
@@ -163,6 +165,14 @@ class Trainer(abc.ABC):
             for name, roles in self.learners.items()
             for role in roles
         }
+
+    def policy(self, spec: PolicySpec) -> Policy:
+        """Return what acts in training for the network of a spec."""
+        return Policy(spec)
+
+    def acting(self, state: TrainState) -> dict[str, Params]:
+        """Return the parameters of what acts in the next rollout, by role; leaves [M, ...]."""
+        return self.policy_params(state.members)
 
     def critic(self, width: int) -> Critic:
         """Return a critic of inputs of a width."""
@@ -241,7 +251,7 @@ def descended(
 def _policy_specs(
     config: TrainerConfig, env: Environment, roles: Sequence[Role]
 ) -> dict[str, PolicySpec]:
-    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
+    names = ("torso", "hidden", "activation", "squash", "std", "normalise", "latent")
     same: dict[str, Any] = {name: getattr(config, name) for name in names}
     return {
         role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same)
