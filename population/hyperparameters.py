@@ -81,6 +81,8 @@ class PPOConfig(Hyperparameters):
     # Width of what a memory makes of observations and actions for the policy to read; 0 for none.
     latent: NonNegativeInt = 0
     kl_coef: NonNegativeFloat = 0.0  # within the method's loss: how little a latent may say
+    # Episodes in a row with one partner and wish, over which a robot remembers and is paid.
+    series: PositiveInt = 1
     student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 
     def __post_init__(self) -> None:
@@ -93,6 +95,11 @@ class PPOConfig(Hyperparameters):
             raise ValueError(
                 f"latent is {self.latent} with torso {self.torso!r} and method {self.method!r}; "
                 "only a method trains a latent, whose policy is no gru: leave latent out"
+            )
+        if self.series > 1 and not (self.torso == "gru" or self.latent):
+            raise ValueError(
+                f"series is {self.series}, but without a memory a robot brings nothing into the "
+                "next episode: choose torso gru, or leave series out"
             )
         if self.shared and self.torso == "gru" and len(self.hidden) < 2:
             raise ValueError(
@@ -219,6 +226,7 @@ METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
+    "rl2": ("", {"torso": "gru", "series": 5}),
     "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }
 

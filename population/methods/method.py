@@ -97,11 +97,6 @@ class Method:
         return jnp.zeros(()), {}
 
 
-def make_method(config: PPOConfig, env: Environment, partners: "FrozenPartners | None") -> Method:
-    """Return the method that the hyperparameters choose."""
-    return method_class(config.method)(config, env, partners)
-
-
 def method_class(name: str) -> type[Method]:
     """Return the class of a method; that of none adds nothing."""
     home = METHODS[name][0] if name else Method

@@ -58,6 +58,10 @@ class DrawnPersons(FrozenPartners):
         """Return whom the episodes meet that begin from `keys` [N]."""
         return self._of(draw_persons(keys, jnp.arange(len(self.rows), dtype=jnp.int32)))
 
+    def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return the humans [N]: their wishes are their own."""
+        return humans
+
     @property
     def numbers(self) -> np.ndarray:
         """Their rows [P, 25]."""

@@ -40,8 +40,19 @@ class Simulations:
     env: EnvState
     carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
     partners: Carry  # carries of frozen partners; () without any
-    first: jax.Array  # whether the current observation starts an episode [N]
+    # Whether the current observation starts an episode [N]; with series, whether it starts one.
+    first: jax.Array
     episodes: Episodes
+    series: Any = ()  # `Series`, where robots remember their partner over several episodes
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """Where simulations stand in their series of episodes with one partner and wish."""
+
+    turn: jax.Array  # [N] int32, the episode of the series
+    begins: jax.Array  # [N] whether the current observation starts an episode
 
 
 @jax.tree_util.register_dataclass
@@ -81,11 +92,12 @@ def begin(
     members: int,
     stagger: jax.Array,
     partners: FrozenPartners | None = None,
+    series: int = 1,
 ) -> Simulations:
     """Return simulations at the states of `env`, their step counters set to `stagger` [N].
 
     Staggered episodes reach their time limits at different steps, so that every batch holds all
-    phases of an episode.
+    phases of an episode, and of a series.
     """
     simulations = stagger.shape[0]
     return Simulations(
@@ -97,6 +109,9 @@ def begin(
         partners=partners.initial_carry(simulations) if partners else (),
         first=jnp.ones(simulations, bool),
         episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, _gains(env))),
+        series=Series(jnp.arange(simulations) % series, jnp.ones(simulations, bool))
+        if series > 1
+        else (),
     )
 
 
@@ -112,6 +127,7 @@ def collect(
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
     watched: bool = False,
+    series: int = 1,
 ) -> tuple[Simulations, Batch]:
     """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
 
@@ -127,6 +143,7 @@ def collect(
         partner_params: Their parameters.
         sample: How raw actions are drawn.
         watched: Whether the batch holds what the partner did.
+        series: Episodes over which a simulation's end is none for the robot, who remembers.
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
@@ -143,7 +160,7 @@ def collect(
                 partner_params,
                 partner_carry,
                 state.env.obs[role],
-                state.first,
+                state.series.begins if series > 1 else state.first,
                 members,
                 state.env.params,
             )
@@ -158,7 +175,10 @@ def collect(
         if watched and partners:
             angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
             seen["partner"] = _watched(action[partners.role], *angles)
+        turns = state.series
         state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
+        if series > 1:
+            state, seen = _in_series(state, turns, after.nonfinite, seen, series)
         return (state, tally), seen
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
@@ -195,6 +215,17 @@ def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
 
 
 _Loop = tuple[Simulations, Tally]
+
+
+def _in_series(
+    state: Simulations, before: Series, diverged: jax.Array, seen: dict[str, Any], series: int
+) -> tuple[Simulations, dict[str, Any]]:
+    """Let robots go on where an episode ended within a series: neither an end nor a start."""
+    ended = state.first
+    more = ended & (before.turn < series - 1) & ~diverged
+    turn = jnp.where(more, before.turn + 1, jnp.where(ended, 0, before.turn))
+    state = dataclasses.replace(state, first=ended & ~more, series=Series(turn, ended))
+    return state, {**seen, **{n: seen[n] & ~more for n in ("terminated", "truncated")}}
 
 
 def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> Tally:

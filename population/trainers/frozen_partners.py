@@ -1,5 +1,6 @@
 """Frozen partners of an ego's training: who acts in the other seat."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
+from assistax_envs.tasks.gentle_base import liking
 from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Policy
@@ -102,6 +104,10 @@ class FrozenPartners:
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return the humans [N] of episodes that begin from `keys` [N]: those who were there."""
         return humans
+
+    def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return humans [N] whose wishes no reset draws anew: those that are open, by their key."""
+        return dataclasses.replace(humans, likes=jax.vmap(liking)(humans.preference, keys))
 
     @property
     def numbers(self) -> np.ndarray | None:

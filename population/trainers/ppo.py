@@ -17,7 +17,7 @@ from population.environment import Environment
 from population.hyperparameters import PPOConfig
 from population.methods.hidden import WithHidden
 from population.methods.latents import latents
-from population.methods.method import make_method
+from population.methods.method import method_class
 from population.methods.ppo_loss import Samples, ppo_loss
 from population.networks import shared_network
 from population.networks.members import member_map
@@ -62,15 +62,17 @@ class PPO(Trainer):
         updates: int,
         partners: FrozenPartners | None = None,
     ) -> None:
-        if config.method and not partners:
+        if not partners and (config.method or config.series > 1):
             raise ValueError(
-                f"method is {config.method!r}, which robots train by with frozen partners: give "
-                "partners, or leave method out"
+                f"method is {config.method!r} and series {config.series}, by which robots train "
+                "with frozen partners: give partners, or leave them out"
             )
-        self.method = make_method(config, env, partners)
-        self.sees, self.watches = self.method.sees, self.method.watches
-        if self.sees and partners:
+        kind = method_class(config.method)
+        if kind.sees and partners:
             env = WithHidden(env, partners, config.num_envs)
+        self.method = kind(config, env, partners)
+        self.sees, self.watches = kind.sees, kind.watches
+        self.series = config.series
         super().__init__(config, env, updates, partners)
         if config.shared and partners:
             raise ValueError(

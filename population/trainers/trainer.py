@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from assistax_envs import select
 from population.config import Member, traced_values
 from population.environment import Environment
 from population.hyperparameters import TrainerConfig
@@ -67,6 +68,7 @@ class Trainer(abc.ABC):
 
     sees: tuple[str, ...] = ()  # observations that a rollout keeps beside those of networks
     watches = False  # whether it keeps what the partner did
+    series = 1  # episodes over which a robot remembers its partner
 
     def __init__(
         self,
@@ -112,7 +114,7 @@ class Trainer(abc.ABC):
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
             simulations=experience.begin(
-                env_state, self.policies, len(keys), stagger.reshape(-1), self.partners
+                env_state, self.policies, len(keys), stagger.reshape(-1), self.partners, self.series
             ),
             update=jnp.zeros((), jnp.int32),
             replay=self.initial_replay(len(keys)),
@@ -125,7 +127,7 @@ class Trainer(abc.ABC):
         """
         members = state.members
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-        fresh = self._reset(keys[:, 0], state.simulations.env.params)
+        fresh = self._reset(keys[:, 0], state.simulations.env.params, state.simulations.series)
         steps = self.config.rollout_steps
         act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
         simulations, batch = experience.collect(
@@ -140,6 +142,7 @@ class Trainer(abc.ABC):
             partners,
             self.sampler(state),
             self.watches,
+            self.series,
         )
         members = dataclasses.replace(members, key=keys[:, 3])
         state = dataclasses.replace(state, members=members, simulations=simulations)
@@ -200,12 +203,20 @@ class Trainer(abc.ABC):
             return networks["actor"]
         return {**networks["actor"], "normaliser": normaliser.to_params(member.statistics[role])}
 
-    def _reset(self, keys: jax.Array, humans: Any) -> Any:
-        """Start an episode in each simulation [N], from members' keys [M]."""
+    def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
+        """Start an episode in each simulation [N], from members' keys [M].
+
+        Within a series the human and what it likes stay.
+        """
         keys = _simulation_keys(keys, self.config.num_envs)
-        return self.env.reset(
-            keys, self.partners.renewed(humans, keys) if self.partners else humans
-        )
+        if not self.partners:
+            return self.env.reset(keys, humans)
+        new = self.partners.renewed(humans, keys)
+        if self.series > 1:
+            new = self.partners.settled(new, keys)
+        if series:
+            new = select(series.turn < self.series - 1, humans, new)
+        return self.env.reset(keys, new)
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         statistics = {

@@ -1,5 +1,7 @@
 """Probe environments for methods: a partner has a bit that pays, or one that only adds noise."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
@@ -35,6 +37,19 @@ class HiddenBit(ToyEnv):
         """Each human turns its joint towards its bit: what it does next is known from the bit."""
         turn = 0.01 * state.cue["human"] * state.step
         return {"robot": jnp.zeros((len(turn), 1)), "human": turn[:, None]}
+
+
+class Settings(HiddenBit):
+    """The human's bit is that of its body: the weaker half of all settings acts on -1."""
+
+    def _blank(self, keys, params):
+        state = super()._blank(keys, params)
+        if params is None:
+            return state
+        bit = jnp.where(params.strength > 0.6, 1.0, -1.0)
+        cue = {**state.cue, "human": bit}
+        obs = self._observe(cue, keys, state.step, shown=True)
+        return dataclasses.replace(state, cue=cue, obs=obs)
 
 
 def read(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:

@@ -11,7 +11,7 @@ from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import robot_preset
 from population.runs.train import initial_state
 from population.trainers.ppo import PPO
-from tests.population.hidden_env import LENGTH, PARTNERS, HiddenBit, noisy, partners
+from tests.population.hidden_env import LENGTH, PARTNERS, HiddenBit, Settings, noisy, partners
 from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.toy_env import ToyEnv
 
@@ -53,3 +53,11 @@ def test_a_memory_that_predicts_the_partner_remembers_its_bit(name):
     _, _, plain = learn(HiddenBit(), "ppo", 100, gamma=0.5)
     assert last(metrics, "return") > last(plain, "return") + 0.3 * LENGTH
     assert last(metrics, "model_loss_robot") < 0.4 < np.asarray(metrics["model_loss_robot"])[0]
+
+
+def test_a_student_does_what_its_teacher_is_told():
+    """The teacher is told the setting, which pays; the student sees it in the second step alone."""
+    _, _, metrics = learn(Settings(), "rma", 100, gamma=0.5)
+    _, _, plain = learn(Settings(), "ppo", 100, gamma=0.5)
+    assert last(metrics, "return") > last(plain, "return") + 0.3 * LENGTH  # of the student
+    assert last(metrics, "student_latent_error_robot") < 0.3
