@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from flax import linen as nn
 
 from population.networks.policy import Gaussian, Policy
 from population.networks.seat import Params
@@ -24,6 +25,17 @@ class Latents(NamedTuple):
     acted: jax.Array  # [T, N, Z]
     final: jax.Array  # [N, Z]
     last: jax.Array  # [N, Z]
+
+
+class TwoLayers(nn.Module):
+    """What methods read latents with, or make them by: a hidden layer of 64, and an output."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, inputs: jax.Array) -> jax.Array:
+        hidden = nn.tanh(nn.Dense(64)(inputs))
+        return nn.Dense(self.width)(hidden)
 
 
 def latents(policy: Policy, params: Params, role: str, batch: "Batch") -> Latents:

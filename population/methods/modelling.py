@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from population.methods.latents import squashed
+from population.methods.latents import TwoLayers, squashed
 from population.methods.method import Method
 from population.methods.ppo_loss import Metrics, Samples
 from population.networks.policy import Policy
 from population.networks.seat import Carry, Params
 from population.networks.unrolled import unroll_memory
 
-WIDTH = 64  # of the decoder's hidden layer
 STILLEST = 1e-3  # variance below which a partner's joint counts as still
 NARROWEST = 8.0  # of the logarithm of a latent's variance, either way
 
@@ -44,7 +43,7 @@ class Modelling(Method):
         decoder, spread = jax.random.split(key)
         width = self.env.action_size[role] + joints
         latent, hidden = policy.spec.latent, policy.spec.hidden[-1]
-        networks = {"decoder": _Decoder(width).init(decoder, jnp.zeros(latent))["params"]}
+        networks = {"decoder": TwoLayers(width).init(decoder, jnp.zeros(latent))["params"]}
         if self.config.kl_coef:
             start = nn.initializers.zeros_init()
             spreads = nn.Dense(latent, kernel_init=start).init(spread, jnp.zeros(hidden))
@@ -70,7 +69,7 @@ class Modelling(Method):
             drawn = z + jnp.exp(0.5 * log_var) * samples.noise
             kl = 0.5 * (jnp.square(z) + jnp.exp(log_var) - 1.0 - log_var).mean()
         width = samples.partner.shape[-1]
-        predicted = _Decoder(width).apply({"params": networks["decoder"]}, drawn)
+        predicted = TwoLayers(width).apply({"params": networks["decoder"]}, drawn)
         error = jnp.square(predicted - samples.partner).mean((0, 1))
         model_loss = (error / jnp.maximum(samples.partner.var((0, 1)), STILLEST)).mean()
         loss = model_loss + self.config.kl_coef * kl
@@ -82,11 +81,3 @@ class Modelling(Method):
         humans = self.partners.humans(self.config.num_envs)
         keys = jax.random.split(jax.random.key(0), self.config.num_envs)
         return self.env.joint_positions(self.env.reset(keys, humans))[self.partners.role]
-
-
-class _Decoder(nn.Module):
-    width: int
-
-    @nn.compact
-    def __call__(self, latent: jax.Array) -> jax.Array:
-        return nn.Dense(self.width)(nn.tanh(nn.Dense(WIDTH)(latent)))

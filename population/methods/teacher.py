@@ -8,18 +8,15 @@ from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
-from flax import linen as nn
 
 from population.methods.hidden import HIDDEN
-from population.methods.latents import squashed
+from population.methods.latents import TwoLayers, squashed
 from population.methods.method import Method
 from population.methods.ppo_loss import Hyper, Metrics, Samples
 from population.networks.policy import Gaussian, Policy
 from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
 from population.networks.unrolled import unroll_memory
-
-WIDTH = 64  # of the teacher's hidden layer
 
 
 class Teacher(Method):
@@ -41,7 +38,7 @@ class Teacher(Method):
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
         """Return the teacher's encoder of what is hidden."""
         hidden = jnp.zeros(self.env.observation_size[HIDDEN])
-        return {"teacher": _Encoder(policy.spec.latent).init(key, hidden)["params"]}
+        return {"teacher": TwoLayers(policy.spec.latent).init(key, hidden)["params"]}
 
     def acting(self, params: Params, networks: Mapping[str, Params], progress: jax.Array) -> Params:
         """Return the parameters of who acts in the rollout."""
@@ -102,15 +99,7 @@ class _TaughtPolicy(Policy):
         return self.acted(state, gaussian.mode()), gaussian
 
 
-class _Encoder(nn.Module):
-    width: int
-
-    @nn.compact
-    def __call__(self, hidden: jax.Array) -> jax.Array:
-        return nn.Dense(self.width)(nn.tanh(nn.Dense(WIDTH)(hidden)))
-
-
 def _encoded(params: Params, hidden: jax.Array) -> jax.Array:
     width = params["Dense_1"]["bias"].shape[-1]
-    output: jax.Array = _Encoder(width).apply({"params": params}, hidden)
+    output: jax.Array = TwoLayers(width).apply({"params": params}, hidden)
     return output
