@@ -190,7 +190,8 @@ def _from_files(
         same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
-        yield _of_file(name, Path(name), met), spec, params
+        member = _of_file(name, Path(name), met)
+        yield dataclasses.replace(member, told=metadata.get("told") is True), spec, params
 
 
 def _with_folders_as_spelled(pattern: str) -> str:

@@ -28,6 +28,7 @@ class Member:
     reusable: bool = True  # False where the digest does not cover all that the policy depends on
     files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
     met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
+    told: bool = False  # whether it observes what humans like: a row to compare with, and no robot
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,6 +65,21 @@ class Roster:
         """Return the robot from outside in a place of `stacks`, None where policies are."""
         stack = self.stacks[place]
         return stack if isinstance(stack, HostEgo) else None
+
+    @property
+    def told(self) -> bool:
+        """Whether its robots observe what humans like.
+
+        Raises:
+            ValueError: Some do and some do not.
+        """
+        told = {self.members[name].told for name in self.ids}
+        if len(told) > 1:
+            names = [name for name in self.ids if self.members[name].told]
+            raise ValueError(
+                f"{names[0]} is told what humans like and other robots are not; play them apart"
+            )
+        return told == {True}
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:

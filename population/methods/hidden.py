@@ -31,13 +31,12 @@ class WithHidden:
 
     def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
         self._env, self._partners, self._num_envs = env, partners, num_envs
+        self.task, self.backend, self.version = env.task, env.backend, env.version
+        self.episode_length, self.action_size = env.episode_length, env.action_size
         self._wishes = len(WISHES.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
         self.observation_size = {**env.observation_size, WHO: 1, HIDDEN: width}
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._env, name)
 
     def reset(self, keys: jax.Array, params: Any) -> EnvState:
         """Start episodes."""
@@ -47,6 +46,10 @@ class WithHidden:
         """Advance by one step."""
         own = {name: state.obs[name] for name in self._env.observation_size}
         return self._shown(self._env.step(dataclasses.replace(state, obs=own), action))
+
+    def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
+        """Return the joint angles of each role, rad."""
+        return self._env.joint_positions(state)
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)

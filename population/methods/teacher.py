@@ -5,6 +5,7 @@ of Imitation Learning and Structured Prediction to No-Regret Online Learning", i
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -101,5 +102,5 @@ class _TaughtPolicy(Policy):
 
 def _encoded(params: Params, hidden: jax.Array) -> jax.Array:
     width = params["Dense_1"]["bias"].shape[-1]
-    output: jax.Array = TwoLayers(width).apply({"params": params}, hidden)
+    output: Any = TwoLayers(width).apply({"params": params}, hidden)
     return output

@@ -60,7 +60,7 @@ def run_training(
             for report_to in reports:
                 report_to(state)
 
-        told = {"told": ROLES} if config.told else {}
+        told: dict[str, Any] = {"told": ROLES} if config.told else {}
         env = make(config.task, backend, version=config.env_version, **told)
         train(
             config,
