@@ -1,6 +1,7 @@
 """What no robot observes, as observations that training may use."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -9,19 +10,23 @@ import numpy as np
 
 from assistax_envs.preferences import WISHES
 from population.environment import Environment, EnvState
+from population.networks.policy import normalise
+from population.networks.seat import Params
+from population.networks.spec import ROLES
 
 if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
-WHO, HIDDEN = "partner", "hidden"  # names of the two observations
+WHO, HIDDEN, IMAGINED = "partner", "hidden", "imagined"  # names of these observations
 _SETTING = ("strength", "elbow_range", "tremor")
 
 
 class WithHidden:
     """An environment that also shows who the partner is and what is hidden of it.
 
-    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
-    body can do and, of persons, their 25 numbers, standardised.
+    "partner" [N, 1] is its place among the partners; "imagined" [N, 1] is 1 where a model acts in
+    its place. "hidden" [N, W] is what it wishes, what its body can do and, of persons, their 25
+    numbers, standardised.
 
     Args:
         env: The environment.
@@ -36,7 +41,7 @@ class WithHidden:
         self._wishes = len(WISHES.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
-        self.observation_size = {**env.observation_size, WHO: 1, HIDDEN: width}
+        self.observation_size = {**env.observation_size, WHO: 1, IMAGINED: 1, HIDDEN: width}
 
     def reset(self, keys: jax.Array, params: Any) -> EnvState:
         """Start episodes."""
@@ -58,8 +63,21 @@ class WithHidden:
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])
-        shown = {WHO: who[:, None].astype(jnp.float32), HIDDEN: jnp.concatenate(parts, axis=-1)}
+        shown = {WHO: who, IMAGINED: self._partners.imagined(len(who))}
+        shown = {name: value[:, None].astype(jnp.float32) for name, value in shown.items()}
+        shown[HIDDEN] = jnp.concatenate(parts, axis=-1)
         return dataclasses.replace(state, obs={**state.obs, **shown})
+
+
+def beside(
+    names: Sequence[str], obs: Mapping[str, jax.Array], normalisers: Mapping[str, Params]
+) -> dict[str, jax.Array]:
+    """Return observations by names; those of roles and of the world normalised."""
+    usual = normalisers.keys() & {*ROLES, "global"}
+    return {
+        name: normalise(normalisers[name], obs[name]) if name in usual else obs[name]
+        for name in names
+    }
 
 
 def standardised(numbers: np.ndarray | None) -> np.ndarray:

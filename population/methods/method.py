@@ -33,7 +33,7 @@ class Method:
         partners: Who sits in the other seat.
     """
 
-    # Observations that come with a rollout beside those of role and critic; see `methods.hidden`.
+    # Observations that come with a rollout beside those of role and critic, see `methods.hidden`.
     sees: tuple[str, ...] = ()
     critic_sees: tuple[str, ...] = ()  # those of them that critics read, as they are
     watches = False  # whether a rollout records what the partner does: `Samples.partner`
@@ -42,6 +42,11 @@ class Method:
         self, config: PPOConfig, env: Environment, partners: "FrozenPartners | None"
     ) -> None:
         self.config, self.env, self.partners = config, env, partners
+
+    @property
+    def noise(self) -> int:
+        """How many normal numbers come with each step of the samples: one for each latent."""
+        return self.config.latent
 
     def policy(self, spec: PolicySpec) -> Policy:
         """Return what acts in training for the network of a spec, which is published."""
@@ -56,6 +61,18 @@ class Method:
             progress: Share of the run [].
         """
         return params
+
+    def partner_params(
+        self, networks: Mapping[str, Params], normalisers: Mapping[str, Params], real: Any
+    ) -> Any:
+        """Return the partners' parameters, from their own.
+
+        Args:
+            networks: All networks of the learner [M, ...].
+            normalisers: Of observations, by their names [M, ...].
+            real: The partners' own parameters.
+        """
+        return real
 
     def critic(self, spec: CriticSpec) -> Critic:
         """Return the critic; its spec has the width of all that it is given."""

@@ -15,7 +15,8 @@ import optax
 from population.config import Member
 from population.environment import Environment
 from population.hyperparameters import PPOConfig
-from population.methods.hidden import WithHidden
+from population.methods import diversity
+from population.methods.hidden import WithHidden, beside
 from population.methods.latents import latents
 from population.methods.method import method_class
 from population.methods.ppo_loss import Samples, ppo_loss
@@ -25,9 +26,10 @@ from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec, Role
 from population.networks.unrolled import unroll_critic, unroll_policy
-from population.trainers import diversity, experience, gae, normaliser
+from population.trainers import experience, gae, normaliser
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.imagined_partners import ImaginedPartners
 from population.trainers.trainer import (
     Hyper,
     MemberState,
@@ -67,11 +69,13 @@ class PPO(Trainer):
                 f"method is {config.method!r} and series {config.series}, by which robots train "
                 "with frozen partners: give partners, or leave them out"
             )
+        if config.imagined_share and partners:
+            partners = ImaginedPartners(partners, config.imagined_share)
         kind = method_class(config.method)
         if kind.sees and partners:
             env = WithHidden(env, partners, config.num_envs)
         self.method = kind(config, env, partners)
-        self.sees, self.watches = kind.sees, kind.watches
+        self.sees, self.watches = self.method.sees, kind.watches
         self.series = config.series
         super().__init__(config, env, updates, partners)
         if config.shared and partners:
@@ -125,6 +129,12 @@ class PPO(Trainer):
             networks = state.members.learners[name].networks
             params |= {r: self.method.acting(params[r], networks, progress) for r in roles}
         return params
+
+    def of_partners(self, state: TrainState, partners: Any) -> Any:
+        """Return the parameters of the partners in the next rollout."""
+        [learner] = state.members.learners.values()
+        normalisers = self.normalisers(state.members)
+        return self.method.partner_params(learner.networks, normalisers, partners)
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
         """Return one member's learner of these roles."""
@@ -196,26 +206,12 @@ class PPO(Trainer):
     ) -> tuple[Carry, Samples]:
         """Return the critic's carry after the batch, and what the role learns from."""
         obs, final_obs, last_obs, extra = self._critic_inputs(role, member, learner, batch, key)
-        carry, value, next_value = gae.values(
-            self.critics[role],
-            self._critic_params(role, learner.networks["critic"]),
-            learner.critic_carry[role],
-            obs,
-            batch.first,
-            batch.truncated,
-            final_obs,
-            last_obs,
-            batch.last_first,
-        )
-        advantage = gae.advantages(
-            batch.reward,
-            value,
-            next_value,
-            batch.terminated,
-            batch.truncated,
-            hyper["gamma"],
-            hyper["gae_lambda"],
-        )
+        params = self._critic_params(role, learner.networks["critic"])
+        critic = self.critics[role], params, learner.critic_carry[role]
+        seen = obs, batch.first, batch.truncated, final_obs, last_obs, batch.last_first
+        carry, value, next_value = gae.values(*critic, *seen)
+        paid, ends = (batch.reward, value, next_value), (batch.terminated, batch.truncated)
+        advantage = gae.advantages(*paid, *ends, hyper["gamma"], hyper["gae_lambda"])
         return carry, Samples(
             obs=batch.obs[role],
             critic_obs=obs,
@@ -224,7 +220,7 @@ class PPO(Trainer):
             log_prob=batch.log_prob[role],
             advantage=advantage,
             target=advantage + value,
-            beside={name: batch.obs[name] for name in self.sees},
+            beside=beside(self.sees, batch.obs, self.normalisers(member)),
             partner=batch.partner,
             **extra,
         )
@@ -234,18 +230,18 @@ class PPO(Trainer):
     ) -> tuple[jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
         """Return what the critic reads, acted on, at time limits and last, and latents if any."""
         everything = batch.obs, batch.tally.final_obs, batch.last_obs
-        name, extra = self.critic_obs[role], {}
-        parts: list[Any] = [tuple(obs[name] for obs in everything)]
-        if self.config.normalise:
-            stats = normaliser.to_params(member.statistics[name])
-            parts = [tuple(normalise(stats, obs) for obs in parts[0])]
+        name, extra, stats = self.critic_obs[role], {}, self.normalisers(member)
+        own = (obs[name] for obs in everything)
+        parts: list[Any] = [tuple(normalise(stats[name], obs) if stats else obs for obs in own)]
         parts += [tuple(obs[name] for obs in everything) for name in self.method.critic_sees]
         if self.config.latent:
             params = self.actor(role, member, learner.networks)
             made = latents(self.policies[role], params, role, batch)
             parts.append(made)
-            noise = jax.random.normal(key, made.acted.shape)
-            extra = {"latent": made.acted, "noise": noise}
+            extra["latent"] = made.acted
+        if self.method.noise:
+            shape = (*batch.first.shape, self.method.noise)
+            extra["noise"] = jax.random.normal(key, shape)
         obs, final, last = (jnp.concatenate(of, axis=-1) for of in zip(*parts, strict=True))
         return obs, final, last, extra
 

@@ -139,7 +139,7 @@ class Trainer(abc.ABC):
             fresh,
             self.inputs,
             self.partners,
-            partners,
+            self.of_partners(state, partners) if self.partners else partners,
             self.sampler(state),
             self.watches,
             self.series,
@@ -177,6 +177,10 @@ class Trainer(abc.ABC):
         """Return the parameters of what acts in the next rollout, by role; leaves [M, ...]."""
         return self.policy_params(state.members)
 
+    def of_partners(self, state: TrainState, partners: Any) -> Any:
+        """Return the parameters of the partners in the next rollout."""
+        return partners
+
     def critic(self, width: int) -> Critic:
         """Return a critic of inputs of a width."""
         config = self.config
@@ -199,9 +203,13 @@ class Trainer(abc.ABC):
 
         Leading axes of the leaves are free.
         """
-        if not self.config.normalise:
-            return networks["actor"]
-        return {**networks["actor"], "normaliser": normaliser.to_params(member.statistics[role])}
+        stats = self.normalisers(member)
+        return {**networks["actor"], "normaliser": stats[role]} if stats else networks["actor"]
+
+    def normalisers(self, member: MemberState) -> dict[str, Params]:
+        """Return what normalises observations, by their names; nothing where nothing does."""
+        named = member.statistics if self.config.normalise else {}
+        return {name: normaliser.to_params(statistics) for name, statistics in named.items()}
 
     def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
         """Start an episode in each simulation [N], from members' keys [M].

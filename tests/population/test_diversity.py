@@ -11,9 +11,10 @@ from assistax_workshop.sweep import Sweep
 from assistax_workshop.sweep_space import Range
 from population.config import Member, TrainConfig, make_members, make_run, populations
 from population.hyperparameters import preset
+from population.methods import diversity
+from population.methods.diversity import log_mean_density
 from population.runs.train import train
-from population.trainers import diversity, experience
-from population.trainers.diversity import log_mean_density
+from population.trainers import experience
 from population.trainers.ppo import PPO
 from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, run, start
 from tests.population.toy_env import ToyEnv, match

@@ -34,7 +34,7 @@ from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.test_train import Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
-NAMES = ("asymmetric", "liam", "palm", "rma", "rl2")
+NAMES = ("asymmetric", "liam", "palm", "rma", "rl2", "gamma")
 PROBE: dict[str, Any] = {**SMALL, "learning_rate": 3e-3, "num_envs": 64, "gamma": 0.5}
 TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 5, "minibatches": 2, "hidden": (8, 8)}
 
@@ -49,9 +49,9 @@ def run_of(algorithm, updates, members=1, **changes):
     )
 
 
-def learn(env, algorithm, updates, **changes):
+def learn(env, algorithm, updates, others=None, **changes):
     """Return the trainer, the states before and after some updates, and their metrics [U, M]."""
-    run, others = run_of(algorithm, updates, **changes), partners()
+    run, others = run_of(algorithm, updates, **changes), others or partners()
     trainer = PPO(run.trainer, env, updates, others)
     state, hyper = initial_state(run, trainer), trainer.hyper(run.members)
     step = lambda state, _: trainer.update(state, hyper, others.params)  # noqa: E731
@@ -95,6 +95,23 @@ def test_a_student_does_what_its_teacher_is_told():
 
 
 @pytest.mark.slow
+def test_imagined_partners_have_the_styles_of_real_ones():
+    """Half of the partners act on their bit, half on its opposite: nothing but z can say which."""
+    trainer, _, after, metrics = learn(HiddenBit(), "gamma", 60, partners(opposed=True))
+    assert last(metrics, "model_loss_robot") < 0.3 < 0.8 < metrics["model_loss_robot"][0, 0]
+    others, state = trainer.partners, after.simulations
+    given = trainer.of_partners(after, others.params)
+    obs, people = state.env.obs["human"], state.env.params
+    _, action = others.act(given, state.partners, obs, state.first, 1, people)
+    imagined = np.asarray(others.imagined(64))
+    np.testing.assert_array_equal(imagined, np.arange(64) % 2 == 1)
+    _, real = others.real.act(given[0], state.partners, obs, state.first, 1, people)
+    np.testing.assert_array_equal(action[~imagined], real[~imagined])
+    style = np.asarray(action[:, 0] * obs[:, 0])[imagined]  # of simulations with z of their own
+    assert (style > 0.3).sum() >= 5 and (style < -0.3).sum() >= 5
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ppo", *NAMES])
 def test_nothing_is_lost_where_nothing_is_hidden(name):
     metrics = learn(ToyEnv(match, episode_length=LENGTH), name, 60)[3]
@@ -127,7 +144,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_writes_what_acts(name, tmp_pa
     shapes = jax.eval_shape(policy.init, jax.random.key(0))
     assert jax.tree.map(np.shape, params) == jax.tree.map(lambda leaf: leaf.shape, shapes)
     leaves = safetensors.numpy.load(content)
-    assert not any(name.startswith(("teacher", "decoder", "spread")) for name in leaves)
+    assert {name.split("/")[0] for name in leaves} <= {*params}
 
 
 def test_series_keep_partner_wish_and_memory_and_end_together():

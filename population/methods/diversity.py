@@ -7,6 +7,7 @@ does.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,9 @@ from population.config import Member, populations
 from population.networks.members import member_map
 from population.networks.policy import Policy
 from population.networks.seat import Params
-from population.trainers.experience import Batch
+
+if TYPE_CHECKING:
+    from population.trainers.experience import Batch
 
 # Partners of the zoo are the humans. A robot has joints to spare, in which it could differ from
 # other robots without any human noticing.
@@ -30,7 +33,7 @@ def peers(members: Sequence[Member]) -> Int[Array, "M n"]:
 
 
 def log_mean_density(
-    policy: Policy, params: Params, peers: Int[Array, "M n"], batch: Batch
+    policy: Policy, params: Params, peers: Int[Array, "M n"], batch: "Batch"
 ) -> Float[Array, "M T N"]:
     """Return log (1/n) sum_j pi_j(a | o): how usual its population finds what a human did.
 
@@ -54,8 +57,8 @@ def log_mean_density(
 
 
 def with_bonus(
-    policy: Policy, params: Params, batch: Batch, hyper: Mapping[str, jax.Array]
-) -> tuple[Batch, dict[str, jax.Array]]:
+    policy: Policy, params: Params, batch: "Batch", hyper: Mapping[str, jax.Array]
+) -> "tuple[Batch, dict[str, jax.Array]]":
     """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
 
     Logged are the population's entropy, and what of it is due to differences: between 0, where
