@@ -92,16 +92,15 @@ def prepare(
         preferences: What the humans of a gentle task like, in turns; if none are given, those of
             the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
-        updates_per_call: Updates dispatched to the device at once; default the algorithm's.
-        told: Whether the robot observes what the human likes: a row to compare with, and no robot.
+        updates_per_call: Updates dispatched at once; default the algorithm's.
+        told: Whether robots observe what the human likes: a row to compare with.
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.
         assistax_base.errors.ZooError: There is no such split, or its partners cannot be read.
     """
     check_names(task)
-    changes = dict(hyperparameters or {})
-    trainer = robot_preset(algorithm, **changes)
+    trainer = robot_preset(algorithm, **(changes := {**(hyperparameters or {})}))
     chosen = _chosen_split(registry, task, split, partners)
     frozen = _load_frozen(registry, chosen, preferences)
     config = make_run(
@@ -117,8 +116,8 @@ def prepare(
         preferences=preferences or chosen.preferences.get("train", ()),
         env_version=older_version(registry, chosen),
     )
-    config = dataclasses.replace(config, told=told)
-    return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
+    config, met = dataclasses.replace(config, told=told), side_met(registry, chosen)
+    return EgoTraining(config, frozen, chosen, met, trainer.num_envs)
 
 
 def train_egos(

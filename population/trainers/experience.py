@@ -143,7 +143,7 @@ def collect(
         partner_params: Their parameters.
         sample: How raw actions are drawn.
         watched: Whether the batch holds what the partner did.
-        series: Episodes over which a simulation's end is none for the robot, who remembers.
+        series: Episodes over which a robot remembers: their ends are none for it.
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
@@ -155,19 +155,9 @@ def collect(
         action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
         if partners:
-            role = partners.role
-            partner_carry, action[role] = partners.act(
-                partner_params,
-                partner_carry,
-                state.env.obs[role],
-                state.series.begins if series > 1 else state.first,
-                members,
-                state.env.params,
-            )
+            partner_carry, action[partners.role] = _meet(partners, partner_params, state, members)
         after = env.step(state.env, action)
-        terminated = after.terminated | after.nonfinite
-        truncated = after.truncated & ~terminated
-        ended = terminated | truncated
+        terminated, truncated, ended = _ends(after)
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)
         seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
         seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
@@ -175,10 +165,10 @@ def collect(
         if watched and partners:
             angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
             seen["partner"] = _watched(action[partners.role], *angles)
-        turns = state.series
-        state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
+        after, diverged = select(ended, fresh, after), after.nonfinite
+        state = Simulations(after, carry, partner_carry, ended, episodes, state.series)
         if series > 1:
-            state, seen = _in_series(state, turns, after.nonfinite, seen, series)
+            state, seen = _in_series(state, diverged, seen, series)
         return (state, tally), seen
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
@@ -217,11 +207,26 @@ def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
 _Loop = tuple[Simulations, Tally]
 
 
+def _ends(after: EnvState) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return whether simulations ended for good, at their time limit, or in either way [N]."""
+    terminated = after.terminated | after.nonfinite
+    return terminated, after.truncated & ~terminated, terminated | after.truncated
+
+
+def _meet(
+    partners: FrozenPartners, params: Any, state: Simulations, members: int
+) -> tuple[Carry, jax.Array]:
+    """Return the partners' carries and actions [N, A]; they begin anew with every episode."""
+    obs, humans = state.env.obs[partners.role], state.env.params
+    first = state.series.begins if state.series else state.first
+    return partners.act(params, state.partners, obs, first, members, humans)
+
+
 def _in_series(
-    state: Simulations, before: Series, diverged: jax.Array, seen: dict[str, Any], series: int
+    state: Simulations, diverged: jax.Array, seen: dict[str, Any], series: int
 ) -> tuple[Simulations, dict[str, Any]]:
     """Let robots go on where an episode ended within a series: neither an end nor a start."""
-    ended = state.first
+    ended, before = state.first, state.series
     more = ended & (before.turn < series - 1) & ~diverged
     turn = jnp.where(more, before.turn + 1, jnp.where(ended, 0, before.turn))
     state = dataclasses.replace(state, first=ended & ~more, series=Series(turn, ended))
