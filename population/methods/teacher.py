@@ -19,6 +19,8 @@ from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
 from population.networks.unrolled import unroll_memory
 
+STILLEST = 1e-3  # variance below which a latent counts as always the same
+
 
 class Teacher(Method):
     """The teacher acts by pi(a | o, z*) with z* = e(hidden) in R^8, and learns by PPO.
@@ -69,7 +71,10 @@ class Teacher(Method):
         samples: Samples,
         carry: Carry,
     ) -> tuple[jax.Array, Metrics]:
-        """Return how far the student is from the teacher."""
+        """Return how far the student is from the teacher.
+
+        Logged is the latent's error as a share of its variance: 1 for who knows its mean alone.
+        """
         action = squashed(policy, samples.raw)
         _, own = unroll_memory(policy, params, carry, samples.obs, samples.first, action)
         fixed = jax.lax.stop_gradient(params)
@@ -77,7 +82,8 @@ class Teacher(Method):
         wanted, done = (policy.given(fixed, samples.obs, z).mean for z in (told, own))
         latent_error = jnp.square(own - told).mean()
         action_error = jnp.square(done - wanted).mean()
-        logged = {"student_latent_error": latent_error, "student_action_error": action_error}
+        share = latent_error / jnp.maximum(told.var((0, 1)).mean(), STILLEST)
+        logged = {"student_latent_error": share, "student_action_error": action_error}
         return latent_error + action_error, logged
 
     def _taught(self, progress: jax.Array) -> jax.Array:

@@ -24,12 +24,14 @@ class HiddenBit(ToyEnv):
     step.
     """
 
+    sight = 1  # the step in which the robot sees it
+
     def __init__(self) -> None:
         super().__init__(read, episode_length=LENGTH, memory=True)
 
     def _observe(self, cue, keys, step, shown):
         obs = super()._observe(cue, keys, step, shown=True)
-        glimpse = cue["human"] * (step == 1)
+        glimpse = cue["human"] * (step == self.sight)
         return {**obs, "robot": obs["robot"].at[:, 0].set(glimpse)}
 
     @staticmethod
@@ -50,6 +52,12 @@ class Settings(HiddenBit):
         cue = {**state.cue, "human": bit}
         obs = self._observe(cue, keys, state.step, shown=True)
         return dataclasses.replace(state, cue=cue, obs=obs)
+
+
+class LateSight(Settings):
+    """The robot sees the bit in the last step: it is of use in the next episode alone."""
+
+    sight = LENGTH - 1
 
 
 def read(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:
