@@ -87,11 +87,16 @@ def test_densities_too_small_for_a_float_are_still_told_apart():
     assert np.isfinite(divergence).all() and (divergence < -1000.0).all()
 
 
+def with_bonus(ppo, members, batch, hyper):
+    params = ppo.policy_params(members)["human"]
+    return diversity.with_bonus(ppo.policies["human"], params, batch, hyper)
+
+
 def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     ppo, state, batch, hyper = rollout(PAIR)
     alike, first = jax.tree.map(lambda leaf: jnp.stack([leaf[0]] * 2), (state.members, batch))
     # The bonus by itself, before training mixes it with the rest.
-    paid, logged = ppo._with_bonus(alike, first, hyper)
+    paid, logged = with_bonus(ppo, alike, first, hyper)
     coefficient = hyper["population_coef"][:, None, None]
     own = first.reward - coefficient * first.log_prob["human"]
     np.testing.assert_allclose(paid.reward, own, atol=1e-6)
@@ -99,7 +104,7 @@ def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     actor = alike.learners["human"].networks["actor"]
     bias = actor["Dense_2"]["bias"]
     actor["Dense_2"]["bias"] = bias.at[1].add(1.0)
-    _, logged = ppo._with_bonus(alike, first, hyper)
+    _, logged = with_bonus(ppo, alike, first, hyper)
     assert 0.1 < logged["population_divergence"][0] <= math.log(2)
 
 
