@@ -224,6 +224,7 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
 # What a robot's training with partners may add to PPO: where its class is ("" for none), and how
 # its hyperparameters differ from PPO's. `population.methods.method.register` adds to it.
 METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
+    "gru": ("", {"torso": "gru"}),
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),

@@ -116,7 +116,7 @@ class Method:
 
 def method_class(name: str) -> type[Method]:
     """Return the class of a method; that of none adds nothing."""
-    home: Any = METHODS[name][0] if name else Method
+    home: Any = (METHODS[name][0] if name else "") or Method  # "" is of hyperparameters alone
     if isinstance(home, str):
         module, _, kind = home.partition(":")
         home = getattr(importlib.import_module(module), kind)

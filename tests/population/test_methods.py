@@ -14,7 +14,7 @@ from assistax_envs.persons import PersonPlayer, numbers, persons
 from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import METHODS, PPOConfig, robot_preset
 from population.methods.hidden import HIDDEN, WHO, WithHidden
-from population.methods.method import Method, register
+from population.methods.method import Method, method_class, register
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec, spec_from_json
 from population.runs.train import initial_state, train
@@ -212,8 +212,8 @@ def test_specs_of_before_are_as_they_were_and_latents_are_kept():
 @pytest.mark.parametrize(
     ("algorithm", "changes", "message"),
     [
-        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, asymmetric, liam, palm"),
-        ("ppo", {"method": "sarsa"}, "method is 'sarsa'; allowed are asymmetric"),
+        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, gru, asymmetric, liam, palm"),
+        ("ppo", {"method": "sarsa"}, "method is 'sarsa'; allowed are gru, asymmetric"),
         ("ppo", {"latent": 3}, "only a method trains a latent"),
         ("liam", {"torso": "gru"}, "only a method trains a latent"),
         ("ppo", {"series": 5}, "choose torso gru"),
@@ -242,6 +242,7 @@ def test_a_method_of_one_s_own_has_a_preset():
     try:
         config = robot_preset("nothing", num_envs=8)
         assert isinstance(config, PPOConfig) and (config.method, config.latent) == ("nothing", 2)
+        assert method_class("nothing") is Nothing and method_class("rl2") is Method
         with pytest.raises(ValueError, match="there is a method 'liam' already"):
             register("liam", Nothing)
     finally:
