@@ -98,14 +98,14 @@ class PPO(Trainer):
         """Collect one rollout and learn from it; metrics are [M]."""
         config = self.config
         state, batch, keys = self.collect(state, partners)
-        left = 1.0 - state.update.astype(jnp.float32) / self.updates
+        left = 1.0 - self._progress(state)
         annealed = {
             "learning_rate": config.anneal_lr,
             "entropy_coef": config.anneal_entropy,
             "population_coef": config.anneal_entropy,
         }
         hyper = {n: value * left if annealed.get(n) else value for n, value in hyper.items()}
-        hyper = self.method.scheduled(hyper, 1.0 - left)
+        hyper = self.method.scheduled(hyper, self._progress(state))
         batch = experience.by_member(batch, len(keys))
         metrics = member_map(experience.episode_metrics)(batch)
         if config.population_coef:
@@ -123,12 +123,14 @@ class PPO(Trainer):
 
     def acting(self, state: TrainState) -> dict[str, Params]:
         """Return the parameters of what acts in the next rollout."""
-        progress = state.update.astype(jnp.float32) / self.updates
-        params = self.policy_params(state.members)
+        progress, params = self._progress(state), self.policy_params(state.members)
         for name, roles in self.learners.items():
             networks = state.members.learners[name].networks
             params |= {r: self.method.acting(params[r], networks, progress) for r in roles}
         return params
+
+    def _progress(self, state: TrainState) -> jax.Array:
+        return state.update.astype(jnp.float32) / self.updates
 
     def of_partners(self, state: TrainState, partners: Any) -> Any:
         """Return the parameters of the partners in the next rollout."""
