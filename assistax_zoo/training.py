@@ -86,6 +86,7 @@ def train_ego(
     steps: int = 20_000_000,
     hyperparameters: Mapping[str, Any] | None = None,
     preferences: Sequence[str] = (),
+    told: bool = False,
     backend: str = "auto",
     resume: bool = True,
     zoo: "str | Path | Zoo | None" = None,
@@ -95,7 +96,7 @@ def train_ego(
 
     Args:
         task: Task, such as "scratch".
-        algorithm: "ppo" or "sac".
+        algorithm: "ppo", "sac", or a method, such as "asymmetric" (docs/methods.md).
         folder: Of the run; one that was interrupted goes on. Default a new temporary one.
         split: Split whose training half are the partners; default the release's own.
         partners: "persons" for a new person of the training side each episode.
@@ -104,6 +105,7 @@ def train_ego(
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; default
             those of the split's training half, or all, drawn anew each episode.
+        told: Let the robot observe what the human likes: a row to compare with, and no robot.
         backend: Physics, or "auto" for the fastest one here.
         resume: Go on with a run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
@@ -127,6 +129,7 @@ def train_ego(
 
     registry = open_zoo(zoo).registry
     chosen: dict[str, Any] = {"hyperparameters": hyperparameters, "preferences": preferences}
+    chosen["told"] = told
     training = prepare(
         registry,
         task,

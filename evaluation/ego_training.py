@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from assistax_base.files import atomic_write
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
-from population.hyperparameters import TrainerConfig, preset
+from population.hyperparameters import METHODS, TrainerConfig, robot_preset
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
 from zoo.ids import PERSONS
@@ -22,12 +22,10 @@ if TYPE_CHECKING:
     from population.runs.train import Progress
     from population.trainers.frozen_partners import FrozenPartners
 
-ALGORITHMS = {"ppo": "ippo", "sac": "isac"}  # a single robot's algorithm, and the preset it takes
 # The rows of a league that `train-ego` trains, by name: the algorithm, and what differs from its
 # preset.
 ROWS: dict[str, tuple[str, dict[str, Any]]] = {
-    **{algorithm: (algorithm, {}) for algorithm in ALGORITHMS},
-    "gru": ("ppo", {"torso": "gru"}),
+    algorithm: (algorithm, {}) for algorithm in ("ppo", "sac", *METHODS)
 }
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
@@ -78,6 +76,7 @@ def prepare(
     preferences: Sequence[str] = (),
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
+    told: bool = False,
 ) -> EgoTraining:
     """Return what is to be trained with the partners of a split's training half.
 
@@ -91,24 +90,22 @@ def prepare(
         split: Split whose training half are the partners: an id or the beginning of one, or the
             split itself; default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
-        algorithm: "ppo" or "sac".
+        algorithm: "ppo", "sac", or a method: `population.hyperparameters.METHODS`.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
         preferences: What the humans of a gentle task like, in turns; if none are given, those of
             the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
-        updates_per_call: Updates dispatched to the device at once; default the algorithm's.
+        updates_per_call: Updates dispatched at once; default the algorithm's.
+        told: Whether robots observe what the human likes: a row to compare with.
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.
         assistax_base.errors.ZooError: There is no such split, or its partners cannot be read.
     """
     check_names(task)
-    if algorithm not in ALGORITHMS:
-        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(ALGORITHMS)}")
-    changes = dict(hyperparameters or {})
-    trainer = preset(ALGORITHMS[algorithm], **changes)
+    trainer = robot_preset(algorithm, **(changes := {**(hyperparameters or {})}))
     chosen = _chosen_split(registry, task, split, partners)
     frozen = _load_frozen(registry, chosen, preferences)
     config = make_run(
@@ -124,7 +121,8 @@ def prepare(
         preferences=preferences or chosen.preferences.get("train", ()),
         env_version=older_version(registry, chosen),
     )
-    return EgoTraining(config, frozen, chosen, side_met(registry, chosen), trainer.num_envs)
+    config, met = dataclasses.replace(config, told=told), side_met(registry, chosen)
+    return EgoTraining(config, frozen, chosen, met, trainer.num_envs)
 
 
 def train_egos(
@@ -266,4 +264,5 @@ def ego_metadata(
         "split": training.split.id,
         "training": {"run": folder.resolve().name, **trained},
         **training.met.claim,
+        **({"told": True} if training.config.told else {}),
     }

@@ -127,6 +127,10 @@ def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
     """Return the environment, the job, and the split that it is of; robots from outside answer."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
+    if cast.robots.told and baselines:
+        raise ValueError(
+            "the robots are told what humans like, and references are not: leave references out"
+        )
     env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     probe_egos(cast.robots, cast.task, env.observation_size["robot"], env.action_size["robot"])
     if cast.split.preferences and how.preferences is None:

@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from assistax_base.validated import Many, validated
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.preferences import check_preferences
+from assistax_envs.preferences import WISHES, check_preferences
 from assistax_envs.versions import TASKS
 from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 
@@ -55,8 +55,14 @@ class TrainConfig:
     preferences: Many[str] = ()
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
     env_version: PositiveInt | None = None  # of the environment; the newest if not given
+    told: bool = False  # whether robots observe what the human likes, which no robot may
 
     def __post_init__(self) -> None:
+        if self.told and not (self.partners and self.task in WISHES):
+            raise ValueError(
+                f"told is for robots that train with partners in a task of {', '.join(WISHES)}; "
+                f"in {self.task} of this run nobody can be told a wish: leave told out"
+            )
         if self.preferences:
             check_preferences(self.task, self.preferences)
             if not self.partners:
@@ -123,6 +129,8 @@ class TrainConfig:
             del content["precision"]
         if self.env_version is None:
             del content["env_version"]
+        if not self.told:
+            del content["told"]
         return content
 
     @classmethod

@@ -50,6 +50,7 @@ class PPOConfig(Hyperparameters):
         "entropy_coef",
         "population_coef",
         "value_coef",
+        "aux_coef",
         "gamma",
         "gae_lambda",
         "max_grad_norm",
@@ -75,8 +76,32 @@ class PPOConfig(Hyperparameters):
         "parameter"  # log standard deviation: one vector, or a head on the torso
     )
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
+    method: str = ""  # what a robot's training adds to PPO: one of METHODS; "" adds nothing
+    aux_coef: NonNegativeFloat = 1.0  # weight of the method's own loss
+    # Width of what a memory makes of observations and actions for the policy to read; 0 for none.
+    latent: NonNegativeInt = 0
+    kl_coef: NonNegativeFloat = 0.0  # within the method's loss: how little a latent may say
+    # Episodes in a row with one partner and wish, over which a robot remembers and is paid.
+    series: PositiveInt = 1
+    imagined_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of simulations: a model's
+    student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 
     def __post_init__(self) -> None:
+        if self.method not in ("", *METHODS):
+            raise ValueError(
+                f"method is {self.method!r}; allowed are {', '.join(METHODS)}, and those that "
+                "`population.methods.method.register` was given in this process"
+            )
+        if self.latent and (self.torso == "gru" or not self.method):
+            raise ValueError(
+                f"latent is {self.latent} with torso {self.torso!r} and method {self.method!r}; "
+                "only a method trains a latent, whose policy is no gru: leave latent out"
+            )
+        if self.series > 1 and not (self.torso == "gru" or self.latent):
+            raise ValueError(
+                f"series is {self.series}, but without a memory a robot brings nothing into the "
+                "next episode: choose torso gru, or leave series out"
+            )
         if self.shared and self.torso == "gru" and len(self.hidden) < 2:
             raise ValueError(
                 f"hidden is {self.hidden}; a shared recurrent network tells roles apart in its "
@@ -147,6 +172,7 @@ class SACConfig(Hyperparameters):
     # temperature falls throughout a run.
     target_entropy_scale: float = 5.0
     population_coef: ClassVar[float] = 0.0
+    latent: ClassVar[int] = 0
     squash: ClassVar[str] = "tanh"
     std: ClassVar[str] = "state"
     activation: Literal["tanh", "relu"] = "relu"  # after each hidden layer
@@ -195,6 +221,21 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
     }
 )
 
+# What a robot's training with partners may add to PPO: where its class is ("" for none), and how
+# its hyperparameters differ from PPO's. `population.methods.method.register` adds to it.
+METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
+    "gru": ("", {"torso": "gru"}),
+    "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
+    "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
+    "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
+    "rl2": ("", {"torso": "gru", "series": 5}),
+    "gamma": (
+        "population.methods.imagined:Imagining",
+        {"imagined_share": 0.5, "kl_coef": 1e-2},
+    ),
+    "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
+}
+
 
 def preset(algorithm: str, **changes: Any) -> TrainerConfig:
     """Return the hyperparameters of an algorithm, a `PPOConfig` or a `SACConfig`, with changes.
@@ -204,7 +245,28 @@ def preset(algorithm: str, **changes: Any) -> TrainerConfig:
     """
     if algorithm not in PRESETS:
         raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join(PRESETS)}")
-    kind, differences = PRESETS[algorithm]
+    return _changed(algorithm, *PRESETS[algorithm], changes)
+
+
+def robot_preset(algorithm: str, **changes: Any) -> TrainerConfig:
+    """Return the hyperparameters of a robot that trains with partners, with changes.
+
+    Raises:
+        ValueError: If the algorithm or a changed field is unknown, or a value is not allowed.
+    """
+    alone = {"ppo": "ippo", "sac": "isac"}  # the presets of teams, for one seat
+    if algorithm in alone:
+        return _changed(algorithm, *PRESETS[alone[algorithm]], changes)
+    if algorithm not in METHODS:
+        allowed = ", ".join((*alone, *METHODS))
+        raise ValueError(f"algorithm is {algorithm!r}; allowed are {allowed}")
+    home, differences = METHODS[algorithm]
+    return _changed(algorithm, "ppo", {"method": algorithm if home else "", **differences}, changes)
+
+
+def _changed(
+    algorithm: str, kind: str, differences: Mapping[str, Any], changes: Mapping[str, Any]
+) -> TrainerConfig:
     fields = [field.name for field in dataclasses.fields(KINDS[kind])]
     if unknown := sorted(set(changes) - set(fields)):
         raise ValueError(

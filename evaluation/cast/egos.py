@@ -191,7 +191,8 @@ def _from_files(
         # A published robot's parameters are that robot, whatever else their file claims.
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         version = registry.env_version(same[0]) if same else claimed_version(metadata)
-        yield _of_file(name, Path(name), met, version), spec, params
+        member = _of_file(name, Path(name), met, version)
+        yield dataclasses.replace(member, told=metadata.get("told") is True), spec, params
 
 
 def _with_folders_as_spelled(pattern: str) -> str:

@@ -30,6 +30,7 @@ class Member:
     met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
     # Of the environment, in which a robot's file says that it was trained; None if it does not say.
     env_version: int | None = None
+    told: bool = False  # whether it observes what humans like: a row to compare with, and no robot
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,6 +67,21 @@ class Roster:
         """Return the robot from outside in a place of `stacks`, None where policies are."""
         stack = self.stacks[place]
         return stack if isinstance(stack, HostEgo) else None
+
+    @property
+    def told(self) -> bool:
+        """Whether its robots observe what humans like.
+
+        Raises:
+            ValueError: Some do and some do not.
+        """
+        told = {self.members[name].told for name in self.ids}
+        if len(told) > 1:
+            names = [name for name in self.ids if self.members[name].told]
+            raise ValueError(
+                f"{names[0]} is told what humans like and other robots are not; play them apart"
+            )
+        return told == {True}
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:

@@ -4,7 +4,7 @@ import contextlib
 import math
 from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from assistax_base.locks import locked
 from evaluation.cast.cast import Cast
@@ -29,11 +29,14 @@ def make_job(
 ) -> "tuple[Env, Job]":
     """Return the environment and the job of robots with humans, on their sides of a split.
 
-    `version` is the environment's; the newest if not given.
+    `version` is the environment's; the newest if not given. Robots that are told what humans like
+    play in one that tells them, and the job says so.
     """
     from assistax_envs import make
 
-    env = make(how.task, backend=how.backend, version=version)
+    told: dict[str, Any] = {"told": ("robot", "human")} if robots.told else {}
+    env = make(how.task, backend=how.backend, version=version, **told)
+    condition = {"condition": "told"} if told else {}
     persons = brings_wishes(humans)
     episodes, turns = how.episodes_of_pair, how.turns
     if persons:
@@ -43,7 +46,7 @@ def make_job(
         task=how.task,
         env_version=env.version,
         backend=env.backend,
-        engine=getattr(env, "engine", {}),
+        engine={**getattr(env, "engine", {}), **condition},
         egos=robots,
         partners=humans,
         episodes=episodes,

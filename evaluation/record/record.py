@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 from evaluation.record.columns import (
     EGO_COLUMNS,
     PARTNER_COLUMNS,
-    TOUCH,
     SIDES,
+    TOUCH,
     validate_episodes,
     with_safety,
 )

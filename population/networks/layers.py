@@ -44,6 +44,8 @@ class Layers:
     log_std: (
         Dense | Array
     )  # a head on the torso, or one vector [A]; not part of the deterministic action
+    # Of a policy with a latent: its GRU reads observation and last action, then comes the latent.
+    memory: tuple[GRU, Dense] | None = None
 
 
 def layers_of(spec: PolicySpec, params: Mapping[str, Any]) -> Layers:
@@ -65,11 +67,16 @@ def layers_of(spec: PolicySpec, params: Mapping[str, Any]) -> Layers:
             log_std=_dense(params[f"Dense_{embeddings + 1}"])
             if spec.std == "state"
             else _f32(params["log_std"]),
+            memory=_memory(params["memory"]) if spec.latent else None,
         )
     except KeyError as error:
         raise ValueError(
             f"parameters lack {error}, which a {spec.torso} policy of spec {spec.digest} has"
         ) from None
+
+
+def _memory(params: Mapping[str, Any]) -> tuple[GRU, Dense]:
+    return _gru(params["GRUCell_0"]), _dense(params["Dense_0"])
 
 
 def _gru(params: Mapping[str, Any]) -> GRU:

@@ -1,7 +1,7 @@
 """A policy as an ONNX graph: observations to the deterministic action, standard operators only."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ def to_onnx(
     Inputs: `obs` [N, O] float32; of a recurrent policy also `carry` [N, H] float32 and `first` [N]
         bool, true where an
     observation starts an episode. Outputs: `action` [N, A] in [-1, 1]; of a recurrent policy also
-    `next_carry` [N, H].
+    `next_carry` [N, H]. The carry of one with a latent has A numbers more, its last action.
 
     Args:
         spec: The network.
@@ -41,9 +41,8 @@ def to_onnx(
     float_type, helper = onnx.TensorProto.FLOAT, onnx.helper
 
     def value(name: str) -> Any:
-        width = {"obs": spec.observation_size, "action": spec.action_size}.get(
-            name, spec.hidden[-1]
-        )
+        memory = spec.hidden[-1] + (spec.action_size if spec.latent else 0)
+        width = {"obs": spec.observation_size, "action": spec.action_size}.get(name, memory)
         if name == "first":
             return helper.make_tensor_value_info(name, onnx.TensorProto.BOOL, ["N"])
         return helper.make_tensor_value_info(name, float_type, ["N", width])
@@ -75,33 +74,48 @@ def _write(graph: "_Graph", layers: Layers) -> tuple[list[str], list[str]]:
         features = graph.clip(
             graph.add("Div", graph.add("Sub", features, mean), std), NORMALISED_LIMIT
         )
+    hidden = ""
+    if layers.memory is not None:
+        inputs, outputs = ["obs", "carry", "first"], ["action", "next_carry"]
+        features, hidden = _recall(graph, layers, features)
     for layer in layers.hidden:
         features = graph.add(
             {"tanh": "Tanh", "relu": "Relu"}[layers.spec.activation], graph.dense(features, layer)
         )
     if layers.gru is not None:
         inputs, outputs = ["obs", "carry", "first"], ["action", "next_carry"]
-        features = _gru(graph, layers.gru, features)
+        carry = graph.remembered("carry")
+        features = _gru(graph, layers.gru, features, carry, output="next_carry")
     mean = graph.dense(features, layers.mean)
     if layers.spec.squash == "tanh":
         graph.add("Tanh", mean, output="action")
     else:
         graph.clip(mean, 1.0, output="action")
+    if hidden:
+        graph.join(hidden, "action", output="next_carry")
     return inputs, outputs
 
 
-def _gru(graph: "_Graph", gru: GRU, features: str) -> str:
+def _recall(graph: "_Graph", layers: Layers, obs: str) -> tuple[str, str]:
+    """Write the memory of a policy with a latent; return what its layers read, and its state."""
+    assert layers.memory is not None
+    gru, latent = layers.memory
+    sizes = graph.sizes([gru.recurrent.kernel.shape[0], layers.spec.action_size])
+    before, last = graph.split(graph.remembered("carry"), sizes)
+    hidden = _gru(graph, gru, graph.join(obs, last), before)
+    return graph.join(obs, graph.dense(hidden, latent)), hidden
+
+
+def _gru(graph: "_Graph", gru: GRU, features: str, carry: str, output: str | None = None) -> str:
     """Write the cell out gate by gate: ONNX's own GRU wants a time axis."""
-    first = graph.add("Unsqueeze", "first", graph.constant(np.array([1], np.int64)))
-    carry = graph.add("Where", first, graph.constant(np.float32(0.0)), "carry")
-    thirds = graph.constant(np.full(3, gru.recurrent.kernel.shape[0], np.int64))
+    thirds = graph.sizes([gru.recurrent.kernel.shape[0]] * 3)
     x = graph.split(graph.dense(features, gru.input), thirds)
     h = graph.split(graph.dense(carry, gru.recurrent), thirds)
     reset, update = (graph.add("Sigmoid", graph.add("Add", x[gate], h[gate])) for gate in range(2))
     new = graph.add("Tanh", graph.add("Add", x[2], graph.add("Mul", reset, h[2])))
     kept = graph.add("Mul", update, carry)
     taken = graph.add("Mul", graph.add("Sub", graph.constant(np.float32(1.0)), update), new)
-    return graph.add("Add", taken, kept, output="next_carry")
+    return graph.add("Add", taken, kept, output=output)
 
 
 class _Graph:
@@ -117,12 +131,26 @@ class _Graph:
         self.nodes.append(self._helper.make_node(operator, list(inputs), [output], name=output))
         return output
 
-    def split(self, value: str, sizes: str) -> list[str]:
-        outputs = [f"split_{len(self.nodes)}_{part}" for part in range(3)]
+    def sizes(self, sizes: Sequence[int]) -> tuple[str, int]:
+        return self.constant(np.asarray(sizes, np.int64)), len(sizes)
+
+    def split(self, value: str, sizes: tuple[str, int]) -> list[str]:
+        outputs = [f"split_{len(self.nodes)}_{part}" for part in range(sizes[1])]
         self.nodes.append(
-            self._helper.make_node("Split", [value, sizes], outputs, name=outputs[0], axis=1)
+            self._helper.make_node("Split", [value, sizes[0]], outputs, name=outputs[0], axis=1)
         )
         return outputs
+
+    def join(self, *values: str, output: str | None = None) -> str:
+        output = output or f"concat_{len(self.nodes)}"
+        node = self._helper.make_node("Concat", list(values), [output], name=output, axis=1)
+        self.nodes.append(node)
+        return output
+
+    def remembered(self, carry: str) -> str:
+        """Add what is left of a carry: nothing where an episode begins."""
+        first = self.add("Unsqueeze", "first", self.constant(np.array([1], np.int64)))
+        return self.add("Where", first, self.constant(np.float32(0.0)), carry)
 
     def constant(self, value: Any) -> str:
         name = f"weight_{len(self.weights)}"

@@ -22,6 +22,7 @@ INITIAL_LOG_STD = -0.5
 LOG_STD_RANGE = (-5.0, 1.0)
 MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
 
+_MEMORY = 1  # folded into a policy's key: its memory
 _NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermegauss(9))
 
 
@@ -95,7 +96,7 @@ class _Network:
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
         """Return the recurrent state before the first observation.
 
-        () for a feed-forward torso, else [*batch_shape, H].
+        () for a feed-forward network, [*batch_shape, H] for a recurrent torso.
         """
         return jnp.zeros((*batch_shape, self.spec.hidden[-1])) if self.spec.torso == "gru" else ()
 
@@ -118,6 +119,10 @@ class Critic(_Network):
         obs = jnp.zeros(self.spec.observation_size)
         return self._module.init(key, self.initial_carry(()), obs, jnp.zeros((), bool))["params"]
 
+    def inputs(self, params: Params, obs: jax.Array) -> jax.Array:
+        """Return what the first layer reads of obs [..., O]: all of it, as it is."""
+        return obs
+
     def step(
         self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, jax.Array]:
@@ -129,9 +134,21 @@ class Critic(_Network):
 class Policy(_Network):
     """The network of a `PolicySpec`."""
 
+    beside: tuple[str, ...] = ()  # observations that it reads behind its role's, in training alone
+
     def __init__(self, spec: PolicySpec) -> None:
         self.spec = spec
         self._module = _Actor(spec)
+        self._memory = _Memory(spec)
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
+        """Return the recurrent state before the first observation.
+
+        Of a policy with a latent it is the memory's and the last action, [*batch_shape, H + A].
+        """
+        if not self.spec.latent:
+            return super().initial_carry(batch_shape)
+        return jnp.zeros((*batch_shape, self.spec.hidden[-1] + self.spec.action_size))
 
     def init(self, key: jax.Array, log_std: float = INITIAL_LOG_STD) -> Params:
         """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser".
@@ -140,11 +157,15 @@ class Policy(_Network):
             key: Draws them.
             log_std: Logarithm of the standard deviation at the start.
         """
-        size = self.spec.observation_size
-        params = self._module.init(
-            key, self.initial_carry(()), jnp.zeros(size), jnp.zeros((), bool)
-        )["params"]
+        size, latent = self.spec.observation_size, self.spec.latent
+        carry, seen = self.initial_carry(()), jnp.zeros(size + latent)
+        params = self._module.init(key, carry, seen, jnp.zeros((), bool))["params"]
         params = _with_log_std(params, log_std)
+        if latent:
+            seen = jnp.zeros(size + self.spec.action_size)
+            hidden = jnp.zeros(self.spec.hidden[-1])
+            own = self._memory.init(jax.random.fold_in(key, _MEMORY), hidden, seen)["params"]
+            params = {**params, "memory": own}
         if self.spec.normalise:
             params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
         return params
@@ -164,12 +185,48 @@ class Policy(_Network):
             obs: Observations [..., O].
             first: Whether an observation starts an episode [...].
         """
-        network = {name: value for name, value in params.items() if name != "normaliser"}
+        if self.spec.latent:
+            hidden, latent = self.recall(params, carry, obs, first)
+            gaussian = self.given(params, obs, latent)
+            return self.acted(hidden, gaussian.mode()), gaussian
         if self.spec.normalise:
             obs = normalise(params["normaliser"], obs)
-        output: Any = self._module.apply({"params": network}, carry, obs, first)
+        output: Any = self._module.apply({"params": _layers(params)}, carry, obs, first)
         carry, (mean, log_std) = output
         return carry, Gaussian(mean, log_std, self.spec.squash)
+
+    def recall(
+        self,
+        params: Params,
+        carry: Carry,
+        obs: Float[Array, "*batch O"],
+        first: Bool[Array, "*batch"],
+    ) -> tuple[Carry, Float[Array, "*batch Z"]]:
+        """Return the memory's state and the latent, once obs [..., O] were seen."""
+        if self.spec.normalise:
+            obs = normalise(params["normaliser"], obs)
+        carry = jnp.where(first[..., None], 0.0, carry)
+        hidden, last = jnp.split(carry, (self.spec.hidden[-1],), axis=-1)
+        seen = jnp.concatenate([obs, last], axis=-1)
+        output: Any = self._memory.apply({"params": params["memory"]}, hidden, seen)
+        return output
+
+    def given(
+        self, params: Params, obs: Float[Array, "*batch O"], latent: Float[Array, "*batch Z"]
+    ) -> Gaussian:
+        """Return the distribution over actions for obs [..., O] and a latent [..., Z]."""
+        if self.spec.normalise:
+            obs = normalise(params["normaliser"], obs)
+        seen, first = jnp.concatenate([obs, latent], axis=-1), jnp.zeros(obs.shape[:-1], bool)
+        output: Any = self._module.apply({"params": _layers(params)}, (), seen, first)
+        _, (mean, log_std) = output
+        return Gaussian(mean, log_std, self.spec.squash)
+
+    def acted(self, carry: Carry, action: Float[Array, "*batch A"]) -> Carry:
+        """Return the carry after an action that was drawn; the memory of a latent keeps it."""
+        if not self.spec.latent:
+            return carry
+        return jnp.concatenate([carry[..., : self.spec.hidden[-1]], action], axis=-1)
 
     def act(
         self,
@@ -206,6 +263,17 @@ class _Actor(nn.Module):
         return carry, (mean, jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape))
 
 
+class _Memory(nn.Module):
+    """Makes a latent of observations and the actions before them."""
+
+    spec: PolicySpec
+
+    @nn.compact
+    def __call__(self, hidden: jax.Array, seen: jax.Array) -> tuple[jax.Array, jax.Array]:
+        hidden, features = nn.GRUCell(self.spec.hidden[-1])(hidden, seen)
+        return hidden, _dense(self.spec.latent, 1.0)(features)
+
+
 class _Value(nn.Module):
     spec: CriticSpec
 
@@ -235,6 +303,11 @@ def _torso(
 def _dense(width: int, scale: float) -> nn.Dense:
     """Return a dense layer with orthogonal weights of the given gain and zero bias."""
     return nn.Dense(width, kernel_init=nn.initializers.orthogonal(scale))
+
+
+def _layers(params: Params) -> Params:
+    """Return the parameters of a policy's own layers."""
+    return {name: params[name] for name in params if name not in ("normaliser", "memory")}
 
 
 def _with_log_std(params: Params, log_std: float) -> Params:

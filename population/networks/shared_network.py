@@ -7,10 +7,11 @@ do nothing, and the one-hot adds one of its rows to the bias. `fold` makes an or
 one role that way, exactly; training, acting and publishing all use it.
 """
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 from population.networks.seat import Params
-from population.networks.spec import ROLES
+from population.networks.spec import ROLES, PolicySpec
 
 SHARED = "shared"  # name of the learner of both roles
 
@@ -18,6 +19,13 @@ SHARED = "shared"  # name of the learner of both roles
 def padded_size(observation_size: Mapping[str, int]) -> int:
     """Return the width of the shared input: the widest role's observation, then the one-hot."""
     return max(observation_size.values()) + len(ROLES)
+
+
+def shared_spec(specs: Sequence[PolicySpec]) -> PolicySpec:
+    """Return the network that acts for roles of these specs."""
+    width = padded_size({spec.role: spec.observation_size for spec in specs})
+    actions = max(spec.action_size for spec in specs)
+    return dataclasses.replace(specs[0], observation_size=width, action_size=actions)
 
 
 def fold(

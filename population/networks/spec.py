@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal
 
-from pydantic import PositiveInt
+from pydantic import NonNegativeInt, PositiveInt
 
 from assistax_base.digest import json_sha256
 from assistax_base.validated import Widths, validated
@@ -28,10 +28,22 @@ class PolicySpec:
         "parameter"  # log standard deviation: one vector, or a head on the torso
     )
     normalise: bool = True  # whether parameters hold the mean and std of observations
+    # Width of what a memory, a GRU as wide as the last hidden layer, makes of observations and own
+    # actions. An "mlp" reads it beside the observation. 0 for none.
+    latent: NonNegativeInt = 0
+
+    def __post_init__(self) -> None:
+        if self.latent and self.torso == "gru":
+            raise ValueError(
+                f"latent is {self.latent} and torso 'gru'; a policy has one memory: choose mlp"
+            )
 
     def to_json(self) -> dict:
         """Return the spec as JSON-ready values; `PolicySpec(**spec.to_json())` gives it back."""
-        return {**dataclasses.asdict(self), "hidden": list(self.hidden)}
+        content = {**dataclasses.asdict(self), "hidden": list(self.hidden)}
+        if not self.latent:  # as in specs of before there were any
+            del content["latent"]
+        return content
 
     def player(self) -> Player:
         """Return the network that plays policies of this spec; imports JAX."""

@@ -25,10 +25,15 @@ def to_torch(
     The metadata's one key, "assistax", holds JSON with the spec.
 
     Raises:
-        ValueError: A parameter is missing.
+        ValueError: A parameter is missing, or the policy has a latent.
     """
     import safetensors.numpy
 
+    if spec.latent:
+        raise ValueError(
+            f"the policy reads a latent of {spec.latent} numbers, for which the format torch has "
+            "no module: export it as onnx"
+        )
     layers = layers_of(spec, params)
     state: dict[str, np.ndarray] = {}
     for index, layer in enumerate(layers.hidden):

@@ -32,6 +32,8 @@ def unroll_policy(
 ) -> tuple[Carry, Gaussian]:
     """Return the carry after a chunk, and the distributions over actions [T, ..., A]."""
     spec = policy.spec
+    if spec.latent:
+        raise ValueError("a policy with a latent is unrolled with its actions: `unroll_memory`")
     if spec.torso == "mlp":
         return policy.step(params, carry, obs, first)
     if spec.normalise:
@@ -47,6 +49,28 @@ def unroll_policy(
     return carry, Gaussian(mean, log_std, spec.squash)
 
 
+def unroll_memory(
+    policy: Policy,
+    params: Params,
+    carry: Carry,
+    obs: Float[Array, " T *batch O"],
+    first: Bool[Array, " T *batch"],
+    action: Float[Array, " T *batch A"],
+) -> tuple[Float[Array, " T *batch H"], Float[Array, " T *batch Z"]]:
+    """Return the memory's states and its latents, for each of T steps, of a policy that has one.
+
+    `action` are the actions that followed the observations, as they were drawn.
+    """
+    if policy.spec.normalise:
+        obs = normalise(params["normaliser"], obs)
+    width = policy.spec.hidden[-1]
+    before = jnp.concatenate([carry[None, ..., width:], action[:-1]])
+    before = jnp.where(first[..., None], 0.0, before)
+    seen, memory = jnp.concatenate([obs, before], axis=-1), params["memory"]
+    states = _recur(memory["GRUCell_0"], carry[..., :width], seen, first)
+    return states, _linear(memory["Dense_0"], states)
+
+
 def unroll_critic(
     critic: Critic,
     params: Params,
@@ -57,6 +81,7 @@ def unroll_critic(
     """Return the carry after a chunk, and the values [T, ...]."""
     if critic.spec.torso == "mlp":
         return critic.step(params, carry, obs, first)
+    obs = critic.inputs(params, obs)
     carry, features = _remember(critic.spec, params, carry, obs, first)
     return carry, _linear(params[f"Dense_{len(critic.spec.hidden) - 1}"], features)[..., 0]
 
@@ -73,11 +98,15 @@ def _remember(
     features = obs
     for layer in range(len(spec.hidden) - 1):
         features = activation(_linear(params[f"Dense_{layer}"], features))
-    cell = params["GRUCell_0"]
-    inputs = jnp.concatenate([_linear(cell[f"i{gate}"], features) for gate in gru.GATES], axis=-1)
-    kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
-    states = gru.remember(kernel, cell["hn"]["bias"], carry, inputs, first)
+    states = _recur(params["GRUCell_0"], carry, features, first)
     return states[-1], states
+
+
+def _recur(cell: Params, hidden: jax.Array, inputs: jax.Array, first: jax.Array) -> jax.Array:
+    """Return the states of a `nn.GRUCell` after each of T steps [T, ..., H]."""
+    products = jnp.concatenate([_linear(cell[f"i{gate}"], inputs) for gate in gru.GATES], axis=-1)
+    kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
+    return gru.remember(kernel, cell["hn"]["bias"], hidden, products, first)
 
 
 def _linear(layer: Params, inputs: jax.Array) -> jax.Array:

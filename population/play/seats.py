@@ -60,7 +60,8 @@ def _act(
     carry, gaussian = member_map(policy.step)(params, carry, obs, first)
     keys = jnp.broadcast_to(keys, obs.shape[:2])
     draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)))
-    return carry, gaussian.action(draw(gaussian, keys))[:, :rows]
+    action = gaussian.action(draw(gaussian, keys))
+    return policy.acted(carry, action), action[:, :rows]
 
 
 def noise_keys(

@@ -11,6 +11,7 @@ from population.runs.checkpoints import Checkpoints
 _LOSSES = (
     "policy_loss",
     "value_loss",
+    "model_loss",
     "q_loss",
     "entropy",
     "alpha",

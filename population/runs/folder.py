@@ -192,9 +192,11 @@ class RunFolder:
 def extends(trainer: TrainerConfig) -> bool:
     """Return whether a run may be made longer.
 
-    Its length sets no learning rate, no entropy bonus and no size of a replay.
+    Its length sets no learning rate, no entropy bonus, no size of a replay and no student's time.
     """
-    return isinstance(trainer, PPOConfig) and not (trainer.anneal_lr or trainer.anneal_entropy)
+    if not isinstance(trainer, PPOConfig):
+        return False
+    return not (trainer.anneal_lr or trainer.anneal_entropy or trainer.student_share)
 
 
 def metrics_table(

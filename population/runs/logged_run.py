@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from assistax_base.extras import optional
 from population.config import TrainConfig
+from population.networks.spec import ROLES
 from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ def run_training(
             for report_to in reports:
                 report_to(state)
 
-        env = make(config.task, backend, version=config.env_version)
+        told: dict[str, Any] = {"told": ROLES} if config.told else {}
+        env = make(config.task, backend, version=config.env_version, **told)
         train(
             config,
             env,

@@ -321,17 +321,22 @@ def _provenance(
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}
-    return likes | {
-        "steps": config.updates * config.trainer.batch_steps,
-        "env_version": env.version,
-        "backend": env.backend,
-        "date": datetime.date.today().isoformat(),
-        "device": shares.devices[0].device_kind,
-        "devices": len(shares),
-        "seconds": round(seconds, 1),
-        "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "hyperparameters": {
-            **dataclasses.asdict(config.trainer),
-            "hidden": list(config.trainer.hidden),
-        },
-    }
+    told = {"told": True} if config.told else {}
+    return (
+        likes
+        | told
+        | {
+            "steps": config.updates * config.trainer.batch_steps,
+            "env_version": env.version,
+            "backend": env.backend,
+            "date": datetime.date.today().isoformat(),
+            "device": shares.devices[0].device_kind,
+            "devices": len(shares),
+            "seconds": round(seconds, 1),
+            "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
+            "hyperparameters": {
+                **dataclasses.asdict(config.trainer),
+                "hidden": list(config.trainer.hidden),
+            },
+        }
+    )

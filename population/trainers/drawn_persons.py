@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from assistax_envs import EnvParams
@@ -59,6 +60,19 @@ class DrawnPersons(FrozenPartners):
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return whom the episodes meet that begin from `keys` [N]."""
         return self._of(draw_persons(keys, jnp.arange(len(self.rows), dtype=jnp.int32)))
+
+    def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return the humans [N]: their wishes are their own."""
+        return humans
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Their rows [P, 25]."""
+        return np.asarray(self.rows)
+
+    def who(self, humans: Any, num_envs: int) -> jax.Array:
+        """Return the places among them [N] of those in the simulations."""
+        return humans.person
 
     def initial_carry(self, simulations: int) -> Any:
         """Return their minds before the first observation, [N, ...]."""

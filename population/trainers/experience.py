@@ -16,6 +16,7 @@ from population.networks.seat import Carry, Params
 from population.trainers.frozen_partners import FrozenPartners
 
 EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
+STEP, FASTEST = 0.02, 20.0  # s, a control step; rad/s, beyond which a joint's speed is cut
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 
 
@@ -39,8 +40,19 @@ class Simulations:
     env: EnvState
     carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
     partners: Carry  # carries of frozen partners; () without any
-    first: jax.Array  # whether the current observation starts an episode [N]
+    # Whether the current observation starts an episode [N]; with series, whether it starts one.
+    first: jax.Array
     episodes: Episodes
+    series: Any = ()  # `Series`, where robots remember their partner over several episodes
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """Where simulations stand in their series of episodes with one partner and wish."""
+
+    turn: jax.Array  # [N] int32, the episode of the series
+    begins: jax.Array  # [N] whether the current observation starts an episode
 
 
 @jax.tree_util.register_dataclass
@@ -71,6 +83,7 @@ class Batch:
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
     last_first: jax.Array  # [N]
     tally: Tally
+    partner: Any = ()  # [T, N, A + J] its actions and its joints' speeds, rad/s, where watched
 
 
 def begin(
@@ -79,11 +92,12 @@ def begin(
     members: int,
     stagger: jax.Array,
     partners: FrozenPartners | None = None,
+    series: int = 1,
 ) -> Simulations:
     """Return simulations at the states of `env`, their step counters set to `stagger` [N].
 
     Staggered episodes reach their time limits at different steps, so that every batch holds all
-    phases of an episode.
+    phases of an episode, and of a series.
     """
     simulations = stagger.shape[0]
     return Simulations(
@@ -95,6 +109,9 @@ def begin(
         partners=partners.initial_carry(simulations) if partners else (),
         first=jnp.ones(simulations, bool),
         episodes=Episodes(whole=stagger == 0, sums=jax.tree.map(jnp.zeros_like, _gains(env))),
+        series=Series(jnp.arange(simulations) % series, jnp.ones(simulations, bool))
+        if series > 1
+        else (),
     )
 
 
@@ -109,6 +126,8 @@ def collect(
     partners: FrozenPartners | None = None,
     partner_params: Any = (),
     sample: Sampler = Gaussian.sample,
+    watched: bool = False,
+    series: int = 1,
 ) -> tuple[Simulations, Batch]:
     """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
 
@@ -123,35 +142,33 @@ def collect(
         partners: Who acts in the role that has no policy here.
         partner_params: Their parameters.
         sample: How raw actions are drawn.
+        watched: Whether the batch holds what the partner did.
+        series: Episodes over which a robot remembers: their ends are none for it.
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
 
     def step(loop: _Loop, keys: jax.Array) -> tuple[_Loop, dict[str, Any]]:
         state, tally = loop
-        obs = to_members({role: state.env.obs[role] for role in policies}, members)
+        obs = to_members({r: _read(p, r, state.env.obs) for r, p in policies.items()}, members)
         carry, acted = act(params, state.carry, obs, to_members(state.first, members), keys)
         action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
         if partners:
-            role = partners.role
-            partner_carry, action[role] = partners.act(
-                partner_params,
-                partner_carry,
-                state.env.obs[role],
-                state.first,
-                members,
-                state.env.params,
-            )
+            partner_carry, action[partners.role] = _meet(partners, partner_params, state, members)
         after = env.step(state.env, action)
-        terminated = after.terminated | after.nonfinite
-        truncated = after.truncated & ~terminated
-        ended = terminated | truncated
+        terminated, truncated, ended = _ends(after)
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)
         seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
         seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
         seen |= {"terminated": terminated, "truncated": truncated}
-        state = Simulations(select(ended, fresh, after), carry, partner_carry, ended, episodes)
+        if watched and partners:
+            angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
+            seen["partner"] = _watched(action[partners.role], *angles)
+        after, diverged = select(ended, fresh, after), after.nonfinite
+        state = Simulations(after, carry, partner_carry, ended, episodes, state.series)
+        if series > 1:
+            state, seen = _in_series(state, diverged, seen, series)
         return (state, tally), seen
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
@@ -166,7 +183,7 @@ def by_member(batch: Batch, members: int) -> Batch:
     def over_time(leaf: jax.Array) -> jax.Array:
         return jnp.moveaxis(leaf.reshape(leaf.shape[0], members, -1, *leaf.shape[2:]), 1, 0)
 
-    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated")
+    timed = ("obs", "first", "raw", "log_prob", "reward", "terminated", "truncated", "partner")
     return Batch(
         **{
             name: jax.tree.map(over_time, value) if name in timed else to_members(value, members)
@@ -188,6 +205,32 @@ def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
 
 
 _Loop = tuple[Simulations, Tally]
+
+
+def _ends(after: EnvState) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return whether simulations ended for good, at their time limit, or in either way [N]."""
+    terminated = after.terminated | after.nonfinite
+    return terminated, after.truncated & ~terminated, terminated | after.truncated
+
+
+def _meet(
+    partners: FrozenPartners, params: Any, state: Simulations, members: int
+) -> tuple[Carry, jax.Array]:
+    """Return the partners' carries and actions [N, A]; they begin anew with every episode."""
+    obs, humans = state.env.obs[partners.role], state.env.params
+    first = state.series.begins if state.series else state.first
+    return partners.act(params, state.partners, obs, first, members, humans)
+
+
+def _in_series(
+    state: Simulations, diverged: jax.Array, seen: dict[str, Any], series: int
+) -> tuple[Simulations, dict[str, Any]]:
+    """Let robots go on where an episode ended within a series: neither an end nor a start."""
+    ended, before = state.first, state.series
+    more = ended & (before.turn < series - 1) & ~diverged
+    turn = jnp.where(more, before.turn + 1, jnp.where(ended, 0, before.turn))
+    state = dataclasses.replace(state, first=ended & ~more, series=Series(turn, ended))
+    return state, {**seen, **{n: seen[n] & ~more for n in ("terminated", "truncated")}}
 
 
 def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> Tally:
@@ -214,10 +257,24 @@ def _act(
     """
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
-        carry[role], gaussian = policies[role].step(params[role], carries[role], obs[role], first)
+        after, gaussian = policies[role].step(params[role], carries[role], obs[role], first)
         raw[role] = sample(gaussian, role_key)
         action[role], log_prob[role] = gaussian.action(raw[role]), gaussian.log_prob(raw[role])
+        carry[role] = policies[role].acted(after, action[role])
     return carry, (action, raw, log_prob)
+
+
+def _read(policy: Policy, role: str, obs: dict[str, jax.Array]) -> jax.Array:
+    """Return what a policy reads [N, O]: its role's observation, and what it sees beside it."""
+    if not policy.beside:
+        return obs[role]
+    return jnp.concatenate([obs[role], *(obs[name] for name in policy.beside)], axis=-1)
+
+
+def _watched(action: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
+    """Return what a partner did in a step [N, A + J]; speeds of a simulation that diverged end."""
+    speed = jnp.clip((after - before) / STEP, -FASTEST, FASTEST)
+    return jnp.concatenate([jnp.clip(action, -1.0, 1.0), jnp.nan_to_num(speed)], axis=-1)
 
 
 def _gains(state: EnvState) -> dict[str, jax.Array]:

@@ -1,14 +1,17 @@
 """Frozen partners of an ego's training: who acts in the other seat."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
+from assistax_envs.tasks.gentle_base import liking
 from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Policy
@@ -101,6 +104,24 @@ class FrozenPartners:
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return the humans [N] of episodes that begin from `keys` [N]: those who were there."""
         return humans
+
+    def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return humans [N] whose wishes no reset draws anew: those that are open, by their key."""
+        return dataclasses.replace(humans, likes=jax.vmap(liking)(humans.preference, keys))
+
+    @property
+    def numbers(self) -> np.ndarray | None:
+        """What describes each of them [P, W]; None of networks, whom only their place names."""
+        return None
+
+    def who(self, humans: Any, num_envs: int) -> jax.Array:
+        """Return the places among them [N] of the partners in members' simulations."""
+        simulations = jax.tree.leaves(humans)[0].shape[0]
+        return jnp.arange(simulations) % num_envs // (num_envs // len(self))
+
+    def imagined(self, simulations: int) -> jax.Array:
+        """Return in which simulations [N] a model acts in their place: in none."""
+        return jnp.zeros(simulations, bool)
 
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""

@@ -5,26 +5,31 @@ each; with frozen partners in one seat, only the other learns.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
 
 from population.config import Member
 from population.environment import Environment
 from population.hyperparameters import PPOConfig
+from population.methods import diversity
+from population.methods.hidden import WithHidden, beside
+from population.methods.latents import latents
+from population.methods.method import method_class
+from population.methods.ppo_loss import Samples, ppo_loss
 from population.networks import shared_network
 from population.networks.members import member_map
-from population.networks.policy import Critic, Gaussian, Policy, normalise
+from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
-from population.networks.spec import Role
+from population.networks.spec import PolicySpec, Role
 from population.networks.unrolled import unroll_critic, unroll_policy
-from population.trainers import diversity, experience, gae, normaliser
+from population.trainers import experience, gae, normaliser
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
+from population.trainers.imagined_partners import ImaginedPartners
 from population.trainers.trainer import (
     Hyper,
     MemberState,
@@ -35,6 +40,8 @@ from population.trainers.trainer import (
     optimiser,
     role_keys,
 )
+
+_METHOD = 1  # folded into a learner's key: the networks that a method adds
 
 
 @jax.tree_util.register_dataclass
@@ -47,20 +54,6 @@ class Learner:
     critic_carry: dict[str, Carry]  # by role [N, ...]
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Samples:
-    """What one role learns from; leaves [T, N, ...]."""
-
-    obs: jax.Array
-    critic_obs: jax.Array  # normalised
-    first: jax.Array
-    raw: jax.Array  # raw actions
-    log_prob: jax.Array  # of the raw actions, when they were drawn
-    advantage: jax.Array
-    target: jax.Array  # of the value
-
-
 class PPO(Trainer):
     """Trains with PPO: `ippo` has local critics, `mappo` central ones, `mep` IPPO's and a bonus."""
 
@@ -71,6 +64,19 @@ class PPO(Trainer):
         updates: int,
         partners: FrozenPartners | None = None,
     ) -> None:
+        if not partners and (config.method or config.series > 1):
+            raise ValueError(
+                f"method is {config.method!r} and series {config.series}, by which robots train "
+                "with frozen partners: give partners, or leave them out"
+            )
+        if config.imagined_share and partners:
+            partners = ImaginedPartners(partners, config.imagined_share)
+        kind = method_class(config.method)
+        if kind.sees and partners:
+            env = WithHidden(env, partners, config.num_envs)
+        self.method = kind(config, env, partners)
+        self.sees, self.watches = self.method.sees, kind.watches
+        self.series = config.series
         super().__init__(config, env, updates, partners)
         if config.shared and partners:
             raise ValueError(
@@ -92,21 +98,45 @@ class PPO(Trainer):
         """Collect one rollout and learn from it; metrics are [M]."""
         config = self.config
         state, batch, keys = self.collect(state, partners)
-        left = 1.0 - state.update.astype(jnp.float32) / self.updates
+        left = 1.0 - self._progress(state)
         annealed = {
             "learning_rate": config.anneal_lr,
             "entropy_coef": config.anneal_entropy,
             "population_coef": config.anneal_entropy,
         }
         hyper = {n: value * left if annealed.get(n) else value for n, value in hyper.items()}
+        hyper = self.method.scheduled(hyper, self._progress(state))
         batch = experience.by_member(batch, len(keys))
         metrics = member_map(experience.episode_metrics)(batch)
         if config.population_coef:
-            batch, logged = self._with_bonus(state.members, batch, hyper)
+            humans = self.policies[diversity.ROLE]
+            of_humans = self.policy_params(state.members)[diversity.ROLE]
+            batch, logged = diversity.with_bonus(humans, of_humans, batch, hyper)
             metrics |= logged
         members, losses = member_map(self._learn)(state.members, batch, hyper, keys)
         state = dataclasses.replace(state, members=members, update=state.update + 1)
         return state, metrics | losses
+
+    def policy(self, spec: PolicySpec) -> Policy:
+        """Return what acts in training."""
+        return self.method.policy(spec)
+
+    def acting(self, state: TrainState) -> dict[str, Params]:
+        """Return the parameters of what acts in the next rollout."""
+        progress, params = self._progress(state), self.policy_params(state.members)
+        for name, roles in self.learners.items():
+            networks = state.members.learners[name].networks
+            params |= {r: self.method.acting(params[r], networks, progress) for r in roles}
+        return params
+
+    def _progress(self, state: TrainState) -> jax.Array:
+        return state.update.astype(jnp.float32) / self.updates
+
+    def of_partners(self, state: TrainState, partners: Any) -> Any:
+        """Return the parameters of the partners in the next rollout."""
+        [learner] = state.members.learners.values()
+        normalisers = self.normalisers(state.members)
+        return self.method.partner_params(learner.networks, normalisers, partners)
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
         """Return one member's learner of these roles."""
@@ -116,6 +146,9 @@ class PPO(Trainer):
             "critic": self._value_network(roles).init(critic),
         }
         networks["actor"].pop("normaliser", None)
+        if self.config.latent:
+            networks["memory"] = networks["actor"].pop("memory")
+        networks |= self.method.init(self.policies[roles[0]], jax.random.fold_in(key, _METHOD))
         start = optimiser(self.config.adam_eps, 1.0)
         return Learner(
             networks=networks,
@@ -124,23 +157,6 @@ class PPO(Trainer):
                 role: self.critics[role].initial_carry((self.config.num_envs,)) for role in roles
             },
         )
-
-    def _with_bonus(
-        self, members: MemberState, batch: Batch, hyper: Hyper
-    ) -> tuple[Batch, Metrics]:
-        """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
-
-        Logged are the population's entropy, and what of it is due to differences: between 0, where
-        all humans act alike, and log n, where none would do what another does.
-        """
-        role = diversity.ROLE
-        params = self.policy_params(members)[role]
-        usual = diversity.log_mean_density(self.policies[role], params, hyper["peers"], batch)
-        reward = batch.reward - hyper["population_coef"][:, None, None] * usual
-        return dataclasses.replace(batch, reward=reward), {
-            "population_entropy": -usual.mean((1, 2)),
-            "population_divergence": (batch.log_prob[role] - usual).mean((1, 2)),
-        }
 
     def _learn(
         self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
@@ -168,8 +184,11 @@ class PPO(Trainer):
         """Improve a role's networks, or those that both share; return them and what to log."""
         learner = member.learners[name]
         samples, carries, critic_carry, explained = {}, {}, {}, {}
+        noise = jax.random.fold_in(key, _METHOD)
         for role in self.learners[name]:
-            critic_carry[role], samples[role] = self._samples(role, member, learner, batch, hyper)
+            critic_carry[role], samples[role] = self._samples(
+                role, member, learner, batch, hyper, noise
+            )
             carries[role] = (batch.carry[role], learner.critic_carry[role])
             advantage, target = samples[role].advantage, samples[role].target
             explained[f"explained_variance_{role}"] = 1.0 - jnp.var(advantage) / (
@@ -179,36 +198,22 @@ class PPO(Trainer):
         return dataclasses.replace(learner, critic_carry=critic_carry), losses | explained
 
     def _samples(
-        self, role: str, member: MemberState, learner: Learner, batch: Batch, hyper: Hyper
+        self,
+        role: str,
+        member: MemberState,
+        learner: Learner,
+        batch: Batch,
+        hyper: Hyper,
+        key: jax.Array,
     ) -> tuple[Carry, Samples]:
         """Return the critic's carry after the batch, and what the role learns from."""
-        name = self.critic_obs[role]
-        stats = normaliser.to_params(member.statistics[name])
-        obs, final_obs, last_obs = (
-            x[name] for x in (batch.obs, batch.tally.final_obs, batch.last_obs)
-        )
-        if self.config.normalise:
-            obs, final_obs, last_obs = (normalise(stats, x) for x in (obs, final_obs, last_obs))
-        carry, value, next_value = gae.values(
-            self.critics[role],
-            self._critic_params(role, learner.networks["critic"]),
-            learner.critic_carry[role],
-            obs,
-            batch.first,
-            batch.truncated,
-            final_obs,
-            last_obs,
-            batch.last_first,
-        )
-        advantage = gae.advantages(
-            batch.reward,
-            value,
-            next_value,
-            batch.terminated,
-            batch.truncated,
-            hyper["gamma"],
-            hyper["gae_lambda"],
-        )
+        obs, final_obs, last_obs, extra = self._critic_inputs(role, member, learner, batch, key)
+        params = self._critic_params(role, learner.networks["critic"])
+        critic = self.critics[role], params, learner.critic_carry[role]
+        seen = obs, batch.first, batch.truncated, final_obs, last_obs, batch.last_first
+        carry, value, next_value = gae.values(*critic, *seen)
+        paid, ends = (batch.reward, value, next_value), (batch.terminated, batch.truncated)
+        advantage = gae.advantages(*paid, *ends, hyper["gamma"], hyper["gae_lambda"])
         return carry, Samples(
             obs=batch.obs[role],
             critic_obs=obs,
@@ -217,7 +222,30 @@ class PPO(Trainer):
             log_prob=batch.log_prob[role],
             advantage=advantage,
             target=advantage + value,
+            beside=beside(self.sees, batch.obs, self.normalisers(member)),
+            partner=batch.partner,
+            **extra,
         )
+
+    def _critic_inputs(
+        self, role: str, member: MemberState, learner: Learner, batch: Batch, key: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
+        """Return what the critic reads, acted on, at time limits and last, and latents if any."""
+        everything = batch.obs, batch.tally.final_obs, batch.last_obs
+        name, extra, stats = self.critic_obs[role], {}, self.normalisers(member)
+        own = (obs[name] for obs in everything)
+        parts: list[Any] = [tuple(normalise(stats[name], obs) if stats else obs for obs in own)]
+        parts += [tuple(obs[name] for obs in everything) for name in self.method.critic_sees]
+        if self.config.latent:
+            params = self.actor(role, member, learner.networks)
+            made = latents(self.policies[role], params, role, batch)
+            parts.append(made)
+            extra["latent"] = made.acted
+        if self.method.noise:
+            shape = (*batch.first.shape, self.method.noise)
+            extra["noise"] = jax.random.normal(key, shape)
+        obs, final, last = (jnp.concatenate(of, axis=-1) for of in zip(*parts, strict=True))
+        return obs, final, last, extra
 
     def _descend(
         self,
@@ -244,7 +272,8 @@ class PPO(Trainer):
             for network in learner.networks:
                 gradient = gradients[network]
                 losses[f"{network}_grad_norm_{name}"] = optax.tree.norm(gradient)
-                learner = descended(learner, network, gradient, clipped, hyper["learning_rate"])
+                rate = self.method.rate(network, hyper)
+                learner = descended(learner, network, gradient, clipped, rate)
             return learner, losses
 
         keys = jax.random.split(key, config.epochs)
@@ -266,32 +295,28 @@ class PPO(Trainer):
         """Return the loss, its mean over roles where they share networks, and what to log."""
         loss, metrics = jnp.zeros(()), {}
         for role, part in samples.items():
-            actor = self.actor(role, member, networks["actor"])
+            actor = self.actor(role, member, networks)
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
-            _, gaussian = unroll_policy(
-                self.policies[role], actor, actor_carry, part.obs, part.first
-            )
+            policy = self.policies[role]
+            if self.config.latent:
+                gaussian = policy.given(actor, part.obs, self.method.latent(networks, part))
+            else:
+                _, gaussian = unroll_policy(policy, actor, actor_carry, part.obs, part.first)
             _, value = unroll_critic(
                 self.critics[role], critic, critic_carry, part.critic_obs, part.first
             )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
-            loss = loss + role_loss / len(samples)
-            metrics |= {f"{name}_{role}": value for name, value in logged.items()}
+            own_loss, own = self.method.loss(networks, policy, actor, part, actor_carry)
+            loss = loss + (role_loss + hyper["aux_coef"] * own_loss) / len(samples)
+            metrics |= {f"{name}_{role}": value for name, value in (logged | own).items()}
         return loss, metrics
 
     def _network(self, roles: tuple[str, ...]) -> Policy:
         """Return the network that is initialised: a role's own, or the one that roles share."""
         if len(roles) == 1:
             return self.policies[roles[0]]
-        specs = {role: self.specs[role] for role in roles}
-        width = shared_network.padded_size(
-            {role: spec.observation_size for role, spec in specs.items()}
-        )
-        actions = max(spec.action_size for spec in specs.values())
-        return Policy(
-            dataclasses.replace(specs[roles[0]], observation_size=width, action_size=actions)
-        )
+        return Policy(shared_network.shared_spec([self.specs[role] for role in roles]))
 
     def _value_network(self, roles: tuple[str, ...]) -> Critic:
         if len(roles) == 1:
@@ -299,47 +324,25 @@ class PPO(Trainer):
         sizes = {role: self.critics[role].spec.observation_size for role in roles}
         return self.critic(shared_network.padded_size(sizes))
 
-    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
+    def critic(self, width: int) -> Critic:
+        """Return a critic of inputs of a width."""
+        return self.method.critic(super().critic(width).spec)
+
+    def critic_width(self, role: str) -> int:
+        """Return the width of what a role's critic reads."""
+        more = (self.env.observation_size[name] for name in self.method.critic_sees)
+        return super().critic_width(role) + sum(more) + self.config.latent
+
+    def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
         if self.config.shared:
-            spec = self.specs[role]
-            actor = shared_network.fold(actor, role, spec.observation_size, spec.action_size)
-        return super().actor(role, member, actor)
+            spec, shared = self.specs[role], networks["actor"]
+            own = shared_network.fold(shared, role, spec.observation_size, spec.action_size)
+            networks = {**networks, "actor": own}
+        params = super().actor(role, member, networks)
+        return {**params, "memory": networks["memory"]} if self.config.latent else params
 
     def _critic_params(self, role: str, params: Params) -> Params:
         if not self.config.shared:
             return params
         return shared_network.fold(params, role, self.critics[role].spec.observation_size)
-
-
-def ppo_loss(
-    gaussian: Gaussian, value: Float[Array, "T N"], samples: Samples, hyper: Hyper
-) -> tuple[Float[Array, ""], Metrics]:
-    """Return the loss of one role, and what to log.
-
-    L = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)] + c_v E[(V - target)^2] / 2 - c_e E[H], where
-    r = exp(log pi(a | o) - log pi_old(a | o)) and A are the advantages, normalised over the
-    minibatch (Schulman et al., 2017, "Proximal Policy Optimization Algorithms", equations 7 and 9,
-    negated).
-
-    Args:
-        gaussian: The policy now at the samples' observations [T, N, A].
-        value: The critic's values there [T, N].
-        samples: A minibatch; leaves [T, N, ...].
-        hyper: eps is `clip_eps`, c_v `value_coef` and c_e `entropy_coef`; scalars.
-    """
-    log_ratio = gaussian.log_prob(samples.raw) - samples.log_prob
-    ratio = jnp.exp(log_ratio)
-    advantage = (samples.advantage - samples.advantage.mean()) / (samples.advantage.std() + 1e-8)
-    clipped = jnp.clip(ratio, 1.0 - hyper["clip_eps"], 1.0 + hyper["clip_eps"])
-    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-    value_loss = 0.5 * jnp.square(value - samples.target).mean()
-    entropy = gaussian.entropy().mean()
-    loss = policy_loss + hyper["value_coef"] * value_loss - hyper["entropy_coef"] * entropy
-    return loss, {
-        "policy_loss": policy_loss,
-        "value_loss": value_loss,
-        "entropy": entropy,
-        "approx_kl": (ratio - 1.0 - log_ratio).mean(),
-        "clip_fraction": (jnp.abs(ratio - 1.0) > hyper["clip_eps"]).mean(),
-    }

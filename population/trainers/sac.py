@@ -304,7 +304,8 @@ class SAC(Trainer):
         self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         first = jnp.zeros(obs.shape[:-1], bool)
-        _, gaussian = self.policies[role].step(self.actor(role, member, actor), (), obs, first)
+        params = self.actor(role, member, {"actor": actor})
+        _, gaussian = self.policies[role].step(params, (), obs, first)
         raw = gaussian.sample(key)
         return gaussian.action(raw), gaussian.log_prob(raw)
 

@@ -7,13 +7,14 @@ value errors in the hundreds would otherwise use up the norm that a policy share
 
 import abc
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import optax
 
+from assistax_envs import select
 from population.config import Member, traced_values
 from population.environment import Environment
 from population.hyperparameters import TrainerConfig
@@ -65,6 +66,10 @@ class Trainer(abc.ABC):
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
+    sees: tuple[str, ...] = ()  # observations that a rollout keeps beside those of networks
+    watches = False  # whether it keeps what the partner did
+    series = 1  # episodes over which a robot remembers its partner
+
     def __init__(
         self,
         config: Any,
@@ -78,14 +83,14 @@ class Trainer(abc.ABC):
             role for role in ROLES if not partners or role != partners.role
         )
         self.specs = _policy_specs(config, env, self.roles)
-        self.policies = {role: Policy(spec) for role, spec in self.specs.items()}
+        self.policies = {role: self.policy(spec) for role, spec in self.specs.items()}
         # Learners by name, each of one role.
         self.learners: dict[str, tuple[Role, ...]] = {role: (role,) for role in self.roles}
         # What critics see: the role's own observation, or everything.
         self.critic_obs: dict[str, str] = {
             role: "global" if config.critic == "central" else role for role in self.roles
         }
-        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values()]))
+        self.inputs = tuple(dict.fromkeys([*self.roles, *self.critic_obs.values(), *self.sees]))
         self.critics: dict[str, Critic] = {
             role: self.critic(self.critic_width(role)) for role in self.roles
         }
@@ -109,7 +114,7 @@ class Trainer(abc.ABC):
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
             simulations=experience.begin(
-                env_state, self.policies, len(keys), stagger.reshape(-1), self.partners
+                env_state, self.policies, len(keys), stagger.reshape(-1), self.partners, self.series
             ),
             update=jnp.zeros((), jnp.int32),
             replay=self.initial_replay(len(keys)),
@@ -122,20 +127,22 @@ class Trainer(abc.ABC):
         """
         members = state.members
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-        fresh = self._reset(keys[:, 0], state.simulations.env.params)
+        fresh = self._reset(keys[:, 0], state.simulations.env.params, state.simulations.series)
         steps = self.config.rollout_steps
         act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
         simulations, batch = experience.collect(
             self.env,
             self.policies,
-            self.policy_params(members),
+            self.acting(state),
             act_keys,
             state.simulations,
             fresh,
             self.inputs,
             self.partners,
-            partners,
+            self.of_partners(state, partners) if self.partners else partners,
             self.sampler(state),
+            self.watches,
+            self.series,
         )
         members = dataclasses.replace(members, key=keys[:, 3])
         state = dataclasses.replace(state, members=members, simulations=simulations)
@@ -157,10 +164,22 @@ class Trainer(abc.ABC):
     def policy_params(self, members: MemberState) -> dict[str, Params]:
         """Return parameters as `Policy` reads them, by role; leaves [M, ...]."""
         return {
-            role: self.actor(role, members, members.learners[name].networks["actor"])
+            role: self.actor(role, members, members.learners[name].networks)
             for name, roles in self.learners.items()
             for role in roles
         }
+
+    def policy(self, spec: PolicySpec) -> Policy:
+        """Return what acts in training for the network of a spec."""
+        return Policy(spec)
+
+    def acting(self, state: TrainState) -> dict[str, Params]:
+        """Return the parameters of what acts in the next rollout, by role; leaves [M, ...]."""
+        return self.policy_params(state.members)
+
+    def of_partners(self, state: TrainState, partners: Any) -> Any:
+        """Return the parameters of the partners in the next rollout."""
+        return partners
 
     def critic(self, width: int) -> Critic:
         """Return a critic of inputs of a width."""
@@ -179,21 +198,33 @@ class Trainer(abc.ABC):
         """Return what keeps past transitions; nothing unless a trainer learns from them."""
         return ()
 
-    def actor(self, role: str, member: MemberState, actor: Params) -> Params:
-        """Return an actor's parameters as `Policy` reads them, with what normalises observations.
+    def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
+        """Return a role's parameters as `Policy` reads them, with what normalises observations.
 
         Leading axes of the leaves are free.
         """
-        if not self.config.normalise:
-            return actor
-        return {**actor, "normaliser": normaliser.to_params(member.statistics[role])}
+        stats = self.normalisers(member)
+        return {**networks["actor"], "normaliser": stats[role]} if stats else networks["actor"]
 
-    def _reset(self, keys: jax.Array, humans: Any) -> Any:
-        """Start an episode in each simulation [N], from members' keys [M]."""
+    def normalisers(self, member: MemberState) -> dict[str, Params]:
+        """Return what normalises observations, by their names; nothing where nothing does."""
+        named = member.statistics if self.config.normalise else {}
+        return {name: normaliser.to_params(statistics) for name, statistics in named.items()}
+
+    def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
+        """Start an episode in each simulation [N], from members' keys [M].
+
+        Within a series the human and what it likes stay.
+        """
         keys = _simulation_keys(keys, self.config.num_envs)
-        return self.env.reset(
-            keys, self.partners.renewed(humans, keys) if self.partners else humans
-        )
+        if not self.partners:
+            return self.env.reset(keys, humans)
+        new = self.partners.renewed(humans, keys)
+        if self.series > 1:
+            new = self.partners.settled(new, keys)
+        if series:
+            new = select(series.turn < self.series - 1, humans, new)
+        return self.env.reset(keys, new)
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         statistics = {
@@ -239,7 +270,7 @@ def descended(
 def _policy_specs(
     config: TrainerConfig, env: Environment, roles: Sequence[Role]
 ) -> dict[str, PolicySpec]:
-    names = ("torso", "hidden", "activation", "squash", "std", "normalise")
+    names = ("torso", "hidden", "activation", "squash", "std", "normalise", "latent")
     same: dict[str, Any] = {name: getattr(config, name) for name in names}
     return {
         role: PolicySpec(role, env.observation_size[role], env.action_size[role], **same)

@@ -93,3 +93,21 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     (tmp_path / "ego" / "split.json").unlink()
     words[-1] = str(tmp_path / "other.json")
     assert run(words) == 1 and "split.json is missing" in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_told_robots_are_played_alone_where_they_are_told(tmp_path, capfd):
+    out, task = tmp_path / "run", ["--task", "gentle_scratch", "--partners", "persons"]
+    words = [*TINY, "--algorithm", "liam", "--told", "--steps", "64", "--backend", "native"]
+    assert run(["train-ego", *task, *words, "--out", str(out)]) == 0
+    file = str(out / "policies" / "liam-s0.safetensors")
+    spec, _, metadata = storage.read_policy_file(file)
+    assert metadata["told"] is True and spec.observation_size == 46 + 3 and spec.latent == 16
+    words = ["--policy", file, "--persons", "2", "--episodes", "1", "--backend", "native"]
+    capfd.readouterr()
+    assert run(["evaluate", *task, *words, "--out", str(tmp_path / "refused")]) == 1
+    assert "references are not: leave references out" in capfd.readouterr().err
+    words += ["--no-references", "--out", str(tmp_path / "played")]
+    assert run(["evaluate", *task, *words]) == 0
+    summary = json.loads((tmp_path / "played" / "summary.json").read_text())
+    assert summary["engine"]["condition"] == "told"

@@ -11,9 +11,10 @@ from assistax_workshop.sweep import Sweep
 from assistax_workshop.sweep_space import Range
 from population.config import Member, TrainConfig, make_members, make_run, populations
 from population.hyperparameters import preset
+from population.methods import diversity
+from population.methods.diversity import log_mean_density
 from population.runs.train import train
-from population.trainers import diversity, experience
-from population.trainers.diversity import log_mean_density
+from population.trainers import experience
 from population.trainers.ppo import PPO
 from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, run, start
 from tests.population.toy_env import ToyEnv, match
@@ -86,11 +87,16 @@ def test_densities_too_small_for_a_float_are_still_told_apart():
     assert np.isfinite(divergence).all() and (divergence < -1000.0).all()
 
 
+def with_bonus(ppo, members, batch, hyper):
+    params = ppo.policy_params(members)["human"]
+    return diversity.with_bonus(ppo.policies["human"], params, batch, hyper)
+
+
 def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     ppo, state, batch, hyper = rollout(PAIR)
     alike, first = jax.tree.map(lambda leaf: jnp.stack([leaf[0]] * 2), (state.members, batch))
     # The bonus by itself, before training mixes it with the rest.
-    paid, logged = ppo._with_bonus(alike, first, hyper)
+    paid, logged = with_bonus(ppo, alike, first, hyper)
     coefficient = hyper["population_coef"][:, None, None]
     own = first.reward - coefficient * first.log_prob["human"]
     np.testing.assert_allclose(paid.reward, own, atol=1e-6)
@@ -98,7 +104,7 @@ def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
     actor = alike.learners["human"].networks["actor"]
     bias = actor["Dense_2"]["bias"]
     actor["Dense_2"]["bias"] = bias.at[1].add(1.0)
-    _, logged = ppo._with_bonus(alike, first, hyper)
+    _, logged = with_bonus(ppo, alike, first, hyper)
     assert 0.1 < logged["population_divergence"][0] <= math.log(2)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
-from population.networks.unrolled import unroll_policy
+from population.networks.unrolled import unroll_memory, unroll_policy
 
 T, N = 24, 6
 SPECS = (
@@ -77,3 +77,22 @@ def test_members_side_by_side_have_their_own_gradients(policy: Policy) -> None:
     gradient = jax.grad(loss)(jax.tree.map(lambda leaf: leaf[1], stacked))
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(gradient), strict=True):
         assert jnp.allclose(a[1], b, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+def test_a_memory_unrolls_as_it_acts(squash: str) -> None:
+    """Latents of a rollout are those that acted, whatever actions were drawn."""
+    policy = Policy(PolicySpec("robot", 5, 2, hidden=(8, 16), squash=squash, latent=3))
+    params, first = params_and_first(policy)
+    obs = jax.random.normal(jax.random.key(1), (T, N, 5))
+    drawn = jax.random.uniform(jax.random.key(4), (T, N, 2), minval=-1.0)
+    carry = jax.random.normal(jax.random.key(2), policy.initial_carry((N,)).shape)
+    given, latents, mode = carry, [], None
+    for t in range(T):
+        latents.append(policy.recall(params, given, obs[t], first[t])[1])
+        given, gaussian = policy.step(params, given, obs[t], first[t])
+        mode, given = gaussian.mean, policy.acted(given, drawn[t])
+    states, unrolled = unroll_memory(policy, params, carry, obs, first, drawn)
+    assert jnp.allclose(jnp.stack(latents), unrolled, atol=1e-5)
+    assert jnp.allclose(states[-1], given[:, :16], atol=1e-5)
+    assert jnp.allclose(policy.given(params, obs, unrolled).mean[-1], mode, atol=1e-5)

@@ -161,6 +161,7 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
         ([team(seed=9, params=team().params)], "those of scratch/ippo-d1-s0-v0"),
         ([team(seed=9, training={"run": "r", "steps": 1})], "env_version"),
         ([team(seed=9, training={**new.training, "env_version": 2})], "version 1, found on 2"),
+        ([team(seed=9, training={**new.training, "told": True})], "which no robot may observe"),
         ([team(seed=9, self_play={"mean": 1.0})], "iqm"),
         (
             [team(seed=9, self_play={"mean": 1.0, "iqm": 1.0, "mean_ci": [2.0, 0.0], "n": 8})],

@@ -37,6 +37,10 @@ SPECS = [
     )
 ]
 V0 = PolicySpec("robot", 34, 7)
+LATENT = [
+    PolicySpec("robot", 9, 4, hidden=(16, 8), squash=squash, normalise=normalise, latent=5)
+    for squash, normalise in (("clip", True), ("tanh", False))
+]
 NAMES = [f"{s.torso}{len(s.hidden)}-{s.activation}-{s.squash}-{s.std}-{s.normalise}" for s in SPECS]
 
 
@@ -93,7 +97,9 @@ def play_onnx(data: bytes, obs: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.stack(actions)
 
 
-@pytest.mark.parametrize("spec", [*SPECS, V0], ids=[*NAMES, "v0"])
+@pytest.mark.parametrize(
+    "spec", [*SPECS, V0, *LATENT], ids=[*NAMES, "v0", "latent-clip", "latent-tanh"]
+)
 def test_onnx_gives_the_same_actions(spec: PolicySpec) -> None:
     params = trained(spec)
     obs, first, expected = episode(spec, params)
@@ -101,6 +107,11 @@ def test_onnx_gives_the_same_actions(spec: PolicySpec) -> None:
     assert actions.dtype == np.float32 and actions.shape == expected.shape
     assert np.abs(actions - expected).max() < TOLERANCE
     assert np.ptp(expected) > 0.5  # there was something to tell apart
+
+
+def test_a_latent_is_no_form_of_torch() -> None:
+    with pytest.raises(ValueError, match=r"latent of 5 numbers, .* export it as onnx"):
+        to_torch(LATENT[0], trained(LATENT[0]))
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ def train_ego(
     steps: str = "20M",
     preferences: str | None = None,
     choosing: Choosing = Choosing(),
+    told: bool = False,
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -36,21 +37,19 @@ def train_ego(
 ) -> None:
     """Train robots with the partners of a split's training half, which stay as they are.
 
-    Every partner gets the same share of the simulations, under its own disability setting, and acts
-    with its most likely action. The test half is never loaded. Each seed's robot is a policy file.
+    Every partner gets the same share of the simulations, and acts with its most likely action. The
+    test half is never loaded. Each seed's robot is a policy file.
 
     Args:
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
-        split: Split whose training half are the partners: an id or the beginning of one; default
-            the release's own.
+        split: Whose training half are the partners: an id or its beginning; default the release's.
         partners: persons for a new person of the training side each episode, in place of networks.
-        algorithm: ppo or sac.
-        steps: Environment steps of each robot, such as 500k, 20M or 2e7; rounded up to whole
-            updates.
-        preferences: What the humans of a gentle task like, such as p2,p3, in turns; if not given,
-            those of the split's training half, or all, drawn anew each episode, where it holds
-            none out.
+        algorithm: ppo, sac, or a method: gru, asymmetric, liam, palm, rma, gamma, rl2.
+        steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
+        preferences: What the humans of a gentle task like, such as p2,p3, in turns; default those
+            of the split's training half, or all, drawn anew each episode.
+        told: Let robots observe what the human likes: a row to compare with.
         choosing: What is chosen among.
         training: How it trains.
         registry: Registry to read instead of the installed one.
@@ -73,6 +72,7 @@ def train_ego(
             partners=partners,
             algorithm=algorithm,
             preferences=parse_names(preferences),
+            told=told,
             **what,
         )
         egos = _trained(prepared, out, choosing, progress=progress, **training.how())

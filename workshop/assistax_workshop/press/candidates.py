@@ -50,6 +50,9 @@ def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
         FormatError: Its parameters are not those of its spec.
     """
     name = _name(team, release)
+    if team.training.get("told"):
+        found = "one that is told what the human likes, which no robot may observe"
+        raise PublishError(f"ego {name}", "a robot that observes what robots do", found)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
     for role, spec in team.specs.items():
         check(spec, leaves[role], f"parameters of {name}/{role}")

@@ -5,7 +5,9 @@ Training for Zero-Shot Human-AI Coordination") pays a team for doing what its po
 does.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,9 @@ from population.config import Member, populations
 from population.networks.members import member_map
 from population.networks.policy import Policy
 from population.networks.seat import Params
-from population.trainers.experience import Batch
+
+if TYPE_CHECKING:
+    from population.trainers.experience import Batch
 
 # Partners of the zoo are the humans. A robot has joints to spare, in which it could differ from
 # other robots without any human noticing.
@@ -29,7 +33,7 @@ def peers(members: Sequence[Member]) -> Int[Array, "M n"]:
 
 
 def log_mean_density(
-    policy: Policy, params: Params, peers: Int[Array, "M n"], batch: Batch
+    policy: Policy, params: Params, peers: Int[Array, "M n"], batch: "Batch"
 ) -> Float[Array, "M T N"]:
     """Return log (1/n) sum_j pi_j(a | o): how usual its population finds what a human did.
 
@@ -50,3 +54,19 @@ def log_mean_density(
         return jax.nn.logsumexp(densities, axis=0) - jnp.log(len(densities))
 
     return member_map(usual)(peers, batch.obs[ROLE], batch.first, batch.raw[ROLE])
+
+
+def with_bonus(
+    policy: Policy, params: Params, batch: "Batch", hyper: Mapping[str, jax.Array]
+) -> "tuple[Batch, dict[str, jax.Array]]":
+    """Pay for what the population seldom does: r - c log (1/n) sum_j pi_j(a | o).
+
+    Logged are the population's entropy, and what of it is due to differences: between 0, where
+    all humans act alike, and log n, where none would do what another does.
+    """
+    usual = log_mean_density(policy, params, hyper["peers"], batch)
+    reward = batch.reward - hyper["population_coef"][:, None, None] * usual
+    return dataclasses.replace(batch, reward=reward), {
+        "population_entropy": -usual.mean((1, 2)),
+        "population_divergence": (batch.log_prob[ROLE] - usual).mean((1, 2)),
+    }

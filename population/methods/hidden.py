@@ -1,0 +1,91 @@
+"""What no robot observes, as observations that training may use."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.preferences import WISHES
+from population.environment import Environment, EnvState
+from population.networks.policy import normalise
+from population.networks.seat import Params
+from population.networks.spec import ROLES
+
+if TYPE_CHECKING:
+    from population.trainers.frozen_partners import FrozenPartners
+
+WHO, HIDDEN, IMAGINED = "partner", "hidden", "imagined"  # names of these observations
+_SETTING = ("strength", "elbow_range", "tremor")
+
+
+class WithHidden:
+    """An environment that also shows who the partner is and what is hidden of it.
+
+    "partner" [N, 1] is its place among the partners; "imagined" [N, 1] is 1 where a model acts in
+    its place. "hidden" [N, W] is what it wishes, what its body can do and, of persons, their 25
+    numbers, standardised.
+
+    Args:
+        env: The environment.
+        partners: Who sits in the other seat.
+        num_envs: Simulations of a member.
+    """
+
+    def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
+        self._env, self._partners, self._num_envs = env, partners, num_envs
+        self.task, self.backend, self.version = env.task, env.backend, env.version
+        self.episode_length, self.action_size = env.episode_length, env.action_size
+        self._wishes = len(WISHES.get(env.task, ()))
+        self._numbers = standardised(partners.numbers)
+        width = self._wishes + len(_SETTING) + self._numbers.shape[1]
+        self.observation_size = {**env.observation_size, WHO: 1, IMAGINED: 1, HIDDEN: width}
+
+    def reset(self, keys: jax.Array, params: Any) -> EnvState:
+        """Start episodes."""
+        return self._shown(self._env.reset(keys, params))
+
+    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState:
+        """Advance by one step."""
+        own = {name: state.obs[name] for name in self._env.observation_size}
+        return self._shown(self._env.step(dataclasses.replace(state, obs=own), action))
+
+    def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
+        """Return the joint angles of each role, rad."""
+        return self._env.joint_positions(state)
+
+    def _shown(self, state: EnvState) -> EnvState:
+        who = self._partners.who(state.params, self._num_envs)
+        everything = state.obs["global"]
+        parts = [everything[:, everything.shape[1] - self._wishes :]]
+        parts += [getattr(state.params, name)[:, None] for name in _SETTING]
+        if self._numbers.size:
+            parts.append(jnp.asarray(self._numbers)[who])
+        shown = {WHO: who, IMAGINED: self._partners.imagined(len(who))}
+        shown = {name: value[:, None].astype(jnp.float32) for name, value in shown.items()}
+        shown[HIDDEN] = jnp.concatenate(parts, axis=-1)
+        return dataclasses.replace(state, obs={**state.obs, **shown})
+
+
+def beside(
+    names: Sequence[str], obs: Mapping[str, jax.Array], normalisers: Mapping[str, Params]
+) -> dict[str, jax.Array]:
+    """Return observations by names; those of roles and of the world normalised."""
+    usual = normalisers.keys() & {*ROLES, "global"}
+    return {
+        name: normalise(normalisers[name], obs[name]) if name in usual else obs[name]
+        for name in names
+    }
+
+
+def standardised(numbers: np.ndarray | None) -> np.ndarray:
+    """Return partners' numbers [P, W], each with mean 0 and deviation 1 over them.
+
+    Of partners without numbers it is [0, 0].
+    """
+    if numbers is None:
+        return np.zeros((0, 0), np.float32)
+    spread = np.maximum(numbers.std(axis=0, dtype=np.float64), 1e-6)
+    return ((numbers - numbers.mean(axis=0, dtype=np.float64)) / spread).astype(np.float32)
