@@ -22,6 +22,7 @@ from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
+from evaluation.player.episode import pack
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
 from evaluation.record.manifest import file_sha256, read_manifest
@@ -59,6 +60,19 @@ def write_report(folder: Path, path: Path) -> None:
             f"{folder} is damaged, or of another version ({type(error).__name__}: {reason!a}); "
             "run again"
         ) from None
+    tables.write_bytes(text.encode(), path)
+
+
+def write_episode(content: Mapping[str, Any], path: Path) -> None:
+    """Write a page that plays an episode, complete or not at all.
+
+    Args:
+        content: What `evaluation.player.episode.episode_content` returned.
+        path: The page.
+    """
+    title = f"An episode of {content['task']}"
+    data = base64.b64encode(pack(content)).decode()
+    text = templates().get_template("watch.html").render(title=title, data=data)
     tables.write_bytes(text.encode(), path)
 
 
