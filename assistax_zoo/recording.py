@@ -154,15 +154,18 @@ def _who(name: str, seat: "Seated") -> dict[str, Any]:
 
 def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
     from assistax_base.parquet import write_parquet
+    from assistax_envs.disability import Disability
     from evaluation.record.manifest import describe_machine
 
     env, setting = pair.env, pair.setting
+    if pair.seats["human"].humans is not None:  # a person has a body of its own
+        setting = None
     about = {
         "task": env.task,
         "environment_version": env.version,
         "backend": env.backend,
         "engine": env.engine,
-        "disability": setting if isinstance(setting, str) else dataclasses.asdict(setting),
+        "disability": dataclasses.asdict(setting) if isinstance(setting, Disability) else setting,
         **facts,
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),

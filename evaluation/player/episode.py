@@ -93,7 +93,7 @@ def read_episode(path: Path, number: int = 0) -> Episode:
 def episode_content(episode: Episode) -> dict[str, Any]:
     """Return what the page plays: JSON of names and finite numbers."""
     about, task = episode.about, TASK_CLASSES[episode.about["task"]]
-    scene = scene_content(_scene(task), f"human {about['person']}")
+    scene = scene_content(scene_of(episode), f"human {about['person']}")
     camera, points = scene["camera"], next(iter(episode.targets.values()))[:, :3]
     middle = points[np.isfinite(points).all(axis=1)]
     towards = (middle.mean(axis=0) if len(middle) else np.zeros(3)) - camera["pos"]
@@ -105,7 +105,7 @@ def episode_content(episode: Episode) -> dict[str, Any]:
         "person": about["person"],
         "facts": _facts(episode),
         "scene": scene,
-        "seconds": SUBSTEPS * float(picture_model(_scene(task)).opt.timestep),
+        "seconds": seconds_of(episode),
         "poses": _numbers(episode.poses, 5),
         "targets": [
             {
@@ -115,7 +115,7 @@ def episode_content(episode: Episode) -> dict[str, Any]:
             }
             for name, points in episode.targets.items()
         ],
-        "touches": _touches(episode, REGISTERED[about["task"]].felt),
+        "touches": _touches(episode),
         "wishes": [
             {"name": name, "value": value, "scale": WISH_WORDS[name][0], "unit": WISH_WORDS[name][1]}
             for name, value in episode.wishes.items()
@@ -130,6 +130,21 @@ def episode_content(episode: Episode) -> dict[str, Any]:
             for (least, colour), words in zip(LEVELS, LEVEL_WORDS, strict=True)
         ],
     }
+
+
+def scene_of(episode: Episode) -> str:
+    """Return whose scene an episode is played in."""
+    return _scene(TASK_CLASSES[episode.about["task"]])
+
+
+def seconds_of(episode: Episode) -> float:
+    """Return the length of a step."""
+    return SUBSTEPS * float(picture_model(scene_of(episode)).opt.timestep)
+
+
+def is_felt(episode: Episode) -> bool:
+    """Return whether the recorded force is of all touches, not of the tool on the arm alone."""
+    return REGISTERED[episode.about["task"]].felt
 
 
 def pack(content: Mapping[str, Any]) -> bytes:
@@ -161,7 +176,9 @@ def _about(path: Path) -> dict[str, Any]:
 
 
 def _setting(described: Any) -> str:
-    """Return a disability setting in words, by its name where it has one."""
+    """Return a disability setting in words, by its name where it has one; None of persons."""
+    if described is None:
+        return "its own: a person of the zoo"
     names = {dataclasses.astuple(setting): name for name, setting in DISABILITY_SETTINGS.items()}
     fields = [field.name for field in dataclasses.fields(Disability)]
     setting = DISABILITY_SETTINGS[described] if isinstance(described, str) else None
@@ -259,9 +276,9 @@ def _short(name: str, value: float) -> str:
     return f"{value * WISH_WORDS[name][0]:.3g}"
 
 
-def _touches(episode: Episode, felt: bool) -> list[list[list[float]]]:
+def _touches(episode: Episode) -> list[list[list[float]]]:
     """Return of each moment where the robot presses, which way, and with how many N."""
-    model = picture_model(_scene(TASK_CLASSES[episode.about["task"]]))
+    model = picture_model(scene_of(episode))
     data, touches = mujoco.MjData(model), []
     rows = zip(episode.poses, episode.velocities, episode.force, strict=True)
     for pose, velocity, newtons in rows:
@@ -271,7 +288,7 @@ def _touches(episode: Episode, felt: bool) -> list[list[list[float]]]:
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = pose, velocity
         mujoco.mj_forward(model, data)
-        pressed = np.column_stack(pressing(model, data, newtons, felt=felt))
+        pressed = np.column_stack(pressing(model, data, newtons, felt=is_felt(episode)))
         touches.append(_numbers(pressed[pressed[:, 6] > 0.0], 4))
     return touches
 

@@ -116,8 +116,9 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     const found = scene.labels();
     for (const [kind, label] of Object.entries(labels)) {
       const at = found[kind];
-      label.hidden = !at;
-      if (!at) continue;
+      const [right, bottom] = [stage.clientWidth + 60, stage.clientHeight + 60];
+      label.hidden = !at || at[0] < -60 || at[1] < -60 || at[0] > right || at[1] > bottom;
+      if (label.hidden) continue;
       if (kind === "force") {
         label.textContent = `${figure(episode.force[state.step])} N`;
         label.style.setProperty("--level", levelOf(episode, episode.force[state.step]).colour);
