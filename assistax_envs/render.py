@@ -259,9 +259,7 @@ def pressing(
     return points, ways, newtons / given.sum() * given
 
 
-def shown(
-    task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]"
-) -> dict[str, np.ndarray]:
+def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> dict[str, np.ndarray]:
     """Return what players show of T states of one simulation.
 
     `pose` and `velocity` of all joints [T, nq], `target_NAME` [T, 3 K] in m, NaN where one is not

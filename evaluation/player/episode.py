@@ -117,7 +117,12 @@ def episode_content(episode: Episode) -> dict[str, Any]:
         ],
         "touches": _touches(episode),
         "wishes": [
-            {"name": name, "value": value, "scale": WISH_WORDS[name][0], "unit": WISH_WORDS[name][1]}
+            {
+                "name": name,
+                "value": value,
+                "scale": WISH_WORDS[name][0],
+                "unit": WISH_WORDS[name][1],
+            }
             for name, value in episode.wishes.items()
         ],
         "force": _numbers(episode.force, 3),
@@ -184,7 +189,9 @@ def _setting(described: Any) -> str:
     setting = DISABILITY_SETTINGS[described] if isinstance(described, str) else None
     values = [float(described[name]) for name in fields] if setting is None else []
     setting = setting or Disability(*values)
-    words = f"{setting.strength:.0%} of its strength, {setting.elbow_range:.0%} of its elbow's range"
+    words = (
+        f"{setting.strength:.0%} of its strength, {setting.elbow_range:.0%} of its elbow's range"
+    )
     words += f", tremor {setting.tremor:.0%}" if setting.tremor else ""
     name = names.get(dataclasses.astuple(setting))
     return f"{name}: {words}" if name else words

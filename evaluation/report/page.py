@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures.summary import EvaluationSummary, read_summary
+from evaluation.player.episode import episode_content, pack, read_episode
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
-from evaluation.player.episode import pack
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
 from evaluation.record.manifest import file_sha256, read_manifest
@@ -38,6 +38,8 @@ _HASHED = (
     *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
     *(tables.BOUNDS_FILE, tables.SUMMARY_FILE),
 )
+
+RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that are shown
 
 
 def write_report(folder: Path, path: Path) -> None:
@@ -71,8 +73,7 @@ def write_episode(content: Mapping[str, Any], path: Path) -> None:
         path: The page.
     """
     title = f"An episode of {content['task']}"
-    data = base64.b64encode(pack(content)).decode()
-    text = templates().get_template("watch.html").render(title=title, data=data)
+    text = templates().get_template("watch.html").render(title=title, data=_packed(content))
     tables.write_bytes(text.encode(), path)
 
 
@@ -117,7 +118,9 @@ def _page(folder: Path) -> str:
         hashes[f"split {figures.split.id}"] = figures.split.sha256
     if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
+    recorded = sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
     hashed = [name for name in _HASHED if (folder / name).is_file()]
+    hashed += [path.name for path in recorded]
     return (
         templates()
         .get_template(f"{kind}.html")
@@ -125,6 +128,7 @@ def _page(folder: Path) -> str:
             summary=summary,
             run=_read(folder, tables.RUN_FILE),
             identity=manifest.get("identity"),
+            episodes=[_packed(episode_content(read_episode(path))) for path in recorded],
             hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
         )
@@ -209,6 +213,30 @@ def _film(folder: Path) -> dict[str, Any] | None:
     preferences = _first_preferences(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
     return {"command": shlex.join(["assistax-zoo", *words]), "preferences": preferences}
+
+
+def worst_pair(folder: Path) -> dict[str, Any]:
+    """Return the pair of a folder that earns least, as arguments of `trajectories`.
+
+    Raises:
+        ValueError: Its manifest does not name the episodes.
+    """
+    if _film(folder) is None:
+        raise ValueError(f"{folder} does not name the episodes that it played; run again")
+    identity, table = (
+        read_manifest(folder)["identity"],
+        tables.read_episodes(folder / tables.EPISODES_FILE),
+    )
+    means = table.group_by("ego", "partner").agg(pl.col("return").mean())
+    robot, human, _ = means.sort("return", "ego", "partner").row(0)
+    liked = _first_preferences(folder).get(human) if "preferences" in identity else None
+    pair = {"robot": robot, "human": human, "task": str(identity["task"])}
+    return pair | {"seed": int(identity["seed"]), "preference": liked}
+
+
+def _packed(content: Mapping[str, Any]) -> str:
+    """Return an episode as text that an attribute holds."""
+    return base64.b64encode(pack(content)).decode()
 
 
 def _first_preferences(folder: Path) -> dict[str, str]:

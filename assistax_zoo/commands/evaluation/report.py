@@ -4,7 +4,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import printable
-from assistax_zoo.shell.console import answer, new_table, print_json, print_table
+from assistax_zoo.commands.evaluation.render import EPISODE
+from assistax_zoo.shell.console import (
+    answer,
+    new_table,
+    print_json,
+    print_table,
+    progress,
+    stdout_is_data,
+)
 
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
@@ -59,7 +67,7 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
         _print_strategies(groups)
 
 
-def report(folder: Path, /, *, out: Path) -> None:
+def report(folder: Path, /, *, out: Path, watch: bool = False) -> None:
     """Write one page about a finished evaluation or cross-play, for a browser.
 
     It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
@@ -68,14 +76,32 @@ def report(folder: Path, /, *, out: Path) -> None:
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
         out: Page to write, .html.
+        watch: Record the first episode of the pair that earns least, and play it in the page. Other
+            files of `trajectories` in the folder that end in .trajectory are played too.
 
     Example:
         assistax-zoo report xp --out report.html
     """
     from evaluation.report import write_report
 
+    if watch:
+        _record_worst(folder)
     write_report(folder, out)
     print(out)
+
+
+def _record_worst(folder: Path) -> None:
+    """Record the pair of a folder that earns least, beside its tables."""
+    with stdout_is_data():
+        from assistax_zoo.recording import trajectories
+        from evaluation.record.verification import check_whole
+        from evaluation.report.page import RECORDED, worst_pair
+
+        check_whole(folder)
+        pair, file = worst_pair(folder), folder / f"worst{RECORDED}"
+        with progress(f"play {pair['task']}", EPISODE) as advance:
+            options = {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
+            trajectories(**pair, out=file, **options)
 
 
 def _difference_line(side: str, difference: "Difference") -> str:
