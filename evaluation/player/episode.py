@@ -128,6 +128,8 @@ def episode_content(episode: Episode) -> dict[str, Any]:
         "force": _numbers(episode.force, 3),
         "hurts": hurts.tolist(),
         "speed": None if episode.speed is None else _numbers(episode.speed, 4),
+        "distance": _numbers(_gaps(episode), 4) if "distance" in episode.wishes else None,
+        "rests": (episode.terms.get("rest", np.zeros(len(episode.reward))) > 0.0).tolist(),
         "reward": _numbers(episode.reward, 5),
         "terms": {name: _numbers(values, 5) for name, values in episode.terms.items()},
         "levels": [
@@ -302,6 +304,18 @@ def _touches(episode: Episode) -> list[list[list[float]]]:
 
 def _scene(task: type) -> str:
     return getattr(task, "scene", task.name)
+
+
+def _gaps(episode: Episode) -> np.ndarray:
+    """Return how far the tool is from the first target, m [T]."""
+    model = picture_model(scene_of(episode))
+    data, tools = mujoco.MjData(model), []
+    for pose in episode.poses:
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        tools.append(data.sensor("robot_end_effector_position").data.copy())
+    points = next(iter(episode.targets.values()))[:, :3]
+    return np.linalg.norm(np.nan_to_num(points) - tools, axis=1)
 
 
 def _numbers(values: np.ndarray, digits: int) -> list[Any]:

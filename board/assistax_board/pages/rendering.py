@@ -23,7 +23,7 @@ _MEDIA_TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-PLAYER = ("three.min.js", "player_scene.js", "player.js")  # in this order
+PLAYER = ("three.min.js", "player_parts.js", "player_scene.js", "player.js")  # in this order
 _OF_REPORTS = ("matrix.js", "player.css", *PLAYER)
 
 

@@ -3,74 +3,6 @@
 // `playEpisode(place, bytes)` fills an element; places that hold their episode are filled at once.
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const FELT = 0.3; // N, from where on a touch counts as one
-const MOODS = {
-  none: { colour: "transparent", words: { force: "no touch", speed: "no touch" } },
-  less: { colour: "#7aa6d8", words: { force: "lighter than liked", speed: "slower than liked" } },
-  liked: { colour: "#009e73", words: { force: "as liked", speed: "as liked" } },
-  more: { colour: "#e69f00", words: { force: "harder than liked", speed: "faster than liked" } },
-  hurt: { colour: "#b3261e", words: { force: "it hurts", speed: "it hurts" } },
-};
-
-function levelOf(episode, newtons) {
-  return episode.levels.filter((level, i) => !i || newtons >= level.from).at(-1);
-}
-
-// How a value is liked while the person is touched: within a factor of two of the wish, or not.
-function moodOf(episode, step, name) {
-  const wish = episode.wishes.find((one) => one.name === name);
-  if (episode.hurts[step]) return "hurt";
-  if (!wish || episode.force[step] <= FELT) return "none";
-  const share = episode[name][step] / wish.value;
-  return share < 0.5 ? "less" : share > 2 ? "more" : "liked";
-}
-
-// Share of the time with a touch in which its force was liked; NaN without any touch.
-function sharesLiked(episode) {
-  const moods = episode.force.map((_, step) => moodOf(episode, step, "force"));
-  const touched = moods.filter((mood) => mood !== "none");
-  return touched.filter((mood) => mood === "liked").length / touched.length;
-}
-
-async function unpacked(bytes) {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return JSON.parse(await new Response(stream).text());
-}
-
-function element(tag, className = "", text = "") {
-  const made = document.createElement(tag);
-  if (className) made.className = className;
-  made.textContent = text;
-  return made;
-}
-
-function shape(tag, attributes) {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-}
-
-const figure = (value, digits = 1) => (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);
-
-// One curve over the episode's steps, with a band of what is liked. Roots show small values beside
-// large ones: a peak does not hide what comes after it.
-function curveOf(values, { height, low, high, wish, label, roots = false }) {
-  const plot = element("div", "episode-plot");
-  plot.style.height = `${height}px`;
-  const last = Math.max(1, values.length - 1);
-  const share = (value) => (Math.max(low, Math.min(high, value)) - low) / (high - low || 1);
-  const y = (value) => 100 - 100 * (roots ? Math.sqrt(share(value)) : share(value));
-  const svg = shape("svg", { viewBox: `0 0 ${last} 100`, preserveAspectRatio: "none", role: "img", "aria-label": label });
-  if (wish) {
-    const [top, bottom] = [y(2 * wish.value), y(wish.value / 2)];
-    svg.append(shape("rect", { class: "liked", x: 0, y: top, width: last, height: bottom - top }));
-    svg.append(shape("path", { class: "wish", d: `M0 ${y(wish.value)}H${last}` }));
-  }
-  if (low < 0) svg.append(shape("path", { class: "zero", d: `M0 ${y(0)}H${last}` }));
-  svg.append(shape("path", { d: `M${values.map((value, i) => `${i} ${y(value).toFixed(2)}`).join("L")}` }));
-  plot.append(svg);
-  return plot;
-}
 
 function playEpisode(place, episode, { autoplay = false } = {}) {
   const last = episode.poses.length - 1;
@@ -119,6 +51,7 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
       const [right, bottom] = [stage.clientWidth + 60, stage.clientHeight + 60];
       label.hidden = !at || at[0] < -60 || at[1] < -60 || at[0] > right || at[1] > bottom;
       if (label.hidden) continue;
+      if (kind === "target") label.style.borderColor = episode.targets[0].colour;
       if (kind === "force") {
         label.textContent = `${figure(episode.force[state.step])} N`;
         label.style.setProperty("--level", levelOf(episode, episode.force[state.step]).colour);
@@ -227,18 +160,19 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
       box.style.setProperty("--level", colour ?? "var(--p-line)");
     });
   }
-  const wishOf = (name) => episode.wishes.find((wish) => wish.name === name && episode[name]);
-  const [likedForce, likedSpeed] = [wishOf("force"), wishOf("speed")];
-  tile("force on the person", (step) => {
-    const mood = moodOf(episode, step, "force");
-    const level = levelOf(episode, episode.force[step]);
-    const said = likedForce || mood === "hurt" ? MOODS[mood].words.force : episode.force[step] > FELT ? level.label : "no touch";
-    return [`${figure(episode.force[step])} N`, said, likedForce ? MOODS[mood].colour : level.colour];
-  });
-  if (likedSpeed) {
-    tile("speed of the tool", (step) => {
-      const mood = moodOf(episode, step, "speed");
-      return [`${figure(100 * episode.speed[step])} cm/s`, MOODS[mood].words.speed, MOODS[mood].colour];
+  const wishes = episode.wishes.filter((wish) => episode[wish.name]); // that are seen
+  const shown = (name, step) => {
+    const { scale, unit } = episode.wishes.find((wish) => wish.name === name) ?? { scale: 1, unit: "N" };
+    return `${figure(episode[name][step] * scale)} ${unit}`;
+  };
+  for (const name of new Set(["force", ...wishes.map((wish) => wish.name)])) {
+    const wished = wishes.some((wish) => wish.name === name);
+    tile(WISHED[name].name, (step) => {
+      const mood = moodOf(episode, step, name);
+      const level = levelOf(episode, episode.force[step]);
+      if (wished || mood === "hurt") return [shown(name, step), moodWords(mood, name), MOODS[mood]];
+      const touched = episode.force[step] > FELT;
+      return [shown(name, step), touched ? level.label : "no touch", touched ? level.colour : undefined];
     });
   }
   const returns = [];
@@ -248,11 +182,11 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
   // Curves.
   function add(plot, name, value) {
     const curve = element("div", "episode-curve");
-    const [words, shown] = [element("p"), element("b")];
-    words.append(element("span", "", name), shown);
+    const [words, now] = [element("p"), element("b")];
+    words.append(element("span", "", name), now);
     curve.append(words, follow(plot));
     right.append(curve);
-    updates.push((step) => (shown.textContent = value(step)));
+    updates.push((step) => (now.textContent = value(step)));
     return curve;
   }
   function follow(plot) {
@@ -270,7 +204,6 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     plot.addEventListener("pointermove", (event) => event.buttons && to(event));
     return plot;
   }
-  const ceiling = (values, wish) => 1.15 * Math.max(...values, wish ? 2 * wish.value : 0, 1e-3);
   function limits(plot, low, high, unit) {
     const [top, bottom] = [element("span", "", `${high} ${unit}`), element("span", "", String(low))];
     top.style.top = "3px";
@@ -278,42 +211,45 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     plot.append(top, bottom);
     return plot;
   }
-  const liking = (wish) => (wish ? `, likes ${figure(wish.value * wish.scale, 0)} ${wish.unit} (green)` : "");
-  const most = ceiling(episode.force, likedForce);
-  const forces = curveOf(episode.force, { height: 92, low: 0, high: most, wish: likedForce, label: "Force over time", roots: true });
-  const curve = add(limits(forces, 0, figure(most, 0), "N"), `force on the person${liking(likedForce)}`, (step) => `${figure(episode.force[step])} N`);
-  curve.dataset.curve = "force";
-  if (likedForce) addMoods(curve);
-  if (likedSpeed) {
-    const fastest = Math.min(ceiling(episode.speed, likedSpeed), 12 * likedSpeed.value);
-    const speeds = curveOf(episode.speed, { height: 56, low: 0, high: fastest, wish: likedSpeed, label: "Speed over time", roots: true });
-    add(limits(speeds, 0, figure(100 * fastest, 0), "cm/s"), `speed of the tool${liking(likedSpeed)}`, (step) => `${figure(100 * episode.speed[step])} cm/s`);
+  for (const name of new Set(["force", ...wishes.map((wish) => wish.name)])) {
+    const wish = wishes.find((one) => one.name === name);
+    const { scale, unit } = wish ?? { scale: 1, unit: "N" };
+    const high = 1.15 * Math.max(...episode[name], wish ? 2 * wish.value : 1e-3);
+    const [height, label] = [name === "force" ? 92 : 64, `${WISHED[name].name} over time`];
+    const plot = curveOf(episode[name], { height, low: 0, high, wish, label, roots: true });
+    const liked = wish ? `, likes ${figure(wish.value * scale)} ${unit} (green)` : "";
+    const curve = add(limits(plot, 0, figure(high * scale, 0), unit), WISHED[name].name + liked, (step) => shown(name, step));
+    curve.dataset.curve = name;
+    if (wish && name !== "speed") addMoods(curve, name);
   }
   const [worst, best] = [Math.min(0, ...episode.reward), Math.max(1e-3, ...episode.reward)];
   const rewards = curveOf(episode.reward, { height: 64, low: worst, high: best, label: "Reward over time" });
   add(limits(rewards, figure(worst), figure(best), ""), "reward of a step", (step) => figure(episode.reward[step], 2));
   addTerms();
 
-  function addMoods(curve) {
+  function addMoods(curve, name) {
     const strip = element("div", "episode-mood");
-    const moods = episode.force.map((_, step) => moodOf(episode, step, "force"));
+    const moods = episode.force.map((_, step) => moodOf(episode, step, name));
     for (let start = 0, end = 1; start < moods.length; start = end++) {
       while (end < moods.length && moods[end] === moods[start]) end += 1;
       const part = element("i");
       part.style.width = `${(100 * (end - start)) / moods.length}%`;
-      part.style.background = MOODS[moods[start]].colour;
+      part.style.background = MOODS[moods[start]] ?? "transparent";
       strip.append(part);
     }
     const key = element("p", "episode-key");
-    for (const mood of ["less", "liked", "more", "hurt"]) {
+    for (const [mood, colour] of Object.entries(MOODS)) {
       const swatch = element("i");
-      swatch.style.background = MOODS[mood].colour;
+      swatch.style.background = colour;
       const word = element("span");
-      word.append(swatch, MOODS[mood].words.force);
+      word.append(swatch, moodWords(mood, name));
       key.append(word);
     }
-    const share = sharesLiked(episode);
-    const told = isNaN(share) ? "The robot never touches the person." : `Of the time with a touch, ${figure(100 * share, 0)}% was as liked (within a factor of two).`;
+    const share = shareLiked(moods);
+    const [time, never] = name === "force"
+      ? ["Of the time with a touch", "The robot never touches the person."]
+      : ["Of the time that the arm rests", "The arm never rests."];
+    const told = isNaN(share) ? never : `${time}, ${figure(100 * share, 0)}% was as liked (within a factor of two).`;
     curve.append(strip, key, element("p", "episode-liking", told));
   }
 
