@@ -5,8 +5,6 @@ before anything is drawn.
 """
 
 import dataclasses
-import json
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -154,12 +152,6 @@ def is_felt(episode: Episode) -> bool:
     return REGISTERED[episode.about["task"]].felt
 
 
-def pack(content: Mapping[str, Any]) -> bytes:
-    """Return content as pages load it: JSON, compressed."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    return zlib.compress(text.encode(), 9)
-
-
 class _UnplayableError(Exception):
     """A table has not what a player shows: says what."""
 
@@ -302,7 +294,7 @@ def _touches(episode: Episode) -> list[list[list[float]]]:
     return touches
 
 
-def _scene(task: type) -> str:
+def _scene(task: Any) -> str:
     return getattr(task, "scene", task.name)
 
 
@@ -320,8 +312,9 @@ def _gaps(episode: Episode) -> np.ndarray:
 
 def _numbers(values: np.ndarray, digits: int) -> list[Any]:
     """Return rounded numbers as lists, null for NaN."""
-    rounded = np.round(values, digits) + 0.0
-    return np.where(np.isfinite(rounded), rounded.astype(object), None).tolist()
+    rounded = (np.round(values, digits) + 0.0).astype(object)
+    rounded[~np.isfinite(values)] = None
+    return rounded.tolist()
 
 
 def _hex(colour: Any) -> str:

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures.summary import EvaluationSummary, read_summary
-from evaluation.player.episode import episode_content, pack, read_episode
 from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import arrange, short_names
@@ -39,11 +38,14 @@ _HASHED = (
     *(tables.BOUNDS_FILE, tables.SUMMARY_FILE),
 )
 
-RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that are shown
 
-
-def write_report(folder: Path, path: Path) -> None:
+def write_report(folder: Path, path: Path, episodes: Sequence[bytes] = ()) -> None:
     """Write the page about a folder that `evaluate` or `crossplay` filled, complete or not at all.
+
+    Args:
+        folder: The folder.
+        path: The page.
+        episodes: To be played in it, of `evaluation.player.page.pack`.
 
     Raises:
         FileNotFoundError: The folder, or a table in it, is missing.
@@ -54,7 +56,7 @@ def write_report(folder: Path, path: Path) -> None:
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
     try:
-        text = _page(folder)
+        text = _page(folder, episodes)
     except _STRANGE as error:
         # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
         reason = (str(error).splitlines() or [""])[0][:200]
@@ -62,18 +64,6 @@ def write_report(folder: Path, path: Path) -> None:
             f"{folder} is damaged, or of another version ({type(error).__name__}: {reason!a}); "
             "run again"
         ) from None
-    tables.write_bytes(text.encode(), path)
-
-
-def write_episode(content: Mapping[str, Any], path: Path) -> None:
-    """Write a page that plays an episode, complete or not at all.
-
-    Args:
-        content: What `evaluation.player.episode.episode_content` returned.
-        path: The page.
-    """
-    title = f"An episode of {content['task']}"
-    text = templates().get_template("watch.html").render(title=title, data=_packed(content))
     tables.write_bytes(text.encode(), path)
 
 
@@ -108,7 +98,7 @@ def templates() -> jinja2.Environment:
     return environment
 
 
-def _page(folder: Path) -> str:
+def _page(folder: Path, episodes: Sequence[bytes]) -> str:
     figures, manifest = read_summary(folder), read_manifest(folder) or {}
     kind = "evaluation" if isinstance(figures, EvaluationSummary) else "crossplay"
     summary = tables.to_json(figures)
@@ -118,9 +108,7 @@ def _page(folder: Path) -> str:
         hashes[f"split {figures.split.id}"] = figures.split.sha256
     if "job" in manifest:
         hashes["job: policies, settings and software"] = manifest["job"]
-    recorded = sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
     hashed = [name for name in _HASHED if (folder / name).is_file()]
-    hashed += [path.name for path in recorded]
     return (
         templates()
         .get_template(f"{kind}.html")
@@ -128,7 +116,7 @@ def _page(folder: Path) -> str:
             summary=summary,
             run=_read(folder, tables.RUN_FILE),
             identity=manifest.get("identity"),
-            episodes=[_packed(episode_content(read_episode(path))) for path in recorded],
+            episodes=[base64.b64encode(episode).decode() for episode in episodes],
             hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
         )
@@ -193,7 +181,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     strategies = _read(folder, tables.STRATEGIES_FILE)
     listed = strategies["partners"] if strategies else ()
     return {
-        "data": matrix_data(pairs, order, strategies) | {"film": _film(folder)},
+        "data": matrix_data(pairs, order, strategies) | {"film": film_of(folder)},
         "strategies": strategies,
         "short": _short([row["partner"] for row in listed])
         | _short([row["robot"] for row in listed]),
@@ -201,7 +189,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _film(folder: Path) -> dict[str, Any] | None:
+def film_of(folder: Path) -> dict[str, Any] | None:
     """Return what films the first episode of a pair, by the manifest: command and preferences.
 
     None where no manifest names the episodes, or where all humans had the same starts, as before
@@ -210,36 +198,12 @@ def _film(folder: Path) -> dict[str, Any] | None:
     identity = (read_manifest(folder) or {}).get("identity")
     if not identity or not identity.get("apart"):
         return None
-    preferences = _first_preferences(folder) if "preferences" in identity else {}
+    preferences = first_preferences(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
     return {"command": shlex.join(["assistax-zoo", *words]), "preferences": preferences}
 
 
-def worst_pair(folder: Path) -> dict[str, Any]:
-    """Return the pair of a folder that earns least, as arguments of `trajectories`.
-
-    Raises:
-        ValueError: Its manifest does not name the episodes.
-    """
-    if _film(folder) is None:
-        raise ValueError(f"{folder} does not name the episodes that it played; run again")
-    identity, table = (
-        read_manifest(folder)["identity"],
-        tables.read_episodes(folder / tables.EPISODES_FILE),
-    )
-    means = table.group_by("ego", "partner").agg(pl.col("return").mean())
-    robot, human, _ = means.sort("return", "ego", "partner").row(0)
-    liked = _first_preferences(folder).get(human) if "preferences" in identity else None
-    pair = {"robot": robot, "human": human, "task": str(identity["task"])}
-    return pair | {"seed": int(identity["seed"]), "preference": liked}
-
-
-def _packed(content: Mapping[str, Any]) -> str:
-    """Return an episode as text that an attribute holds."""
-    return base64.b64encode(pack(content)).decode()
-
-
-def _first_preferences(folder: Path) -> dict[str, str]:
+def first_preferences(folder: Path) -> dict[str, str]:
     """Return under which preference each human of a gentle task played its first episode."""
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     first = table.filter(pl.col("episode") == 0)

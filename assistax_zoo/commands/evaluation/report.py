@@ -14,6 +14,8 @@ from assistax_zoo.shell.console import (
     stdout_is_data,
 )
 
+RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that its page plays
+
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
 
@@ -84,24 +86,33 @@ def report(folder: Path, /, *, out: Path, watch: bool = False) -> None:
     """
     from evaluation.report import write_report
 
-    if watch:
-        _record_worst(folder)
-    write_report(folder, out)
+    with stdout_is_data():
+        if watch:
+            _record_worst(folder)
+        write_report(folder, out, [_recorded(path) for path in _recordings(folder)])
     print(out)
 
 
 def _record_worst(folder: Path) -> None:
     """Record the pair of a folder that earns least, beside its tables."""
-    with stdout_is_data():
-        from assistax_zoo.recording import trajectories
-        from evaluation.record.verification import check_whole
-        from evaluation.report.page import RECORDED, worst_pair
+    from assistax_zoo.recording import trajectories
+    from evaluation.player.worst_pair import worst_pair
 
-        check_whole(folder)
-        pair, file = worst_pair(folder), folder / f"worst{RECORDED}"
-        with progress(f"play {pair['task']}", EPISODE) as advance:
-            options = {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
-            trajectories(**pair, out=file, **options)
+    pair = worst_pair(folder)
+    with progress(f"play {pair['task']}", EPISODE) as advance:
+        pair |= {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
+        trajectories(**pair, out=folder / f"worst{RECORDED}")
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
+
+
+def _recorded(path: Path) -> bytes:
+    from evaluation.player.episode import episode_content, read_episode
+    from evaluation.player.page import pack
+
+    return pack(episode_content(read_episode(path)))
 
 
 def _difference_line(side: str, difference: "Difference") -> str:

@@ -99,7 +99,8 @@ def _play(task: str, robot: str, human: str, chosen: dict[str, Any]) -> "Episode
         progress(f"play {task}", chosen["steps"] or EPISODE) as advance,
     ):
         out = Path(folder) / "episode.trajectory"
-        options = {"episodes": 1, "backend": "native", "on_step": lambda: advance(1), **chosen}
+        options: dict[str, Any] = {"episodes": 1, "backend": "native", **chosen}
+        options["on_step"] = lambda: advance(1)
         trajectories(robot, human, task=task, out=out, **options)
         return _read(out, 0)
 
@@ -112,8 +113,8 @@ def _read(path: Path, number: int) -> "Episode":
 
 def _write(shown: "Episode", path: Path) -> Path:
     from assistax_base.files import atomic_write
-    from evaluation.player.episode import episode_content, pack
-    from evaluation.report.page import write_episode
+    from evaluation.player.episode import episode_content
+    from evaluation.player.page import pack, write_episode
 
     content = episode_content(shown)
     if path.suffix.lower() == PACKED:
