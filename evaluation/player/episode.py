@@ -162,9 +162,9 @@ def _about(path: Path) -> dict[str, Any]:
     try:
         about = parse_json(text if len(text) <= LARGEST_ABOUT else "")
         robot, person = (str(about[role]["policy"]) for role in ("robot", "human"))
-        task, version = about["task"], int(about["environment_version"])
+        task, version = str(about["task"]), int(about["environment_version"])
         known = {"seed": int(about["seed"]), "setting": _setting(about["disability"])}
-    except (KeyError, TypeError, ValueError, RecursionError):
+    except (ArithmeticError, LookupError, TypeError, ValueError, RecursionError):
         raise _UnplayableError("its metadata does not say who plays what") from None
     if task not in TASK_CLASSES:
         raise _UnplayableError(f"its task is {shorten(task)}; known are {', '.join(TASK_CLASSES)}")

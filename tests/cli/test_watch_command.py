@@ -1,0 +1,114 @@
+"""`assistax-zoo watch`: a window where there is a display, else a page, or one line why not."""
+
+import contextlib
+import importlib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import assistax_zoo as az
+from assistax_zoo.shell.main import run
+
+STEPS = ("--steps", "4")
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("pair") / "pair.trajectory"
+    options = {"episodes": 1, "steps": 4, "backend": "native"}
+    az.trajectories("random", "zero", task="scratch", out=out, **options)
+    return out
+
+
+class Window:
+    """Stands for MuJoCo's window: closed after so many frames, it keeps what it was given."""
+
+    def __init__(self, frames: int) -> None:
+        self.left, self.poses, self.marks = frames, [], []
+        self.user_scn = SimpleNamespace(ngeom=0, geoms=[mujoco.MjvGeom() for _ in range(100)])
+
+    def launch_passive(self, model: Any, data: Any, key_callback: Any) -> Any:
+        self.model, self.data, self.press = model, data, key_callback
+        return contextlib.nullcontext(self)
+
+    def is_running(self) -> bool:
+        self.left -= 1
+        return self.left >= 0
+
+    def lock(self) -> contextlib.nullcontext[None]:
+        return contextlib.nullcontext()
+
+    def sync(self) -> None:
+        self.poses.append(np.array(self.data.qpos))
+        self.marks.append(self.user_scn.ngeom)
+
+
+def test_without_a_display_a_page_is_written(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["watch", "scratch", "random", "zero", *STEPS]) == 0
+    assert capfd.readouterr().out == "watch.html\n"
+    text = (tmp_path / "watch.html").read_text(encoding="utf-8")
+    assert "An episode of scratch" in text and "data-autoplay" in text
+    assert [path.name for path in tmp_path.iterdir()] == ["watch.html"]
+
+
+def test_a_recording_is_played_and_written_for_other_pages(
+    recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["watch", str(recording), "--out", "new/x.episode"]) == 0
+    assert run(["watch", str(recording), "--out", "x.html"]) == 0
+    assert capfd.readouterr().out == "new/x.episode\nx.html\n"
+    assert (tmp_path / "new" / "x.episode").stat().st_size < 400_000
+    assert (tmp_path / "x.html").stat().st_size < 1_000_000
+
+
+def test_with_a_display_a_window_opens(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, find = Window(3), importlib.import_module
+    monkeypatch.setattr(
+        importlib, "import_module", lambda name: window if name == "mujoco.viewer" else find(name)
+    )
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert run(["watch", str(recording)]) == 0
+    assert len(window.poses) == 3 and list(tmp_path.iterdir()) == []
+    assert min(window.marks) >= 1, "the itch is marked"
+    assert window.model.nq == len(window.poses[0])
+    assert run(["watch", str(recording), "--out", "x.html"]) == 0, "who asks for a page has one"
+    assert (tmp_path / "x.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("scratch", "zero"), "scratch has a robot and no human; give both"),
+        (("gone.trajectory",), "there is no file gone.trajectory"),
+        (("gone.trajectory", "--preference", "p1"), "leave out preference"),
+        (("gone.trajectory", "--steps", "2", "--seed", "1"), "leave out steps, seed"),
+        (("scratch", "zero", "zero", "--out", "x.gif"), "x.gif ends in '.gif'; allowed are .html"),
+        (("scratch", "zero", "zero", "--episode", "2"), "episode is for recordings"),
+        (("scratch", "zero", "best"), "policy 'best' has an unknown form"),
+        (("swim", "zero", "zero"), "task is 'swim'; allowed are scratch"),
+        (("scratch", "zero", "zero", "--steps", "0"), "steps is 0; allowed are 1 to 1000"),
+    ],
+)
+def test_wrong_words_get_one_line(
+    words: tuple[str, ...], message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["watch", *words]) == 1
+    printed = capfd.readouterr()
+    assert printed.out == "" and printed.err.startswith("error: ")
+    assert message in printed.err and printed.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
