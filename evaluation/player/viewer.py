@@ -4,6 +4,7 @@ import importlib
 import os
 import sys
 import time
+import warnings
 from typing import Any
 
 import mujoco
@@ -19,9 +20,20 @@ LENGTH, LENGTH_A_NEWTON = 0.1, 0.012  # m of an arrow, as on the page
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened here."""
+    """Return whether a window can be opened here: a display may be named and not be there."""
     named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    return named or not sys.platform.startswith("linux")
+    if not named and sys.platform.startswith("linux"):
+        return False
+    try:
+        glfw: Any = importlib.import_module("glfw")
+    except ImportError:
+        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of a display that is not there
+        opens = bool(glfw.init())
+    if opens:
+        glfw.terminate()
+    return opens
 
 
 def view(episode: Episode) -> None:

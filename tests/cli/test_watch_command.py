@@ -78,9 +78,9 @@ def test_with_a_display_a_window_opens(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, find = Window(3), importlib.import_module
-    monkeypatch.setattr(
-        importlib, "import_module", lambda name: window if name == "mujoco.viewer" else find(name)
-    )
+    display = SimpleNamespace(init=lambda: True, terminate=lambda: None)
+    fakes = {"mujoco.viewer": window, "glfw": display}
+    monkeypatch.setattr(importlib, "import_module", lambda name: fakes.get(name) or find(name))
     monkeypatch.setenv("DISPLAY", ":0")
     assert run(["watch", str(recording)]) == 0
     assert len(window.poses) == 3 and list(tmp_path.iterdir()) == []
@@ -88,6 +88,14 @@ def test_with_a_display_a_window_opens(
     assert window.model.nq == len(window.poses[0])
     assert run(["watch", str(recording), "--out", "x.html"]) == 0, "who asks for a page has one"
     assert (tmp_path / "x.html").is_file()
+
+
+def test_a_display_that_is_named_and_not_there_gives_a_page(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DISPLAY", ":4711")
+    assert run(["watch", str(recording)]) == 0
+    assert (tmp_path / "watch.html").is_file()
 
 
 @pytest.mark.parametrize(
