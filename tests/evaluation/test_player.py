@@ -348,7 +348,7 @@ def test_without_webgl_the_curves_are_there(
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
         page.goto((tmp_path / "page.html").as_uri())
         expect(page.get_by_text("This browser cannot draw the scene")).to_be_visible()
-        expect(page.locator("[data-curve=force] path").first).to_be_visible()
+        expect(page.locator("[data-curve=force] svg")).to_be_visible()
 
 
 def test_what_is_packed_is_what_was_shown(episode: Episode) -> None:
