@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,11 @@ import pytest
 
 import assistax_zoo as az
 from assistax_zoo.shell.main import run
+from evaluation.figures.saved_tables import save_crossplay
+from evaluation.record import tables
+from evaluation.record.manifest import write_manifest
+from evaluation.record.record import Record
+from tests.evaluation.episode_tables import CONTEXT, episode_table, team_id, teams
 
 STEPS = ("--steps", "4")
 
@@ -96,6 +102,33 @@ def test_a_display_that_is_named_and_not_there_gives_a_page(
     monkeypatch.setenv("DISPLAY", ":4711")
     assert run(["watch", str(recording)]) == 0
     assert (tmp_path / "watch.html").is_file()
+
+
+def test_a_report_records_and_plays_the_pair_that_earns_least(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, asked = tmp_path / "xp", []
+    returns = np.array([[[5.0], [1.0]], [[4.0], [3.0]]])
+    save_crossplay(Record(episode_table(returns, teams(2), teams(2)), folder), CONTEXT)
+    tables.write_episodes(episode_table(returns, teams(2), teams(2)), folder / tables.EPISODES_FILE)
+    identity = {"task": "scratch", "seed": 7, "apart": True, "egos": [], "partners": []}
+    write_manifest(folder, {"identity": identity})
+
+    def recorded(robot: str, human: str, *, out: Path, **options: Any) -> None:
+        asked.append((robot, human, options["seed"], options["task"]))
+        shutil.copy(recording, out)
+
+    monkeypatch.setattr("assistax_zoo.recording.trajectories", recorded)
+    for words, episodes in (((), 0), (("--watch",), 1), ((), 1)):  # once recorded, it stays
+        assert run(["report", str(folder), "--out", "page.html", *words]) == 0
+        text = (tmp_path / "page.html").read_text(encoding="utf-8")
+        assert text.count("data-episode=") == episodes
+    names = [
+        f"{team_id(team)}/{role}" for team, role in zip(teams(2), ("robot", "human"), strict=True)
+    ]
+    assert asked == [(*names, 7, "scratch")]
+    (folder / "worst.trajectory").write_bytes(b"no recording")
+    assert run(["report", str(folder), "--out", "page.html"]) == 1
 
 
 @pytest.mark.parametrize(
