@@ -1,6 +1,7 @@
 """The environment: a task on a physics backend, batch first, inside jit and scan."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -228,6 +229,12 @@ class Env:
             self._renderers[size] = Renderer(self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
+    def shown(self, states: Sequence[EnvState]) -> dict[str, np.ndarray]:
+        """Return by column what players show of T states of one simulation; see `render.shown`."""
+        from assistax_envs.render import shown
+
+        return shown(self._task, self.model, states)
+
     def close(self) -> None:
         """Give back what `render` drew with: an OpenGL context belongs to the thread that drew."""
         while self._renderers:
@@ -236,10 +243,7 @@ class Env:
     def _control(
         self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array
     ) -> jax.Array:
-        """Return the actuators' controls [N, nu].
-
-        What is left of the human's strength, and its tremor.
-        """
+        """Return the controls [N, nu]: what is left of the human's strength, and its tremor."""
         strength = self._left(params.strength)
         human = jnp.clip(action["human"], -1.0, 1.0) * strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
@@ -264,10 +268,7 @@ class Env:
         )
 
     def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
-        """Advance the tremor.
-
-        Return its filter state and torque share [N, 3]. Costs nothing where none has one.
-        """
+        """Advance the tremor: its filter state and torque share [N, 3]. None costs nothing."""
 
         def noise(state: EnvState) -> tuple[jax.Array, jax.Array]:
             keys = jax.vmap(jax.random.fold_in)(state.key, state.step)

@@ -23,9 +23,12 @@ from assistax_envs.models.gentle_scenes import touching
 from assistax_envs.models.looks import palettes
 from assistax_envs.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.physics import SUBSTEPS
+from assistax_envs.preferences import WISHES
 from assistax_envs.tasks.base import TOUCHABLE, Sensors, Task
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from assistax_envs.env import EnvState
 
 CLOSE = "close"  # a camera beside those of the scene: follows the tool and the targets
@@ -63,11 +66,9 @@ class Renderer:
             _close, weakref.ref(self)
         )  # before the platform's own exit, which closes the display
         self._context.make_current()
-        self.model = build_dressed(getattr(task, "scene", task.name))
+        self.model = picture_model(getattr(task, "scene", task.name))
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
-        # What is near is found as a contact, without a force of its own.
-        self.model.pair_margin[:] = self.model.pair_gap[:] = NEAR
         self._task = task
         self._locate = jax.jit(functools.partial(_locate, task, task.sensors))
         self._data = mujoco.MjData(self.model)
@@ -77,8 +78,6 @@ class Renderer:
             self._gl = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
         self._size = width, height
-        self._arm = {f"human_{name}" for name in TOUCHABLE}
-        self._tool = self.model.body(TOOL_BODY).id
 
     def frame(
         self,
@@ -105,7 +104,7 @@ class Renderer:
         targets = {name: np.asarray(points)[0] for name, points in named.items()}
         self._context.make_current()
         view = self._view(camera, np.asarray(tool), targets)
-        self._wear(caption[-1] if caption else "")
+        wear(self.model, caption[-1] if caption else "")
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
             self.model, self._data, self._options, None, view, everything, self._scene
@@ -152,12 +151,6 @@ class Renderer:
             targets=self._task.target_colours,
         )
 
-    def _wear(self, person: str) -> None:
-        """Give the human the skin, hair and clothes of a name: the same in all its pictures."""
-        worn = palettes()[zlib.crc32(person.encode()) % len(palettes())]
-        for material, colour in worn.items():
-            self.model.material(material).rgba[:3] = colour
-
     def _view(
         self, name: str | None, tool: np.ndarray, targets: dict[str, np.ndarray]
     ) -> mujoco.MjvCamera:
@@ -191,50 +184,22 @@ class Renderer:
         geom.size[:] = radius
 
     def _draw_touches(self, one: "EnvState") -> None:
-        """Draw a disc where the robot touches, and an arrow that ends where the force acts.
-
-        The pose gives where, and how forces share; the recorded force gives how much: the motors'
-        torques, which a state does not hold, press too.
-        """
+        """Draw a disc where the robot touches, and an arrow that ends where the force acts."""
         felt = one.measures.contact is not None  # gentle scenes record all touches, not the tool's
-        touches = list(self._touches())
-        counted = [touch for touch in touches if felt or touch[3]]
         newtons = float(one.measures.force[0])
-        if not counted or newtons <= 0.0:
+        points, ways, sizes = pressing(self.model, self._data, newtons, felt=felt)
+        if not len(points):
             return
-        points, ways, given = (np.array(part) for part in list(zip(*counted, strict=True))[:3])
-        if not given.any():  # it has just ended, or the arm has just left: the nearest was it
-            given = np.arange(len(given)) == 0
-        share = newtons / given.sum()
-        for point, way, size in zip(points, ways, given, strict=True):
+        for point, way, size in zip(points, ways, sizes, strict=True):
             if size:
-                self._draw_disc(point, way, share * size)
-        total = given @ ways
+                self._draw_disc(point, way, size)
+        total = sizes @ ways
         length = min(SHORTEST_ARROW + ARROW_LENGTH * newtons, LONGEST_ARROW)
         if np.linalg.norm(total) > 0.0:
-            point = np.average(points, axis=0, weights=given)
+            point = np.average(points, axis=0, weights=sizes)
             start = point - total / np.linalg.norm(total) * length
             geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ARROW, force_colour(newtons))
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, ARROW_WIDTH, start, point)
-
-    def _touches(self) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
-        """Return where the robot is at the human, the nearest first.
-
-        Of each the direction in which it presses, with how many N, and whether it is tool on arm.
-        """
-        found = []
-        for i, contact in sorted(enumerate(self._data.contact), key=lambda pair: pair[1].dist):
-            names = [self.model.geom(geom).name for geom in contact.geom]
-            if parts := touching(*names):
-                force = np.zeros(6)
-                mujoco.mj_contactForce(self.model, self._data, i, force)
-                size = float(np.linalg.norm(force[:3]))
-                axes = contact.frame.reshape(3, 3)
-                way = axes.T @ force[:3] / size if size else axes[0]
-                tool = self.model.geom(parts[0]).bodyid[0] == self._tool
-                sign = 1.0 if names[0] == parts[0] else -1.0
-                found.append((contact.pos.copy(), sign * way, size, tool and parts[1] in self._arm))
-        return found
 
     def _draw_disc(self, point: np.ndarray, way: np.ndarray, newtons: float) -> None:
         geom = self._new_geom(mujoco.mjtGeom.mjGEOM_ELLIPSOID, force_colour(newtons))
@@ -255,6 +220,90 @@ class Renderer:
         geom.emission = 0.4  # seen in shadow too
         self._scene.ngeom += 1
         return geom
+
+
+def picture_model(scene: str) -> mujoco.MjModel:
+    """Return a scene as it is shown; what is near is a contact in it, without a force."""
+    model = build_dressed(scene)
+    model.pair_margin[:] = model.pair_gap[:] = NEAR
+    return model
+
+
+def wear(model: mujoco.MjModel, person: str) -> None:
+    """Give the human the skin, hair and clothes of a name: the same in all its pictures."""
+    worn = palettes()[zlib.crc32(person.encode()) % len(palettes())]
+    for material, colour in worn.items():
+        model.material(material).rgba[:3] = colour
+
+
+def pressing(
+    model: mujoco.MjModel, data: mujoco.MjData, newtons: float, *, felt: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the robot presses the human: points and directions [K, 3], and N of each [K].
+
+    The pose gives where, and how forces share; the recorded force gives how much: the motors'
+    torques, which a state does not hold, press too.
+
+    Args:
+        model: Of `picture_model`.
+        data: In a pose, after `mj_forward`.
+        newtons: The recorded force, N.
+        felt: Whether all touches are in it, not the tool's on the arm alone.
+    """
+    counted = [touch for touch in _touches(model, data) if felt or touch[3]]
+    if not counted or newtons <= 0.0:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    points, ways, given = (np.array(part) for part in list(zip(*counted, strict=True))[:3])
+    if not given.any():  # it has just ended, or the arm has just left: the nearest was it
+        given = np.arange(len(given)) == 0
+    return points, ways, newtons / given.sum() * given
+
+
+def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> dict[str, np.ndarray]:
+    """Return what players show of T states of one simulation.
+
+    `pose` and `velocity` of all joints [T, nq], `target_NAME` [T, 3 K] in m, NaN where one is not
+    to be shown, and `wish_NAME` [T] of a human that has wishes.
+    """
+    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(one.task for one in states))
+    poses, velocities = (
+        np.concatenate([np.asarray(getattr(one.physics, name)) for one in states])
+        for name in ("qpos", "qvel")
+    )
+    data, values = mujoco.MjData(model), []
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        values.append(data.sensordata.copy())
+    _, targets = _locate(task, task.sensors, joined, jnp.asarray(np.stack(values), jnp.float32))
+    columns = {"pose": poses, "velocity": velocities}
+    columns |= {f"target_{n}": np.asarray(p).reshape(len(poses), -1) for n, p in targets.items()}
+    if (likes := getattr(joined, "likes", None)) is not None:
+        columns |= {f"wish_{name}": np.asarray(getattr(likes, name)) for name in WISHES[task.name]}
+    return columns
+
+
+def _touches(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
+    """Return where the robot is at the human, the nearest first.
+
+    Of each the direction in which it presses, with how many N, and whether it is tool on arm.
+    """
+    arm, tool_body = {f"human_{name}" for name in TOUCHABLE}, model.body(TOOL_BODY).id
+    found = []
+    for i, contact in sorted(enumerate(data.contact), key=lambda pair: pair[1].dist):
+        names = [model.geom(geom).name for geom in contact.geom]
+        if parts := touching(*names):
+            force = np.zeros(6)
+            mujoco.mj_contactForce(model, data, i, force)
+            size = float(np.linalg.norm(force[:3]))
+            axes = contact.frame.reshape(3, 3)
+            way = axes.T @ force[:3] / size if size else axes[0]
+            tool = model.geom(parts[0]).bodyid[0] == tool_body
+            sign = 1.0 if names[0] == parts[0] else -1.0
+            found.append((contact.pos.copy(), sign * way, size, tool and parts[1] in arm))
+    return found
 
 
 def check_size(width: int, height: int) -> None:

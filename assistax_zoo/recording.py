@@ -37,8 +37,10 @@ def trajectories(
     """Play a pair, most likely actions, and return what both saw, did and earned: a row a step.
 
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
-    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. A row has what was
-    observed before a step and what it gave, an episode's last row its final observations alone.
+    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. What players of the
+    episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME` and `speed`
+    (m/s). A row has what was before a step and what the step gave, an episode's last row what was
+    in the end alone.
 
     Args:
         robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
@@ -121,19 +123,22 @@ def _record(
     for role in actions:
         seen = np.stack([np.asarray(state.obs[role][0], np.float32) for state in states])
         columns[f"{role}_observation"] = pl.Series(seen)
+    columns |= {name: pl.Series(values) for name, values in pair.env.shown(states).items()}
     columns |= {f"{role}_action": with_end(acted) for role, acted in actions.items()}
-    for name, leaf in _gains(pair.env).items():
+    for name, leaf in _gains(pair.env, states[0]).items():
         columns[name] = with_end([np.asarray(leaf(state))[0] for state in states[1:]])
     return pl.DataFrame(columns)
 
 
-def _gains(env: Any) -> dict[str, Callable[[Any], Any]]:
+def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
     """Return where a state has what the step that led to it gave, by column."""
+    speed = {} if first.measures.speed is None else {"speed": lambda state: state.measures.speed}
     terms = {f"term_{name}": lambda state, name=name: state.terms[name] for name in env.term_names}
     return {
         "reward": lambda state: state.reward,
         **terms,
         "force": lambda state: state.measures.force,
+        **speed,
         **{flag: operator.attrgetter(flag) for flag in ("terminated", "truncated", "nonfinite")},
     }
 
@@ -149,15 +154,18 @@ def _who(name: str, seat: "Seated") -> dict[str, Any]:
 
 def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
     from assistax_base.parquet import write_parquet
+    from assistax_envs.disability import Disability
     from evaluation.record.manifest import describe_machine
 
     env, setting = pair.env, pair.setting
+    if pair.seats["human"].humans is not None:  # a person has a body of its own
+        setting = None
     about = {
         "task": env.task,
         "environment_version": env.version,
         "backend": env.backend,
         "engine": env.engine,
-        "disability": setting if isinstance(setting, str) else dataclasses.asdict(setting),
+        "disability": dataclasses.asdict(setting) if isinstance(setting, Disability) else setting,
         **facts,
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),

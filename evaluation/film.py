@@ -188,6 +188,15 @@ def check_film(path: Path, fps: int, width: int, height: int) -> None:
                 f"the size is {width}x{height}; an .mp4 needs an even width and height"
             )
         _ffmpeg()
+    check_place(path)
+
+
+def check_place(path: Path) -> None:
+    """Check, before any work is done, that a file can be written under this name.
+
+    Raises:
+        ValueError: It cannot.
+    """
     try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")

@@ -43,6 +43,7 @@ COMMANDS = {
     "train": "assistax_zoo.commands.training.train:train",
     "train-ego": "assistax_zoo.commands.training.train_ego:train_ego",
     "render": "assistax_zoo.commands.evaluation.render:render",
+    "watch": "assistax_zoo.commands.evaluation.watch:watch",
     "trajectories": "assistax_zoo.commands.evaluation.trajectories:trajectories",
     "doctor": "assistax_zoo.commands.machine.doctor:doctor",
     "cache": "assistax_zoo.commands.machine.cache:cache",
@@ -71,8 +72,8 @@ GROUPS = {  # words that are no command alone
 # distributions'.
 AUDIENCES = {
     "Take partners": "list show fetch add remove export verify lock split cite",
-    "Evaluate": "evaluate crossplay compare report plot render trajectories strategies persons "
-    "replay",
+    "Evaluate": "evaluate crossplay compare report plot watch render trajectories strategies "
+    "persons replay",
     "Train": "train train-ego sweep",
     "Publish, make releases and tasks": "publish audit gates",
     "Boards": "submit serve worker token season receipt ledger service",

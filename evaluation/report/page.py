@@ -44,7 +44,13 @@ _HASHED = (
 )
 
 
-def write_report(folder: Path, path: Path, *, contrasts: ContrastFigures | None = None) -> None:
+def write_report(
+    folder: Path,
+    path: Path,
+    episodes: Sequence[bytes] = (),
+    *,
+    contrasts: ContrastFigures | None = None,
+) -> None:
     """Write the page about a folder that `evaluate` or `crossplay` filled, complete or not at all.
 
     A folder of folders that `evaluate` filled is a league, whose rows they are.
@@ -52,6 +58,7 @@ def write_report(folder: Path, path: Path, *, contrasts: ContrastFigures | None 
     Args:
         folder: What it is about.
         path: The page, .html.
+        episodes: To be played in it, of `evaluation.player.page.pack`; a league plays none.
         contrasts: Of the league's methods.
 
     Raises:
@@ -66,7 +73,7 @@ def write_report(folder: Path, path: Path, *, contrasts: ContrastFigures | None 
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
     try:
-        text = _league_page(folder, contrasts) if league else _page(folder)
+        text = _league_page(folder, contrasts) if league else _page(folder, episodes)
     except _STRANGE as error:
         # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
         reason = (str(error).splitlines() or [""])[0][:200]
@@ -110,7 +117,7 @@ def templates() -> jinja2.Environment:
     return environment
 
 
-def _page(folder: Path) -> str:
+def _page(folder: Path, episodes: Sequence[bytes]) -> str:
     figures, manifest = read_summary(folder), read_manifest(folder) or {}
     kind = "evaluation" if isinstance(figures, EvaluationSummary) else "crossplay"
     summary = tables.to_json(figures)
@@ -128,6 +135,7 @@ def _page(folder: Path) -> str:
             summary=summary,
             run=_read(folder, tables.RUN_FILE),
             identity=manifest.get("identity"),
+            episodes=[base64.b64encode(episode).decode() for episode in episodes],
             hashes=hashes | {name: file_sha256(folder / name) for name in hashed},
             **{"evaluation": _evaluation, "crossplay": _crossplay}[kind](folder, summary),
         )
@@ -224,7 +232,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     strategies = _read(folder, tables.STRATEGIES_FILE)
     listed = strategies["partners"] if strategies else ()
     return {
-        "data": matrix_data(pairs, order, strategies) | {"film": _film(folder)},
+        "data": matrix_data(pairs, order, strategies) | {"film": film_of(folder)},
         "strategies": strategies,
         "short": _short([row["partner"] for row in listed])
         | _short([row["robot"] for row in listed]),
@@ -232,7 +240,7 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _film(folder: Path) -> dict[str, Any] | None:
+def film_of(folder: Path) -> dict[str, Any] | None:
     """Return what films the first episode of a pair, by the manifest: command and preferences.
 
     None where no manifest names the episodes, or where all humans had the same starts, as before
@@ -241,12 +249,12 @@ def _film(folder: Path) -> dict[str, Any] | None:
     identity = (read_manifest(folder) or {}).get("identity")
     if not identity or not identity.get("apart"):
         return None
-    preferences = _first_preferences(folder) if "preferences" in identity else {}
+    preferences = first_preferences(folder) if "preferences" in identity else {}
     words = ["render", "--task", str(identity["task"]), "--seed", str(int(identity["seed"]))]
     return {"command": shlex.join(["assistax-zoo", *words]), "preferences": preferences}
 
 
-def _first_preferences(folder: Path) -> dict[str, str]:
+def first_preferences(folder: Path) -> dict[str, str]:
     """Return under which preference each human of a gentle task played its first episode."""
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     first = table.filter(pl.col("episode") == 0)

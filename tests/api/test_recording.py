@@ -74,9 +74,12 @@ def test_observations_imitate_actions(path: Path) -> None:
 
 def test_the_last_row_is_an_observation_alone(path: Path) -> None:
     last = pl.read_parquet(path).filter(pl.col("step") == STEPS)
-    gains = [name for name in last.columns if "observation" not in name][2:]
+    state = re.compile("episode|step|.*_observation|pose|velocity|target_.*")
+    gains = [name for name in last.columns if not state.fullmatch(name)]
     assert last.select(gains).null_count().row(0) == (2,) * len(gains)
-    assert last.select("robot_observation", "human_observation").null_count().row(0) == (0, 0)
+    assert set(gains) >= {"robot_action", "human_action", "reward", "force", "terminated"}
+    seen = last.select("robot_observation", "human_observation", "pose", "target_itch")
+    assert seen.null_count().row(0) == (0, 0, 0, 0)
 
 
 def test_the_file_says_who_played(path: Path) -> None:

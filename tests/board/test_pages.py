@@ -281,8 +281,8 @@ class Films:
         if self.fails:
             raise RuntimeError("no display")
         out = Path(arguments[-1])
-        if arguments[0] == "render":
-            out.write_bytes(b"film")
+        if arguments[0] in ("render", "watch"):
+            out.write_bytes({"render": b"film", "watch": b"episode"}[arguments[0]])
         else:
             out.mkdir()
             pl.DataFrame({"episode": [1, 0], "return": [2.0, 1.0]}).write_parquet(
@@ -302,9 +302,12 @@ def test_a_film_is_made_once_and_kept(tmp_path: Path) -> None:
     videos.wait()
     assert videos.ask(ONE) == "ready"
     assert videos.returns(ONE) == [1.0, 2.0]
-    assert len(run.commands) == 2
-    film = Videos(tmp_path, run).film(ONE.key)
+    assert [words[0] for words in run.commands] == ["render", "watch", "crossplay"]
+    film, episode = Videos(tmp_path, run).film(ONE.key), Videos(tmp_path, run).episode(ONE.key)
     assert film is not None and film.read_bytes() == b"film"
+    assert episode is not None and episode.read_bytes() == b"episode"
+    episode.unlink()
+    assert Videos(tmp_path, run).episode(ONE.key) is None, "of an older version"
     assert [one.name for one in tmp_path.iterdir()] == [ONE.key]
 
 
@@ -360,7 +363,7 @@ def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
     (tmp_path / "x" / "film.mp4").write_bytes(b"secret")
     videos = Videos(tmp_path, Films())
     for key in ("x", "../x", "", "A" * 32, ".." + "0" * 30):
-        assert videos.film(key) is None
+        assert videos.film(key) is None and videos.episode(key) is None
 
 
 def test_a_form_is_answered_to_who_was_given_it(tmp_path: Path) -> None:

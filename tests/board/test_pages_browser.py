@@ -2,16 +2,21 @@
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from assistax_board import pages
+from evaluation.player.episode import Episode, episode_content
+from evaluation.player.page import pack
 from tests.board import running
 from tests.board.board_data import make_app
 from tests.board.browser import accessibility_faults, browsing, opened, served
 from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.board.test_pages import Films
 from tests.system import CHROMIUM, needs
 
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
@@ -283,3 +288,55 @@ def finish(folder: Path, submission: str) -> None:
     with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
         update = schema.submissions.update().where(SUBMISSION.id == submission)
         connection.execute(update.values(state="refused", reason="subgraph"))
+
+
+def still_episode() -> bytes:
+    """Return what players load of an episode in which nobody moves."""
+    zero, length = np.zeros(6), 6
+    about = {"task": "scratch", "robot": "r", "person": "h", "setting": "d1", "version": 1}
+    episode = Episode(
+        about={**about, "seed": 0, "number": 0},
+        poses=np.zeros((length, 16)),
+        velocities=np.zeros((length, 16)),
+        targets={"itch": np.full((length, 3), 0.5)},
+        wishes={},
+        force=zero,
+        speed=None,
+        reward=np.arange(6.0),
+        terms={"scratch": np.arange(6.0)},
+        stopped=False,
+    )
+    return pack(episode_content(episode))
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
+def test_an_episode_is_played_once_its_film_is_made(
+    browser: Browser,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    width: int,
+    scheme: str,
+) -> None:
+    """The page's policy lets the player run, and nothing of the page keeps anybody out."""
+    films, packed = Films(), still_episode()
+
+    def run(words: Sequence[str], folder: Path, registry: Path | None) -> None:
+        films(words, folder)
+        if words[0] == "watch":
+            Path(words[-1]).write_bytes(packed)
+
+    monkeypatch.setattr(pages, "run_command", run)
+    with served(make_app(tmp_path)) as address, opened(browser, width, scheme) as page:
+        page.goto(f"{address}/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1")
+        assert page.locator("canvas").count() == 0
+        page.get_by_role("button", name="Film this pair").click()
+        player = page.locator("[data-steps]")
+        expect(player).to_have_attribute("data-steps", "5")
+        expect(page.locator("canvas")).to_be_visible()
+        player.focus()
+        page.keyboard.press("End")
+        expect(page.get_by_text("0.10 of 0.10 s")).to_be_visible()
+        expect(page.locator(".episode-now")).to_contain_text("15.0 in the end")
+        expect(page.get_by_text("As a film")).to_be_visible()
+        assert accessibility_faults(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= width

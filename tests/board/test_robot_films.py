@@ -1,7 +1,10 @@
 """Films of robots that were handed in: with a published partner alone, and gone with the file."""
 
+import functools
+import json
 import re
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +15,9 @@ from assistax_base.digest import sha256
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.pages import videos
+from assistax_board.pages.rendering import PLAYER, static_address
 from assistax_board.pages.security import FIELD
-from assistax_board.pages.videos import ROBOT, HandedIn, Videos, film_command
+from assistax_board.pages.videos import ROBOT, HandedIn, Videos, film_command, watch_command
 from assistax_board.service import Service
 from assistax_zoo.shell.main import run
 from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
@@ -30,7 +34,7 @@ class Seen(Films):
         self.robots: list[tuple[str, bytes]] = []
 
     def __call__(self, arguments: Sequence[str], folder: Path) -> None:
-        robot = arguments[arguments.index("--robot") + 1]
+        robot = arguments[arguments.index("--robot") + 1 if "--robot" in arguments else 2]
         self.robots.append((robot, (folder / robot).read_bytes()))
         super().__call__(arguments, folder)
 
@@ -84,17 +88,24 @@ def test_a_robot_is_filmed_once_with_a_partner_of_the_training_side(
     assert f'src="/submissions/{id}/film/file"' in wait(reader, id)
     ask_again = reader.post(f"/submissions/{id}/film", data={FIELD: "wrong"})
     assert ask_again.status_code == 403
-    [command] = films.commands
+    command, watched = films.commands
     name = f"{sha256(b'robot 1.0')[:12]}.onnx"
-    assert films.robots == [(name, b"robot 1.0")], "a film shows this, and no folder of the server"
+    assert films.robots == 2 * [(name, b"robot 1.0")], "shown is this, and no folder of the server"
     human = command[command.index("--human") + 1].removeprefix("zoo:")
+    assert watched[:4] == ["watch", TASK, name, f"zoo:{human}"]
     registry = load_registry()
     assert registry.split(TASK).side(registry.policy(human).team) == "train"
     film = reader.get(f"/submissions/{id}/film/file")
     assert film.content == b"film" and film.headers["Cache-Control"] == "no-cache"
+    episode = reader.get(f"/submissions/{id}/film/episode")
+    assert episode.content == b"episode" and episode.headers["Cache-Control"] == "no-cache"
+    page = reader.get(f"/submissions/{id}/film").text
+    assert f'data-episode-from="/submissions/{id}/film/episode"' in page
+    assert all(f'src="{static_address(script)}"' in page for script in PLAYER)
     [folder] = (tmp_path / "board" / "films").iterdir()
     assert folder.name.startswith(ROBOT)
-    assert reader.get(f"/films/{folder.name}").status_code == 404, "it may have to go"
+    for address in (f"/films/{folder.name}", f"/films/{folder.name}/episode"):
+        assert reader.get(address).status_code == 404, "it may have to go"
     assert "<figure>" not in reader.get("/").text, "the home page shows published pairs"
 
 
@@ -104,8 +115,8 @@ def test_a_robot_of_a_season_never_meets_a_hidden_partner_on_film(
     id = scored(service, season=open_season(service))
     ask(reader, id)
     wait(reader, id)
-    [command] = films.commands
-    assert "secret" not in str(command) and "hidden" not in str(command)
+    command = films.commands[0]
+    assert "secret" not in str(films.commands) and "hidden" not in str(films.commands)
     load_registry().policy(command[command.index("--human") + 1].removeprefix("zoo:"))
 
 
@@ -121,6 +132,7 @@ def test_what_may_not_be_filmed_is_not(service: Service, reader: TestClient) -> 
             reader.get(f"/submissions/{id}/film"),
             reader.post(f"/submissions/{id}/film", data={FIELD: "x"}),
             reader.get(f"/submissions/{id}/film/file"),
+            reader.get(f"/submissions/{id}/film/episode"),
         ):
             assert answer.status_code == 404 and why in answer.text
         assert f"/submissions/{id}/film" not in reader.get(f"/submissions/{id}").text
@@ -134,7 +146,8 @@ def test_a_film_goes_with_its_robot(
         ask(reader, id)
         wait(reader, id)
     service.withdraw(ids[0], new_submitter(service, "lab 1.0"))
-    assert reader.get(f"/submissions/{ids[0]}/film/file").status_code == 404
+    for kind in ("file", "episode"):
+        assert reader.get(f"/submissions/{ids[0]}/film/{kind}").status_code == 404
     folder = tmp_path / "board" / "films"
     assert len(list(folder.iterdir())) == 2
     assert run(["service", "erase", "lab 2.0", "--data", str(tmp_path / "board")]) == 0
@@ -143,12 +156,16 @@ def test_a_film_goes_with_its_robot(
     assert "not here any more" in reader.get(f"/submissions/{ids[1]}/film").text
 
 
+def shortened(command: Callable[..., list[str]], *seats: Any) -> list[str]:
+    return [*command(*seats), "--steps", "16"]
+
+
 @pytest.mark.slow
 def test_an_onnx_file_is_really_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A third of a second of it, by the command line."""
-    monkeypatch.setattr(
-        videos, "film_command", lambda *seats: [*film_command(*seats), "--steps", "16"]
-    )
+    for name, command in (("film_command", film_command), ("watch_command", watch_command)):
+        shorter = functools.partial(shortened, command)
+        monkeypatch.setattr(videos, name, shorter)
     file, human = tmp_path / "robot.onnx", load_registry().policy("scratch/ippo-d1-s1-v1/human")
     words = ["export", "scratch/ppo-ego-s0-v1/robot", "--format", "onnx", "--out", str(file)]
     assert run(words) == 0
@@ -159,4 +176,7 @@ def test_an_onnx_file_is_really_filmed(tmp_path: Path, monkeypatch: pytest.Monke
     made.wait()
     film = made.film(filmed.key)
     assert film is not None and film.stat().st_size > 1000
-    assert [path.name for path in film.parent.iterdir()] == [film.name], "the file stays nowhere"
+    names = sorted(path.name for path in film.parent.iterdir())
+    assert names == [film.name, "shown.episode"], "the file stays nowhere"
+    content = json.loads(zlib.decompress((film.parent / "shown.episode").read_bytes()))
+    assert len(content["poses"]) == 17 and content["robot"].endswith(".onnx")

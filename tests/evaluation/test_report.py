@@ -1,5 +1,6 @@
 """The page: self-contained, safe against what ids hold, and alive in a browser."""
 
+import base64
 import json
 import re
 import shutil
@@ -18,6 +19,7 @@ from playwright.sync_api import Browser
 
 from evaluation.figures import normalised as relative
 from evaluation.figures import saved_tables as derived
+from evaluation.player.worst_pair import worst_pair
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE, seal, write_manifest, write_run
 from evaluation.record.record import Record
@@ -103,6 +105,35 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
         loads_from_elsewhere('<img src="https://example.org/x.png"><script>fetch("/x")</script>')
         != []
     )
+
+
+def test_a_report_plays_episodes_that_it_is_given(
+    crossplay: Path, evaluation: Path, tmp_path: Path
+):
+    """With the player of `watch`; without an episode nothing of it is there."""
+    for folder in (crossplay, evaluation):
+        bare = page_of(folder, tmp_path)
+        assert "data-episode" not in bare and "THREE" not in bare
+        write_report(folder, tmp_path / "played.html", [b"first", b"second"])
+        text = (tmp_path / "played.html").read_text(encoding="utf-8")
+        for data in (b"first", b"second"):
+            assert text.count(f'data-episode="{base64.b64encode(data).decode()}"') == 1
+        assert text.count("function playEpisode(") == text.count("var THREE=") == 1
+        assert loads_from_elsewhere(text) == []
+
+
+def test_the_pair_that_earns_least_is_chosen_with_its_first_episode(
+    crossplay: Path, tmp_path: Path
+):
+    pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE).sort("return")
+    pair = worst_pair(crossplay)
+    assert (pair["robot"], pair["human"]) == pairs.select("ego", "partner").row(0)
+    assert (pair["task"], pair["seed"], pair["preference"]) == ("scratch", 5, None)
+    folder = Path(shutil.copytree(crossplay, tmp_path / "xp"))
+    write_manifest(folder, {"identity": {**IDENTITY, "apart": False}})
+    seal(folder)
+    with pytest.raises(ValueError, match="does not name the episodes that it played"):
+        worst_pair(folder)
 
 
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
@@ -218,6 +249,7 @@ def test_what_enters_a_template_is_escaped_and_none_says_otherwise():
     assert set(environment.list_templates()) == {
         *("crossplay.html", "evaluation.html", "figures.html", "league.html", "macros.html"),
         "page.html",
+        "watch.html",
     }
     for path in (ROOT / "evaluation" / "report").glob("**/*.*"):
         if path.suffix in (".py", ".html"):

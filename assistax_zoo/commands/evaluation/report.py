@@ -5,8 +5,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import counted, printable
-from assistax_zoo.shell.console import answer, new_table, print_json, print_table
+from assistax_zoo.commands.evaluation.render import EPISODE
+from assistax_zoo.shell.console import (
+    answer,
+    new_table,
+    print_json,
+    print_table,
+    progress,
+    stdout_is_data,
+)
 from evaluation.record.columns import SIDES
+
+RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that its page plays
 
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
@@ -107,7 +117,9 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
         _print_strategies(groups)
 
 
-def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None:
+def report(
+    folder: Path, /, *, out: Path, contrasts: Path | None = None, watch: bool = False
+) -> None:
     """Write one page about a finished evaluation or cross-play, or a league, for a browser.
 
     It has figures, tables, command, versions and hashes, and loads nothing from elsewhere; a
@@ -118,6 +130,8 @@ def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None
             such evaluations, in folders of their rows' names: a league on one task.
         out: Page to write, .html.
         contrasts: File of named contrasts, whose figures a league's page has.
+        watch: Record the first episode of the pair that earns least, and play it in the page. Other
+            files of `trajectories` in the folder that end in .trajectory are played too.
 
     Example:
         assistax-zoo report xp --out report.html
@@ -130,8 +144,34 @@ def report(folder: Path, /, *, out: Path, contrasts: Path | None = None) -> None
         from evaluation.figures.league import row_folders
 
         figures = compare_named(contrasts, list(row_folders(folder).values()))
-    write_report(folder, out, contrasts=figures)
+    with stdout_is_data():
+        if watch:
+            _record_worst(folder)
+        episodes = [_recorded(path) for path in _recordings(folder)]
+        write_report(folder, out, episodes, contrasts=figures)
     print(out)
+
+
+def _record_worst(folder: Path) -> None:
+    """Record the pair of a folder that earns least, beside its tables."""
+    from assistax_zoo.recording import trajectories
+    from evaluation.player.worst_pair import worst_pair
+
+    pair = worst_pair(folder)
+    with progress(f"play {pair['task']}", EPISODE) as advance:
+        pair |= {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
+        trajectories(**pair, out=folder / f"worst{RECORDED}")
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
+
+
+def _recorded(path: Path) -> bytes:
+    from evaluation.player.episode import episode_content, read_episode
+    from evaluation.player.page import pack
+
+    return pack(episode_content(read_episode(path)))
 
 
 def _difference_line(side: str, difference: "Difference") -> str:

@@ -23,6 +23,8 @@ _MEDIA_TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
+PLAYER = ("three.min.js", "player_parts.js", "player_scene.js", "player.js")  # in this order
+_OF_REPORTS = ("matrix.js", "player.css", *PLAYER)
 
 
 def render(template: str, **values: Any) -> str:
@@ -34,8 +36,9 @@ def render(template: str, **values: Any) -> str:
 def static_files() -> dict[str, Page]:
     """Return what /static serves, by "name" with the hash of its content before the ending."""
     folder = resources.files(_PACKAGE) / "static"
-    # The cross-play's viewer is that of reports: one matrix, one script.
-    sources = [*folder.iterdir(), resources.files("evaluation.report") / "assets" / "matrix.js"]
+    # The cross-play's viewer and the player of episodes are those of reports.
+    of_reports = resources.files("evaluation.report") / "assets"
+    sources = [*folder.iterdir(), *(of_reports / name for name in _OF_REPORTS)]
     files = {}
     for source in sources:
         stem, dot, ending = source.name.rpartition(".")
@@ -66,7 +69,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     names: Any = environment.globals
-    names.update(static=static_address, statement=STATEMENT)
+    names.update(static=static_address, statement=STATEMENT, player=PLAYER)
     for filter in (figure, interval, percent, day, moment, duration, countdown, words):
         environment.filters[filter.__name__] = filter
     environment.filters["rows"] = table_rows

@@ -34,7 +34,7 @@ ROBOT = "robot-"  # how keys of robots' films begin: those of erased files are r
 EPISODES = 16  # whose returns stand beside a film
 SECONDS = 600  # for one command
 MOST_BYTES = 2 * 1024**3  # of all films; then those go that nobody has looked at for longest
-_FILM, _RETURNS, _PAIR = "film", "returns.json", "pair.json"
+_FILM, _RETURNS, _PAIR, _EPISODE = "film", "returns.json", "pair.json", "shown.episode"
 _LOG = logging.getLogger(__name__)
 
 _KEY = re.compile(rf"({ROBOT})?[0-9a-f]{{32}}")
@@ -76,7 +76,9 @@ class Pair:
 
     def make(self, run: Run, film: Path, place: Path) -> None:
         """Film the pair's first episode, and play more for the returns beside it."""
-        run(film_command(self.task, f"zoo:{self.robot}", self.human, film), place)
+        seats = self.task, f"zoo:{self.robot}", self.human
+        run(film_command(*seats, film), place)
+        run(watch_command(*seats, film.with_name(_EPISODE)), place)
         run(play_command(self, place / "played"), place)
         table = pl.read_parquet(place / "played" / "episodes.parquet").sort("episode")
         (film.parent / _RETURNS).write_text(json.dumps(table["return"].to_list()))
@@ -101,14 +103,16 @@ class HandedIn:
         return f"{ROBOT}{json_sha256([self.task, *seats, self.env_version])[:32]}"
 
     def make(self, run: Run, film: Path, place: Path) -> None:
-        """Film one episode."""
+        """Film one episode, and keep what a player shows of it."""
         from assistax_board.robots.admission import is_safetensors
 
         data = self.read(self.robot)
         # Films show what a robot is called: never a folder of this machine.
         name = f"{self.robot[:12]}.{'safetensors' if is_safetensors(data) else 'onnx'}"
         (place / name).write_bytes(data)
-        run(film_command(self.task, name, self.human, film), place)
+        seats = self.task, name, self.human
+        run(film_command(*seats, film), place)
+        run(watch_command(*seats, film.with_name(_EPISODE)), place)
 
 
 class Videos:
@@ -137,6 +141,12 @@ class Videos:
             with contextlib.suppress(OSError):
                 os.utime(film.parent)  # somebody looks at it
         return film
+
+    def episode(self, key: str) -> Path | None:
+        """Return what players show of a finished film; those of older versions have nothing."""
+        film = self.film(key)
+        path = None if film is None else film.with_name(_EPISODE)
+        return path if path is not None and path.is_file() else None
 
     def newest(self) -> Pair | None:
         """Return the pair whose film was made last, if there is any."""
@@ -235,6 +245,11 @@ def film_command(task: str, robot: str, human: str, out: Path) -> list[str]:
         "--out",
         str(out),
     ]
+
+
+def watch_command(task: str, robot: str, human: str, out: Path) -> list[str]:
+    """Return the command that writes the same episode for the player."""
+    return ["watch", task, robot, f"zoo:{human}", "--out", str(out)]
 
 
 def play_command(pair: Pair, out: Path) -> list[str]:

@@ -12,6 +12,7 @@ from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.pages.videos import HandedIn
 from assistax_board.store.shown import Submission
 
+_KINDS = {".gif": "image/gif", ".mp4": "video/mp4", ".episode": "application/octet-stream"}
 SCORING_ALONE = "evaluation-only"  # the licence that allows nothing but scoring
 
 
@@ -37,6 +38,11 @@ def film_router(site: Site) -> APIRouter:
         # Browsers ask anew each time: the lab may take its robot back.
         return film_file(site.videos.film(robot_of(site, site.submission(id)).key), "no-cache")
 
+    @router.get("/submissions/{id}/film/episode")
+    def episode(id: str) -> Response:
+        key = robot_of(site, site.submission(id)).key
+        return film_file(site.videos.episode(key), "no-cache")
+
     return router
 
 
@@ -60,8 +66,7 @@ def film_file(path: Path | None, cache: str) -> Response:
     """
     if path is None:
         raise NotFoundError("There is no such film; ask for it on the page of its robot.")
-    kind = "image/gif" if path.suffix == ".gif" else "video/mp4"
-    return FileResponse(path, headers={"Cache-Control": cache}, media_type=kind)
+    return FileResponse(path, headers={"Cache-Control": cache}, media_type=_KINDS[path.suffix])
 
 
 def film_values(site: Site, submission: Submission) -> dict[str, Any]:
@@ -69,11 +74,12 @@ def film_values(site: Site, submission: Submission) -> dict[str, Any]:
     try:
         filmed = robot_of(site, submission)
     except NotFoundError:
-        return {"state": None, "film": None}
-    path = site.videos.film(filmed.key)
+        return {"state": None, "film": None, "episode": None}
+    path, address = site.videos.film(filmed.key), f"/submissions/{submission.id}/film"
     return {
         "state": site.videos.state(filmed),
-        "film": f"/submissions/{submission.id}/film/file" if path else None,
+        "film": f"{address}/file" if path else None,
+        "episode": f"{address}/episode" if site.videos.episode(filmed.key) else None,
         "is_gif": path is not None and path.suffix == ".gif",
         "partner": filmed.human,
     }

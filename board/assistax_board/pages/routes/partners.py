@@ -19,6 +19,8 @@ from assistax_envs.persons.rows import COUNT, described_numbers, grades, person
 from zoo.ids import names_persons
 from zoo.persons.registered import person_tables
 
+# Of pairs' films; those of robots, whose keys begin so, may have to go: see `films`.
+_FOR_EVER = "public, max-age=31536000, immutable"
 _BEST = 5  # robots on a card
 
 
@@ -115,9 +117,11 @@ def explorer_router(site: Site) -> APIRouter:
 
     @router.get("/films/{key}")
     def film(key: str) -> Response:
-        is_pair = not key.startswith(ROBOT)  # those of robots may go, see `films`
-        path = site.videos.film(key) if is_pair else None
-        return film_file(path, "public, max-age=31536000, immutable")
+        return film_file(None if key.startswith(ROBOT) else site.videos.film(key), _FOR_EVER)
+
+    @router.get("/films/{key}/episode")
+    def episode(key: str) -> Response:
+        return film_file(None if key.startswith(ROBOT) else site.videos.episode(key), _FOR_EVER)
 
     return router
 
@@ -190,6 +194,7 @@ def pair_values(site: Site, task: str, robot: str, human: str) -> dict[str, Any]
         "measures": crossplay.data["measures"] if crossplay else {},
         "state": site.videos.state(pair),
         "film": f"/films/{pair.key}" if film else None,
+        "episode": f"/films/{pair.key}/episode" if site.videos.episode(pair.key) else None,
         "is_gif": film is not None and film.suffix == ".gif",
         "returns": returns,
         "axis": axis_over(returns or [0.0]),

@@ -1,0 +1,124 @@
+"""The command that shows an episode: in MuJoCo's viewer, or as a page that plays it."""
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from assistax_zoo.commands.evaluation.render import EPISODE
+from assistax_zoo.shell.console import progress, stdout_is_data
+
+if TYPE_CHECKING:
+    from evaluation.player.episode import Episode
+
+PAGE, PACKED = ".html", ".episode"
+DEFAULT_PAGE = Path("watch.html")
+
+
+def watch(
+    what: str,
+    robot: str | None = None,
+    human: str | None = None,
+    /,
+    *,
+    out: Path | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    episode: int = 0,
+    disability: str | None = None,
+    preference: str | None = None,
+    registry: str | None = None,
+) -> None:
+    """Watch a robot and a person: the scene, what the person likes, forces and reward over time.
+
+    Where there is a display, MuJoCo's viewer opens. Elsewhere, or with --out, one page is written
+    that plays the episode in a browser and loads nothing from elsewhere.
+
+    Args:
+        what: A task, such as gentle_scratch, then robot and human; or alone a file that
+            `trajectories` wrote.
+        robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
+        human: An id, also of a person, a .safetensors file, zero, or random.
+        out: Page to write, .html; or .episode, which players of other pages load.
+        steps: Steps of 20 ms to play; the whole episode of 1000 if not given.
+        seed: Of the episode.
+        episode: Which episode of a file.
+        disability: The human's setting, d1 to d9, instead of its own.
+        preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
+
+    Example:
+        assistax-zoo watch gentle_scratch random gentle_scratch/person-00042-v3 --out watch.html
+    """
+    chosen = {"steps": steps, "disability": disability, "preference": preference}
+    with stdout_is_data():
+        from evaluation.player.viewer import has_display, view
+
+        _check(what, (robot, human), out, {**chosen, "seed": seed or None}, episode)
+        if robot is None or human is None:
+            shown = _read(Path(what), episode)
+        else:
+            shown = _play(what, robot, human, {**chosen, "seed": seed, "zoo": registry})
+        if out is None and has_display():
+            view(shown)
+            return
+        path = _write(shown, out or DEFAULT_PAGE)
+    print(path)
+
+
+def _check(
+    what: str,
+    seats: tuple[str | None, str | None],
+    out: Path | None,
+    playing: dict[str, Any],
+    episode: int,
+) -> None:
+    """Check what can be checked before any work is done."""
+    from evaluation.film import check_place
+
+    if (seats[0] is None) != (seats[1] is None):
+        raise ValueError(
+            f"{what} has a robot and no human; give both after the task, or one file alone"
+        )
+    if seats[0] is None and (given := [name for name, value in playing.items() if value]):
+        raise ValueError(f"{what} is a recording, as it was played; leave out {', '.join(given)}")
+    if seats[0] is not None and episode:
+        raise ValueError("episode is for recordings; choose another seed to play another episode")
+    if out is not None and out.suffix.lower() not in (PAGE, PACKED):
+        raise ValueError(
+            f"{out.name} ends in {out.suffix or 'nothing'!r}; allowed are {PAGE} and {PACKED}"
+        )
+    check_place(out or DEFAULT_PAGE)
+
+
+def _play(task: str, robot: str, human: str, chosen: dict[str, Any]) -> "Episode":
+    """Play one episode, recorded as any other."""
+    from assistax_zoo.recording import trajectories
+
+    with (
+        tempfile.TemporaryDirectory(prefix="watch-") as folder,
+        progress(f"play {task}", chosen["steps"] or EPISODE) as advance,
+    ):
+        out = Path(folder) / "episode.trajectory"
+        options: dict[str, Any] = {"episodes": 1, "backend": "native", **chosen}
+        options["on_step"] = lambda: advance(1)
+        trajectories(robot, human, task=task, out=out, **options)
+        return _read(out, 0)
+
+
+def _read(path: Path, number: int) -> "Episode":
+    from evaluation.player.episode import read_episode
+
+    return read_episode(path, number)
+
+
+def _write(shown: "Episode", path: Path) -> Path:
+    from assistax_base.files import atomic_write
+    from evaluation.player.episode import episode_content
+    from evaluation.player.page import pack, write_episode
+
+    content = episode_content(shown)
+    if path.suffix.lower() == PACKED:
+        atomic_write(path, pack(content))
+    else:
+        write_episode(content, path)
+    return path

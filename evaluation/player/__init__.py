@@ -1,0 +1,1 @@
+"""The player of episodes: one script for pages of `watch`, reports and boards."""
