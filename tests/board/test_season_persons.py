@@ -31,6 +31,7 @@ from evaluation.play.how import How
 from evaluation.record.record import Record
 from tests.board.fakes import TASK as OTHER_TASK
 from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.board.test_zoo_scorer import short_episodes  # noqa: F401  # of all tests here
 from tests.studies import evaluate_policies
 from tests.untrained import gentle_specs, params_of, published, teams_of
 from zoo.exports.card import find_cards
