@@ -24,6 +24,7 @@ from assistax_board.client import Client
 from benchmarks.pages import PageSpeed, read_pages
 
 TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
+LOST_SECONDS = 600.0  # for which a lab asks again
 FIRST = 5  # submissions that are on the board before the load begins
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -163,7 +164,8 @@ def _submit_all(
     robot, end, times = read_file(Path(ROBOT)), time.monotonic() + seconds, []
 
     def lab(number: int) -> None:
-        client, count = Client(addresses[number % len(addresses)], tokens[number]), 0
+        address, count = addresses[number % len(addresses)], 0
+        client = Client(address, tokens[number], patience=LOST_SECONDS)
         time.sleep(seconds * number / len(tokens) / 4)  # not all in one moment
         while count == 0 or time.monotonic() < end:
             began, fields = time.monotonic(), {"task": TASK, "method": f"robot {count}"}

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import assistax_envs
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.publish import publish
 from population.networks.policy import Policy
@@ -21,6 +22,16 @@ def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
     return jax.tree.map(
         lambda leaf: np.array(leaf), jax.jit(Policy(spec).init)(jax.random.key(seed))
     )
+
+
+def gentle_specs(task: str) -> tuple[PolicySpec, PolicySpec]:
+    """Return what a robot and a human of a gentle task are."""
+    env = assistax_envs.make(task, backend="native")
+    robot, human = (
+        PolicySpec(role, env.observation_size[role], env.action_size[role], hidden=(8,))
+        for role in ("robot", "human")
+    )
+    return robot, human
 
 
 def untrained_team(

@@ -98,8 +98,9 @@ class Persons(StrictModel):
     """Persons of a task: rows of numbers that a formula gives, see `zoo.persons`."""
 
     program: Annotated[int, Field(ge=1)]  # version of what acts by a row
-    count: Annotated[int, Field(ge=1, le=100_000)]
+    count: Annotated[int, Field(ge=1, le=50_000)]
     sha256: Sha256  # of the table of rows, little-endian float32
+    secret: Sha256 | None = None  # 256 bits in hex, of a season's hidden persons: gives their rows
 
 
 class Release(StrictModel):

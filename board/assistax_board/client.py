@@ -43,7 +43,7 @@ class Client:
             OSError: It did not answer for as long as patience lasts.
         """
         headers = {**self.headers, **options.pop("headers", {})}
-        end, pause = time.monotonic() + self._patience, 0.2
+        end, pause = None, 0.2
         while True:
             try:
                 response = self._http.request(method, path, headers=headers, **options)
@@ -54,6 +54,8 @@ class Client:
                 error = f"it answered {response.status_code}"
             except httpx2.TransportError as failure:
                 error = type(failure).__name__
+            # From the first failure: it may have come after a minute in which nobody answered.
+            end = end or time.monotonic() + self._patience
             if time.monotonic() + pause > end:
                 raise OSError(f"the server does not answer ({error}); try again later")
             time.sleep(pause)

@@ -21,16 +21,19 @@ from assistax_board.checking import check_ledger, check_service
 from assistax_board.client import Client
 from assistax_board.ids import new_id
 from assistax_board.live.client import play_live
+from assistax_board.rules.release_pack import add_persons
 from assistax_board.rules.seasons import Plan
 from assistax_board.serve import open_service
 from assistax_board.service import Service
 from assistax_board.store.backup import back_up
 from assistax_board.submitting import verify_revealed
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
+from assistax_envs.versions import GENTLE_TASKS
 
 SEASON = "rehearsal"
 LIMIT_SECONDS = 1800.0  # for any one thing to happen
 TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [8, 8]}
+PERSONS = 4  # hidden, where the task has any
 MEMBERS = {"disabilities": ("d1", "d9"), "seeds": 2, "steps": 32, "self_play_episodes": 1}
 
 
@@ -65,6 +68,9 @@ def rehearse(stage: Stage) -> Iterator[str]:
 
     count = train_hidden(stage)
     yield f"trained {count} hidden teams from a secret plan: {stage.private}"
+    if stage.task in GENTLE_TASKS:
+        add_persons(stage.private, stage.task, PERSONS)
+        yield f"drew {PERSONS} hidden persons from a secret, beside them"
     service = open_service(stage.data, registry=stage.registry, backend=stage.backend)
     plan = Plan(SEASON, stage.task, budget=3, small=True)
     season = service.create_season(plan, stage.private, load_registry(stage.registry))

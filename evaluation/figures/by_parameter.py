@@ -88,6 +88,12 @@ def outcomes(record: Record) -> Outcomes:
     [task] = tasks
     played = means.filter(pl.Series(known))
     numbers = [of[2] for of in named if of]
+    if max(numbers) >= len(persons(task)):
+        raise ValueError(
+            f"{record.folder} has persons of a season's secret, such as number {max(numbers)}, and "
+            "holds no rows of theirs; evaluate robots with the public persons, by partners "
+            "'persons'"
+        )
     mine = table.filter(pl.col("partner").is_in(played["partner"].to_list()))
     values = {name: played[name].to_numpy() for name in (RETURN, success)}
     return Outcomes(task, persons(task)[numbers], values, mine.height, mine["ego"].n_unique())

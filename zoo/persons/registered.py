@@ -1,7 +1,9 @@
 """The persons that a registry's releases name: found by id or glob, their table held to its sha256.
 
 A release names for each task the program, how many persons there are, and the sha256 of the table
-of their rows. Nothing is stored of a person: the formula gives the same rows everywhere.
+of their rows. Nothing is stored of a person: the formula gives the same rows everywhere. A season's
+private release names a secret beside, from which other rows follow: its persons have the numbers
+after the public ones, so that no id is of two persons.
 """
 
 import functools
@@ -9,11 +11,22 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from assistax_base.digest import json_sha256, sha256
 from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
 from assistax_envs.disability import Disability
 from assistax_envs.persons.parameters import index
-from assistax_envs.persons.rows import COUNT, PROGRAM_VERSION, Person, numbers, person, persons
+from assistax_envs.persons.rows import (
+    COUNT,
+    FAMILIES,
+    PROGRAM_VERSION,
+    Person,
+    drawn,
+    numbers,
+    person,
+    persons,
+)
 from population.networks.stack import PolicyStack
 from zoo.ids import OWN, PERSON, PERSONS, compile_pattern, parse_person
 from zoo.namespaces import qualify_split, split_namespace
@@ -38,15 +51,34 @@ def person_glob(task: str, release: str) -> str:
     return _team(task, 0, release).replace("-00000-", "-*-") + "/human"
 
 
-def described(task: str) -> Persons:
-    """Return what a release says of a task's persons as they are here."""
-    digest = _table_sha256(task)
-    return Persons(program=PROGRAM_VERSION, count=COUNT, sha256=digest)
+def described(task: str, secret: str | None = None, count: int = COUNT) -> Persons:
+    """Return what a release says of a task's persons as they are here, or of a secret's."""
+    digest = sha256(_rows(task, secret, count).astype("<f4").tobytes())
+    return Persons(program=PROGRAM_VERSION, count=count, sha256=digest, secret=secret)
 
 
-@functools.cache
-def _table_sha256(task: str) -> str:
-    return sha256(persons(task).astype("<f4").tobytes())
+@functools.lru_cache(maxsize=16)
+def _rows(task: str, secret: str | None, count: int) -> np.ndarray:
+    return persons(task) if secret is None else drawn(task, bytes.fromhex(secret), count)
+
+
+def registered_person(data: RegistryFile, entry: PolicyEntry) -> Person:
+    """Return the person of an entry."""
+    return _person(entry.task, entry.seed, data.releases[entry.release].persons[entry.task])
+
+
+def _person(task: str, number: int, table: Persons) -> Person:
+    if table.secret is None:
+        return person(task, number)
+    place = number - COUNT
+    row = _rows(task, table.secret, table.count)[place]
+    return Person(task, number, "test", FAMILIES[place % len(FAMILIES)], row)
+
+
+def _numbers(table: Persons) -> range:
+    """Return the numbers of a table's persons: a secret's come after the public ones."""
+    first = 0 if table.secret is None else COUNT
+    return range(first, first + table.count)
 
 
 @functools.cache
@@ -57,7 +89,8 @@ def check_table(release: str, task: str, table: Persons) -> None:
         RegistryVersionError: The program is another one.
         IntegrityError: The rows are others.
     """
-    here, what = described(task), f"persons of {task} in release {release}"
+    here = described(task, table.secret, table.count if table.secret else COUNT)
+    what = f"persons of {task} in release {release}"
     if table.program != here.program:
         raise RegistryVersionError(
             what,
@@ -84,10 +117,10 @@ def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
     namespace, task, number, release = named
     release = f"{namespace}:{release}" if namespace else release
     table = data.releases[release].persons.get(task) if release in data.releases else None
-    if table is None or number >= table.count:
+    if table is None or number not in _numbers(table):
         return None
     check_table(release, task, table)
-    return _entry(data, release, person(task, number))
+    return _entry(data, release, _person(task, number, table))
 
 
 def known_persons(data: RegistryFile, policies: Iterable[str]) -> list[PolicyEntry]:
@@ -100,15 +133,15 @@ def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEn
     matches = [compile_pattern(pattern).match for pattern in patterns]
     entries = []
     for release, task, table in person_tables(data):
-        teams = [_team(task, number, release) for number in range(table.count)]
+        teams = {number: _team(task, number, release) for number in _numbers(table)}
         chosen = [
             number
-            for number, team in enumerate(teams)
+            for number, team in teams.items()
             if any(match(team) or match(f"{team}/human") for match in matches)
         ]
         if chosen:
             check_table(release, task, table)
-        entries += [_entry(data, release, person(task, number)) for number in chosen]
+        entries += [_entry(data, release, _person(task, number, table)) for number in chosen]
     return entries
 
 
@@ -118,15 +151,16 @@ def identities(teams: Iterable[str]) -> dict[str, str | None]:
     return {team: person(of[1], of[2]).identity for team, of in named.items() if of}
 
 
-def person_stacks(entries: Sequence[PolicyEntry]) -> tuple[PolicyStack[Any], ...]:
+def person_stacks(
+    data: RegistryFile, entries: Sequence[PolicyEntry]
+) -> tuple[PolicyStack[Any], ...]:
     """Return a stack of rows for each task and family, in the order in which they first occur."""
     by_spec: dict[Any, list[PolicyEntry]] = {}
     for entry in entries:
         by_spec.setdefault(entry.spec, []).append(entry)
+    rows = {entry.id: registered_person(data, entry).row for entry in entries}
     return tuple(
-        PolicyStack(
-            spec, tuple(e.id for e in some), {"row": persons(spec.task)[[e.row for e in some]]}
-        )
+        PolicyStack(spec, tuple(e.id for e in some), {"row": np.stack([rows[e.id] for e in some])})
         for spec, some in by_spec.items()
     )
 
@@ -134,11 +168,14 @@ def person_stacks(entries: Sequence[PolicyEntry]) -> tuple[PolicyStack[Any], ...
 def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
     """Yield the splits of a task's persons, of which nothing is stored either.
 
-    Of each release one is tested with the test side's, and one with the validation side's.
+    Of each release one is tested with the test side's, and one with the validation side's. All
+    persons of a secret are on the test side of one.
     """
-    for release, of, _ in person_tables(data):
-        if of == task:
+    for release, of, table in person_tables(data):
+        if of == task and table.secret is None:
             yield from (_split(task, release, side) for side in DEALT)
+        elif of == task:
+            yield _hidden_split(task, release, table.count)
 
 
 def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
@@ -169,10 +206,20 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
 
 @functools.cache
 def _split(task: str, release: str, held_out: str) -> Split:
+    train, test = (numbers(side).tolist() for side in DEALT[held_out])
+    return _split_of(task, release, held_out, train, test)
+
+
+@functools.cache
+def _hidden_split(task: str, release: str, count: int) -> Split:
+    return _split_of(task, release, "", (), range(COUNT, COUNT + count))
+
+
+def _split_of(
+    task: str, release: str, held_out: str, training: Sequence[int], tested: Sequence[int]
+) -> Split:
     namespace, plain = split_namespace(release)
-    train, test = (
-        tuple(_team(task, n, plain) for n in numbers(side).tolist()) for side in DEALT[held_out]
-    )
+    train, test = (tuple(_team(task, n, plain) for n in side) for side in (training, tested))
     fields = {"task": task, "release": plain, "rule": PERSONS, "held_out": held_out or None}
     content = {**fields, "n": None, "seed": 0, "train": train, "test": test}
     names = {"id": split_id(content), "sha256": json_sha256(content)}

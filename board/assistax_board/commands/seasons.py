@@ -43,6 +43,26 @@ def season_plan(
     print(f"{out} has {count} teams; keep it secret, since it is all one needs to train them")
 
 
+def season_persons(folder: Path, /, *, task: str, count: int = 200) -> None:
+    """Let a private release hide persons that follow from a new secret.
+
+    They are the whole release if the folder is new; in the folder of trained partners they stand
+    beside these. Nothing is trained or stored of them: whoever has the folder's registry has them.
+
+    Args:
+        folder: Folder of the private release.
+        task: Gentle task.
+        count: How many persons; half of them are panel A, half panel B.
+
+    Example:
+        assistax-zoo season persons private --task gentle_scratch --count 200
+    """
+    from assistax_board.rules.release_pack import add_persons
+
+    path = add_persons(folder, task, count)
+    print(f"{path} hides {count} persons; keep it secret, since it is all one needs to draw them")
+
+
 def season_create(
     name: str,
     /,
@@ -118,15 +138,15 @@ def season_close(name: str, /, *, data: Path, database: str | None = None) -> No
 
 def season_rehearse(
     *,
-    task: str = "scratch",
+    task: str = "gentle_scratch",
     data: Path | None = None,
     registry: Path | None = None,
     minutes: float = 2.0,
 ) -> None:
     """Rehearse a whole tiny season on this machine: ten minutes of two cores.
 
-    Trains hidden teams, serves, lets two labs hand in files and a live robot, closes by date,
-    reveals, proves, and prints what it does.
+    Trains hidden teams, draws hidden persons of a gentle task, serves, lets two labs hand in files
+    and a live robot, closes by date, reveals, proves, and prints what it does.
 
     Args:
         task: Task.

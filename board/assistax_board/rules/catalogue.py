@@ -71,12 +71,16 @@ class ZooCatalogue:
         """Return evaluator, environment, engine, public panel, and what its humans like."""
         from importlib.metadata import version
 
+        from assistax_envs.persons.rows import PROGRAM_VERSION
         from assistax_envs.preferences import preferences_of
-        from assistax_envs.versions import engine
+        from assistax_envs.versions import GENTLE_TASKS, engine
         from evaluation.play.jobs import EVALUATOR_VERSION
 
         wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
-        return ({"preferences": list(wishes)} if wishes else {}) | {
+        optional: dict[str, Any] = {"preferences": list(wishes)} if wishes else {}
+        if task in GENTLE_TASKS:
+            optional["persons"] = PROGRAM_VERSION  # whom a season may hide
+        return optional | {
             "task": task,
             "env_version": self._registry.env_version(self._entries(task)[0]),
             "evaluator": EVALUATOR_VERSION,

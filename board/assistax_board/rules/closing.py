@@ -21,6 +21,7 @@ import sqlalchemy as sa
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs, submissions
+from assistax_board.rules.release_pack import secret_persons
 from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
 from assistax_board.store.notices import note
@@ -228,10 +229,15 @@ def _play_b(
 
 def _references(connection: sa.Connection, season: Any, now: float) -> list[str]:
     """Add the references of the public board to a season, and return their submissions."""
+    from evaluation.figures.normalised import SELF_PLAY
+
+    # Persons were trained with no robot.
+    left_out = [SELF_PLAY] if secret_persons(season.secret["leaves"]) else []
     query = (
         sa.select(schema.submissions)
         .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
         .where(SUBMITTER.name == REFERENCE, SUBMISSION.kind == "reference")
+        .where(SUBMISSION.format.not_in(left_out))
         .where(
             SUBMISSION.task == season.task,
             SUBMISSION.season.is_(None),

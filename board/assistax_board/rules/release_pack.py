@@ -1,16 +1,20 @@
-"""A private release as one file: its registry and shards, so that workers fetch it by sha256."""
+"""A private release: whom it hides, and all of it as one file, which workers fetch by sha256."""
 
 import io
+import secrets
 import zipfile
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from assistax_board.problems import Problem
 
 if TYPE_CHECKING:
     from zoo.registry import Registry
-    from zoo.schema import PolicyEntry
+    from zoo.schema import PolicyEntry, RegistryFile
 
+MOST_PERSONS = 1000  # of a secret: a panel of 500 is 20 jobs for each robot
 REGISTRY_FILE = "registry.json"
 MAX_UNPACKED_BYTES = 4 * 1024 * 1024 * 1024
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same release packs to the same bytes
@@ -54,7 +58,101 @@ def unpack(data: bytes, folder: Path) -> "Registry":
 
 def hidden_partners(registry: "Registry", task: str) -> list["PolicyEntry"]:
     """Return the humans of a private release in the order of their ordinals."""
-    return sorted(registry.select(task=task, role="human"), key=lambda entry: entry.id)
+    from zoo.persons.registered import person_glob
+
+    persons = [person_glob(task, release) for release in hidden_persons(registry, task)]
+    entries = registry.select(persons) if persons else []
+    if not persons or any(entry.task == task for entry in registry.policies):
+        entries += registry.select(task=task, role="human")
+    return sorted(entries, key=lambda entry: entry.id)
+
+
+def hidden_persons(registry: "Registry", task: str) -> dict[str, Any]:
+    """Return the tables of a task's persons from a secret, by release: program, count, secret."""
+    return {
+        name: release.persons[task].model_dump()
+        for name, release in registry.data.releases.items()
+        if task in release.persons and release.persons[task].secret is not None
+    }
+
+
+def secret_persons(leaves: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the same of a season's leaves: mostly none."""
+    return next(leaf.get("persons", {}) for leaf in leaves if "seeds" in leaf)
+
+
+def check_program(season: str, leaves: Sequence[dict[str, Any]]) -> None:
+    """Refuse to play a season whose persons acted by another program when it was made.
+
+    Raises:
+        Problem: They did.
+    """
+    from assistax_envs.persons.rows import PROGRAM_VERSION
+
+    made = {table["program"] for table in secret_persons(leaves).values()}
+    if made - {PROGRAM_VERSION}:
+        raise Problem(
+            "conflict",
+            f"persons of season {season} act by program {max(made)}, and this version has program "
+            f"{PROGRAM_VERSION}; start the version that made it until it is closed",
+        )
+
+
+def add_persons(folder: Path, task: str, count: int) -> Path:
+    """Add persons of a new secret to a private release, which is made if there is none.
+
+    Returns:
+        Its registry.
+
+    Raises:
+        ValueError: The task has no persons, the release has some of it already, or its partners
+            play another version of the environment.
+    """
+    from assistax_base.files import exclusive
+    from assistax_envs.versions import GENTLE_TASKS, VERSIONS
+    from zoo.persons.registered import described
+    from zoo.registry import load_registry
+    from zoo.saving import save_registry
+
+    if task not in GENTLE_TASKS:
+        raise ValueError(f"task {task!r} has no persons; allowed are {', '.join(GENTLE_TASKS)}")
+    if not 2 <= count <= MOST_PERSONS:
+        raise ValueError(f"count is {count}; allowed are 2 to {MOST_PERSONS}")
+    path, version = folder / REGISTRY_FILE, VERSIONS[task]
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with exclusive(path):
+        data = load_registry(path).data if path.exists() else _empty_release()
+        name = data.release_of(task)
+        release = data.releases[name]
+        if task in release.persons:
+            raise ValueError(f"{path} has persons of {task}, whose secret stays; name a new folder")
+        if release.environments.get(task, version) != version:
+            raise ValueError(
+                f"partners of {path} play version {release.environments[task]} of {task}, and "
+                f"persons version {version}; name a folder of their own"
+            )
+        added = {
+            "environments": {**release.environments, task: version},
+            "persons": {**release.persons, task: described(task, secrets.token_hex(32), count)},
+        }
+        releases = {**data.releases, name: release.model_copy(update=added)}
+        save_registry(data.model_copy(update={"releases": releases}), path)
+    return path
+
+
+def _empty_release() -> "RegistryFile":
+    from zoo.schema import RegistryFile, Release
+    from zoo.verify import installed_settings
+
+    return RegistryFile(
+        schema_version=2,
+        release="v1",
+        releases={"v1": Release(date=f"{datetime.now(UTC):%Y-%m-%d}", environments={})},
+        disability_settings=installed_settings(),
+        runs={},
+        shards={},
+        teams={},
+    )
 
 
 def ordinal(index: int) -> str:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from assistax_board.problems import Problem
 from assistax_board.vocabulary import Kind
+from zoo.ids import OWN
 
 # Columns of a result, in this order: nothing else leaves a worker.
 COLUMNS = {
@@ -21,7 +22,8 @@ COLUMNS = {
     "success": pl.Boolean(),
     "nonfinite": pl.Boolean(),
 }
-# Of the gentle tasks: what the human liked, and whether a contact was above the hard limit.
+# Of the gentle tasks: what the human liked, "own" of a person, and whether a contact was above the
+# hard limit.
 GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
 MAX_TABLE_BYTES = 4 * 1024 * 1024
 
@@ -115,7 +117,7 @@ def decode_table(
         raise Problem("invalid", "the result lacks episodes of this job, or has others")
     if not table["return"].is_finite().all():
         raise Problem("invalid", "the result has returns that are not finite")
-    if preferences and not set(table["preference"]) <= set(preferences):
+    if preferences and not set(table["preference"]) <= {*preferences, OWN}:
         raise Problem("invalid", "the result has preferences that nobody asked for")
     return table
 

@@ -19,7 +19,15 @@ from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
-from assistax_board.rules.release_pack import hidden_partners, ordinal, pack, unpack
+from assistax_board.rules.release_pack import (
+    check_program,
+    hidden_partners,
+    hidden_persons,
+    ordinal,
+    pack,
+    secret_persons,
+    unpack,
+)
 from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database
@@ -66,11 +74,12 @@ def create_season(
     packed = pack(folder)
     from zoo.registry import load_registry
 
-    entries = hidden_partners(load_registry(folder / "registry.json"), plan.task)
+    private = load_registry(folder / "registry.json")
+    entries = hidden_partners(private, plan.task)
     known = {entry.sha256 for entry in public.policies}
     if shared := [entry.id for entry in entries if entry.sha256 in known]:
         raise Problem("invalid", f"{shared[0]} is public; a private release has only new partners")
-    leaves = _leaves(entries)
+    leaves = _leaves(entries, hidden_persons(private, plan.task))
     sizes = {panel: sum(leaf.get("panel") == panel for leaf in leaves) for panel in ("A", "B")}
     if min(sizes.values()) < 2 or (sizes["B"] < ENOUGH_IN_B and not plan.small):
         raise Problem(
@@ -117,6 +126,7 @@ def open_season(database: Database, name: str, now: float, closes_at: float | No
     with database.write() as connection:
         row = find_season(database, connection, name, "draft", None)
         _check_unseen(connection, row.id, row.secret["leaves"])
+        check_program(row.name, row.secret["leaves"])
         root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
         values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
         connection.execute(sa.update(schema.seasons).where(SEASON.id == row.id).values(values))
@@ -164,15 +174,18 @@ def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: P
     """
     if merkle_root(map(leaf_sha256, statement["leaves"])) != root:
         raise ValueError("the leaves are not those whose root was published when it opened")
-    entries = hidden_partners(unpack(packed, folder), statement["task"])
+    registry = unpack(packed, folder)
+    entries = hidden_partners(registry, statement["task"])
     partners = [leaf for leaf in statement["leaves"] if "policy" in leaf]
     if [(leaf["policy"], leaf["sha256"]) for leaf in partners] != [
         (e.id, e.sha256) for e in entries
     ]:
         raise ValueError("the release holds other partners than the leaves say")
+    if secret_persons(statement["leaves"]) != hidden_persons(registry, statement["task"]):
+        raise ValueError("the release draws its persons from another secret than the leaves say")
     from zoo.parameters.storage import load_stacks
 
-    load_stacks(unpack(packed, folder), entries)  # hashes of all parameters
+    load_stacks(registry, entries)  # hashes of all parameters; rows of persons are drawn anew
     return len(entries)
 
 
@@ -199,8 +212,8 @@ def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str,
             )
 
 
-def _leaves(entries: Sequence["PolicyEntry"]) -> list[dict[str, Any]]:
-    """Return a salted leaf for the seeds, then one for each partner by its ordinal."""
+def _leaves(entries: Sequence["PolicyEntry"], persons: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a salted leaf for seeds and persons' secrets, then one a partner by its ordinal."""
     panels = _stratify(entries)
     seeds = {panel: secrets.token_hex(16) for panel in ("A", "B")}
     partners = [
@@ -213,7 +226,8 @@ def _leaves(entries: Sequence["PolicyEntry"]) -> list[dict[str, Any]]:
         }
         for index, entry in enumerate(entries)
     ]
-    return [{"seeds": seeds, "salt": secrets.token_hex(16)}, *partners]
+    drawn = {"persons": persons} if persons else {}
+    return [{"seeds": seeds, **drawn, "salt": secrets.token_hex(16)}, *partners]
 
 
 def _stratify(entries: Sequence["PolicyEntry"]) -> list[str]:

@@ -7,6 +7,7 @@ import sqlalchemy as sa
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
+from assistax_board.rules.release_pack import check_program
 from assistax_board.store import schema
 from assistax_board.store.schema import JOB, MAX_FAILURES, SEASON, SUBMISSION, VERSION
 
@@ -21,9 +22,11 @@ def adopt_version(service: "Service") -> int:
     older versions stay.
 
     Raises:
-        Problem: A season is closing under another version; nothing was changed.
+        Problem: A season is closing under another version, or has persons of another program;
+            nothing was changed.
     """
     now, changed = service.clock(), 0
+    _check_programs(service)
     for task in service.catalogue.tasks:
         _check_closing(service, task)
     for task in service.catalogue.tasks:
@@ -45,6 +48,14 @@ def adopt_version(service: "Service") -> int:
                 submissions.plan_jobs(connection, service.catalogue, row, season, now)
                 changed += 1
     return changed
+
+
+def _check_programs(service: "Service") -> None:
+    """Refuse to play on with the persons of a season that were made by another program."""
+    query = sa.select(SEASON.name, SEASON.secret).where(SEASON.state.in_(("open", "closing")))
+    with service.database.read() as connection:
+        for name, secret in connection.execute(query):
+            check_program(name, secret["leaves"])
 
 
 def _check_closing(service: "Service", task: str) -> None:

@@ -7,6 +7,7 @@ what `assistax_zoo.evaluate` plays with, `evaluation.play`.
 
 import hashlib
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.rules.catalogue import Catalogue, version_id
 from assistax_board.rules.release_pack import hidden_partners, ordinal_index, unpack
 from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, Work
+from zoo.ids import OWN
 
 
 class ZooScorer:
@@ -42,15 +44,19 @@ class ZooScorer:
         """Return one row an episode; see `scoring.Scorer`."""
         egos = self._egos(work, robot)
         if release is None:
-            entries = [self._registry.policy(name) for name in work.partners]
-            return self._play(work, egos, self._registry, entries)
+            pairs = [(self._registry.policy(name), name) for name in work.partners]
+            return self._play(work, egos, self._registry, pairs)
         with tempfile.TemporaryDirectory() as folder:
             hidden = unpack(release, Path(folder))
             humans = hidden_partners(hidden, work.task)
-            entries = [humans[ordinal_index(name)] for name in work.partners]
-            return self._play(work, egos, hidden, entries)
+            pairs = [(humans[ordinal_index(name)], name) for name in work.partners]
+            # Persons have wishes of their own: a job of theirs is no job of other partners.
+            apart = [[p for p in pairs if (p[0].disability == OWN) is own] for own in (False, True)]
+            return pl.concat(self._play(work, egos, hidden, some) for some in apart if some)
 
-    def _play(self, work: Work, egos: Any, registry: Any, entries: list[Any]) -> pl.DataFrame:
+    def _play(
+        self, work: Work, egos: Any, registry: Any, pairs: Sequence[tuple[Any, str]]
+    ) -> pl.DataFrame:
         from evaluation.cast.cast import env_version, own_robots
         from evaluation.cast.roster import registry_roster
         from evaluation.figures.normalised import REFERENCE_ROWS
@@ -59,15 +65,17 @@ class ZooScorer:
         from evaluation.play.how import How
         from evaluation.play.study import make_job
 
+        entries = [entry for entry, _ in pairs]
         version = env_version(registry, work.task, entries)
-        seed, preferences = int(work.seed, 16), ",".join(work.preferences) or None
+        wishes = () if entries[0].disability == OWN else work.preferences
+        seed, preferences = int(work.seed, 16), ",".join(wishes) or None
         how = How(work.task, work.episodes, seed, self._backend, preferences=preferences)
         env, job = make_job(how, egos, registry_roster(registry, entries), version=version)
         if work.kind == "reference" and work.format in REFERENCE_ROWS:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
         with tempfile.TemporaryDirectory() as folder:
             table = run_job(env, job, Path(folder) / "job").table
-        return _leaving(table, dict(zip([e.id for e in entries], work.partners, strict=True)))
+        return _leaving(table, {entry.id: name for entry, name in pairs})
 
     def _egos(self, work: Work, robot: Any) -> Any:
         from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
@@ -95,4 +103,6 @@ def _leaving(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
         pl.col("partner_algorithm").alias("algorithm"),
         pl.col("partner_disability").alias("disability"),
     )
+    if "violated" in renamed.columns and "preference" not in renamed.columns:
+        renamed = renamed.with_columns(preference=pl.lit(OWN))  # of persons
     return renamed.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in renamed.columns)

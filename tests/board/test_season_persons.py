@@ -1,0 +1,238 @@
+"""Seasons whose hidden partners are persons: drawn from a secret that is committed to."""
+
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import sqlalchemy as sa
+from starlette.testclient import TestClient
+
+from assistax_base.digest import leaf_sha256, merkle_root
+from assistax_board.app import create_app
+from assistax_board.problems import Problem
+from assistax_board.rules import release_pack, seasons
+from assistax_board.rules.catalogue import ZooCatalogue
+from assistax_board.rules.release_pack import add_persons, hidden_partners, pack
+from assistax_board.rules.scoring import GENTLE_COLUMNS, Work, decode_table, encode_table
+from assistax_board.service import Service
+from assistax_board.store import schema
+from assistax_board.submitting import _try_work
+from assistax_board.work.zoo_scorer import ZooScorer
+from assistax_envs.persons.rows import COUNT, drawn
+from assistax_envs.versions import VERSIONS
+from assistax_zoo.shell.main import run
+from evaluation.figures.by_parameter import outcomes
+from evaluation.play.how import How
+from evaluation.record.record import Record
+from tests.board.fakes import TASK as OTHER_TASK
+from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.board.test_zoo_scorer import short_episodes  # noqa: F401  # of all tests here
+from tests.studies import evaluate_policies
+from tests.untrained import gentle_specs, params_of, published, teams_of
+from zoo.exports.card import find_cards
+from zoo.parameters.storage import write_policy_file
+from zoo.registry import Registry, load_registry
+from zoo.verify import verify
+
+TASK = "gentle_scratch"
+NOBODY: Any = SimpleNamespace(policies=())  # is public
+
+
+def season_of(service: Service, folder: Path, count: int = 8) -> dict[str, Any]:
+    """Open a season of so many persons alone; return what it keeps to itself."""
+    add_persons(folder, TASK, count)
+    service.create_season(seasons.Plan("spring", TASK, small=True), folder, NOBODY)
+    service.open_season("spring")
+    with service.database.read() as connection:
+        row = connection.execute(sa.select(schema.seasons)).mappings().one()
+    return dict(row)
+
+
+def secret_of(folder: Path) -> str:
+    table = load_registry(folder / "registry.json").data.releases["v1"].persons[TASK]
+    assert table.secret is not None
+    return table.secret
+
+
+def test_a_command_hides_persons_for_its_owner_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "private"
+    words = ["season", "persons", str(folder), "--task", TASK, "--count", "6"]
+    assert run(words) == 0
+    assert "hides 6 persons; keep it secret" in capsys.readouterr().out
+    assert folder.stat().st_mode & 0o077 == 0
+    registry = load_registry(folder / "registry.json")
+    people = hidden_partners(registry, TASK)
+    assert [entry.seed for entry in people] == list(range(COUNT, COUNT + 6)), "nobody's public id"
+    assert {registry.env_version(entry) for entry in people} == {VERSIONS[TASK]} == {3}
+    assert {entry.algorithm for entry in people} == {"spring", "muscle"}
+    assert (verify(registry).persons, verify(registry).problems) == (6, ())
+    before = secret_of(folder)
+    assert run(words) == 1 and "whose secret stays" in capsys.readouterr().err
+    assert secret_of(folder) == before
+    add_persons(tmp_path / "another", TASK, 6)
+    assert secret_of(tmp_path / "another") != before
+
+
+@pytest.mark.parametrize(
+    ("task", "count", "message"),
+    [("scratch", 6, "has no persons"), (TASK, 1, "allowed are 2 to"), (TASK, 10**6, "allowed are")],
+)
+def test_what_cannot_be_hidden_is_said(tmp_path: Path, task: str, count: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        add_persons(tmp_path / "private", task, count)
+    assert not (tmp_path / "private").exists()
+
+
+def test_partners_of_another_environment_have_a_folder_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(VERSIONS, TASK, 2)
+        published(teams_of(2, task=TASK), tmp_path)
+    with pytest.raises(ValueError, match="play version 2 of gentle_scratch, and persons version 3"):
+        add_persons(tmp_path, TASK, 6)
+
+
+def test_a_season_commits_to_the_secret_and_anybody_draws_the_persons_again(
+    tmp_path: Path,
+) -> None:
+    service = new_service(tmp_path)
+    row = season_of(service, tmp_path / "private")
+    leaves = row["secret"]["leaves"]
+    assert row["panel_sizes"] == {"A": 4, "B": 4}
+    for panel in "AB":  # as many of either family, who take turns
+        people = [leaf["policy"] for leaf in leaves if leaf.get("panel") == panel]
+        assert sum(int(name.split("-")[1]) % 2 for name in people) == 2
+    service.close_season("spring")
+    statement = seasons.revealed(service.database, "spring")
+    packed = seasons.revealed_release(service.database, service.artefacts, "spring")
+    assert seasons.verify_season(statement, packed, row["root"], tmp_path / "revealed") == 8
+    revealed = load_registry(tmp_path / "revealed" / "registry.json")
+    secret = bytes.fromhex(secret_of(tmp_path / "private"))
+    [leaf] = [leaf for leaf in statement["leaves"] if "seeds" in leaf]
+    assert leaf["persons"]["v1"]["secret"] == secret.hex()
+    rows = drawn(TASK, secret, 8)
+    person = find_cards(revealed, f"{TASK}/person-10003-v1")[0]
+    numbers = [number["value"] for number in person["numbers"].values()]
+    np.testing.assert_allclose(numbers, rows[3], rtol=1e-3)
+
+
+def test_another_secret_proves_nothing(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    row = season_of(service, tmp_path / "private")
+    statement = {"task": TASK, "leaves": row["secret"]["leaves"]}
+    add_persons(tmp_path / "another", TASK, 8)
+    with pytest.raises(ValueError, match="other partners"):
+        seasons.verify_season(
+            statement, pack(tmp_path / "another"), row["root"], tmp_path / "unpacked"
+        )
+    forged = json.loads(json.dumps(statement))
+    forged["leaves"][0]["persons"]["v1"]["secret"] = "0" * 64
+    with pytest.raises(ValueError, match="not those whose root"):
+        seasons.verify_season(forged, pack(tmp_path / "private"), row["root"], tmp_path / "again")
+    root = merkle_root(map(leaf_sha256, forged["leaves"]))
+    with pytest.raises(ValueError, match="another secret"):
+        seasons.verify_season(forged, pack(tmp_path / "private"), root, tmp_path / "once more")
+
+
+def test_nothing_of_the_secret_is_in_any_answer(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    secret_season = season_of(service, tmp_path / "private")
+    http = TestClient(app := create_app(service), raise_server_exceptions=False)
+    paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
+    names = (secret_season["id"], "spring")
+    texts = [
+        http.get(p.replace("{id}", n).replace("{task}", TASK)).text for p in paths for n in names
+    ]
+    assert any(secret_season["root"] in text for text in texts)
+    hidden = [secret_of(tmp_path / "private"), "person-1", "salt"]
+    assert [word for word in hidden for text in texts if word in text] == []
+
+
+def test_a_season_of_persons_is_played_by_one_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = new_service(tmp_path)
+    season_of(service, tmp_path / "private")
+    add_persons(tmp_path / "summer", TASK, 8)
+    plan = seasons.Plan("summer", TASK, small=True)
+    service.create_season(plan, tmp_path / "summer", NOBODY)
+    monkeypatch.setattr("assistax_envs.persons.rows.PROGRAM_VERSION", 99)
+    with pytest.raises(Problem, match=r"season spring act by program 2,.* program 99"):
+        service.adopt_version()
+    with pytest.raises(Problem, match="season summer act by program"):
+        service.open_season("summer")
+    identity = ZooCatalogue(load_registry(), "native").identity(TASK)
+    assert identity["persons"] == 99, "no worker of another program takes a job"
+    assert "persons" not in ZooCatalogue(load_registry(), "native").identity("scratch")
+
+
+def test_persons_have_no_robot_of_their_own(tmp_path: Path) -> None:
+    """Panel B is measured by the other references."""
+    service = new_service(tmp_path)
+    season = season_of(service, tmp_path / "private")["id"]
+    with service.database.write() as connection:
+        connection.execute(sa.update(schema.seasons).values(task=OTHER_TASK))  # the fakes' own
+    service.add_references()
+    service.submit(new_submitter(service), draft(2.0, season=season))
+    work_off(service)
+    service.close_season("spring")
+    work_off(service)
+    played = {score.method for score in service.queries.scores(season=season, panel="B")}
+    assert played == {"mine", "zero-action"}
+
+
+@pytest.fixture(scope="module")
+def private(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    """Trained partners and persons in one release."""
+    folder = tmp_path_factory.mktemp("private")
+    published(teams_of(1, *gentle_specs(TASK), TASK), folder)
+    add_persons(folder, TASK, 3)
+    return load_registry(folder / "registry.json")
+
+
+def robot_of(registry: Registry, path: Path) -> Path:
+    spec = registry.select(task=TASK, role="robot")[0].spec
+    write_policy_file(path, spec, params_of(spec, 7))
+    return path
+
+
+def work(registry: Registry, episodes: int) -> Work:
+    count = len(hidden_partners(registry, TASK))
+    names = tuple(release_pack.ordinal(index) for index in range(count))
+    return dataclasses.replace(_try_work(TASK, "safetensors", names), episodes=episodes)
+
+
+@pytest.mark.slow
+def test_what_a_server_played_with_persons_is_what_evaluate_plays(
+    private: Registry, tmp_path: Path
+) -> None:
+    """After the reveal anybody evaluates with the release: the same returns, person by person."""
+    robot, asked = robot_of(private, tmp_path / "robot.safetensors"), work(private, 2)
+    people = hidden_partners(private, TASK)
+    assert [entry.disability for entry in people] == ["d1", "d9", "own", "own", "own"]
+    catalogue = ZooCatalogue(private, "native")
+    table = ZooScorer(private, catalogue, "native").play(
+        asked, robot.read_bytes(), pack(private.path.parent)
+    )
+    arrived = decode_table(encode_table(table), asked.partners, 2, asked.preferences)
+    assert set(arrived.columns) > set(GENTLE_COLUMNS)
+    persons = arrived.filter(pl.col("disability") == "own").sort("partner", "episode")
+    assert set(persons["preference"]) == {"own"} and persons.height == 3 * 2
+    assert set(persons["algorithm"]) == {"spring", "muscle"}
+
+    how = How(TASK, 2, int(asked.seed, 16), "native")
+    evaluate_policies(private, [robot], how, tmp_path / "home", partners="persons")
+    home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
+    assert home["partner"].unique().sort().to_list() == [entry.id for entry in people[2:]]
+    for column in ("return", "success", "violated"):
+        assert home[column].equals(persons[column]), column
+    with pytest.raises(ValueError, match="persons of a season's secret"):
+        outcomes(Record.read(tmp_path / "home"))
