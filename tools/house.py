@@ -158,7 +158,10 @@ def floors(modules: Mapping[str, Module], package: str) -> tuple[list[list[str]]
 
 def picture(modules: Mapping[str, Module]) -> str:
     """Return the rooms as Markdown: a line for each package, from the lowest floor up."""
-    lines = ["| package | its rooms; each stands to the right of those that it imports |", "|---|---|"]
+    lines = [
+        "| package | its rooms; each stands to the right of those that it imports |",
+        "|---|---|",
+    ]
     for package in FOLDERS:
         rooms = (", ".join(f"`{room}`" for room in floor) for floor in floors(modules, package)[0])
         lines.append(f"| `{package}` | {' ← '.join(rooms)} |")

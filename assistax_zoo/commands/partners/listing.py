@@ -212,7 +212,7 @@ def _replay_teams(
 
 def _replay_lines(result: "SelfPlayReport") -> list[str]:
     """Return expected and found returns of each team, the versions, and a verdict."""
-    done = "replayed" if result.ok else f"{len(result.problems)} problems in"
+    done = "replayed" if result.ok else f"{counted(len(result.problems), 'problem')} in"
     start = "not replayed, trained on another version of the environment: "
     outdated = [start + ", ".join(result.outdated)] if result.outdated else []
     return [

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_zoo.commands.options import Source
 from assistax_zoo.shell.console import answer, stdout_is_data
 from zoo.registry import load_registry
@@ -24,8 +24,8 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
         report = dataclasses.replace(check_sources(folder, registry), files=report.files)
     lines = [f"not here, and not checked: {absent}" for absent in report.absent]
     lines += [f"problem: {problem}" for problem in report.problems]
-    verdict = "verified" if report.ok else f"{len(report.problems)} problems in"
-    files = f"{report.files} files of {folder}, and {report.sources} that they depend on"
+    verdict = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
+    files = f"{counted(report.files, 'file')} of {folder}, and {report.sources} that they depend on"
     content = {"ok": report.ok, **vars(report)}
     answer(json, content, *map(printable, lines), f"{verdict} {files}")
     return report.ok
@@ -85,7 +85,7 @@ def _replay_lines(report: "ReplayReport") -> list[str]:
     lines = [f"not checked: {what}" for what in report.unchecked]
     lines += [f"problem: {problem}" for problem in report.problems[:SHOWN]]
     if len(report.problems) > SHOWN:
-        lines.append(f"and {len(report.problems) - SHOWN} more problems")
+        lines.append(f"and {counted(len(report.problems) - SHOWN, 'more problem')}")
     if not report.episodes:
         return [*lines, f"{report.folder}: {report.why}; nothing was played"]
     if report.exact:

@@ -4,6 +4,7 @@ import dataclasses
 from datetime import UTC, datetime
 from pathlib import Path
 
+from assistax_base.errors import counted
 from assistax_board.clock import seconds_of
 from assistax_board.commands.opening import open_folder, print_answer
 
@@ -91,7 +92,7 @@ def season_disqualify(season: str, lab: str, /, *, data: Path, database: str | N
         assistax-zoo season disqualify spring 'Lab of Ada' --data board
     """
     count = open_folder(data, database).disqualify(season, lab)
-    print(f"{count} submissions of {lab} left season {season}")
+    print(f"{counted(count, 'submission')} of {lab} left season {season}")
 
 
 def season_extend(

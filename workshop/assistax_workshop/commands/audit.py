@@ -7,6 +7,7 @@ from typing import Any
 
 from cyclopts import Parameter
 
+from assistax_base.errors import counted
 from assistax_zoo.shell.console import new_table, print_json, print_table, stdout_is_data
 
 
@@ -93,8 +94,8 @@ def audit(
 
 def _print(result: Mapping[str, Any]) -> None:
     """Print an audit's gates as a table, then the figures behind them."""
-    title = f"{result['task']}, {len(result['teams'])} teams, {result['episodes']} episodes a pair"
-    table = new_table(title)
+    played = counted(len(result["teams"]), "team"), counted(result["episodes"], "episode")
+    table = new_table(f"{result['task']}, {', '.join(played)} a pair")
     for name in ("gate", "bar", "found", "95%", "holds"):
         table.add_column(name, overflow="fold")
     for gate in result["gates"]:
