@@ -245,7 +245,7 @@ def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return ast.literal_eval(node.value)
-    raise ValueError(f"there is no {name} at the module's top")
+    raise ValueError(f"the module has no {name} at its top")
 
 
 def main(arguments: list[str]) -> int:

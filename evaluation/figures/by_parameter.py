@@ -176,8 +176,8 @@ def summarise_parameters(
     of = outcomes(record)
     if len(over) not in (0, 2) or most < 1:
         raise ValueError(
-            f"the surface is over {len(over)} parameters, and {most} are told of; name two or none "
-            "for the surface, and tell of 1 or more"
+            f"the surface is over {len(over)} parameters, and {most} are to be shown; name two or "
+            "none for the surface, and show 1 or more"
         )
     measured = {outcome: effects(of, outcome, bins=bins) for outcome in of.values}
     matter = {

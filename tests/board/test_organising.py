@@ -127,7 +127,7 @@ def test_a_disqualified_lab_leaves_the_boards_and_hands_in_no_more(service: Serv
     work_off(service)
     assert {id for id, _ in service.panel_b(season)} == {ids[1]}
     assert kinds(service).count("disqualify") == 1
-    with pytest.raises(Problem, match="no submission that stands"):
+    with pytest.raises(Problem, match="no submission in season"):
         service.disqualify("spring", "bad")
     with pytest.raises(Problem, match="no lab 'nobody'"):
         service.disqualify("spring", "nobody")
@@ -257,7 +257,7 @@ def test_the_page_shows_and_acts(service: Service, browser: TestClient) -> None:
     fail(service)
     text = send(browser, token, action="look").text
     assert id in text and "service retry" in text and "spring" in text and token not in text
-    assert "is queued again" in send(browser, token, action="retry", submission=id).text
+    assert "can be queued again" in send(browser, token, action="retry", submission=id).text
     assert "unbroken chain" in send(browser, token, action="ledger").text
     date = datetime.fromtimestamp(service.clock() + 100 * DAY, UTC).strftime("%Y-%m-%dT%H:%M")
     assert (

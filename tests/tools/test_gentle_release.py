@@ -575,7 +575,7 @@ def without_a_pair(data: Path, split: Split) -> None:
     [
         (without_a_partner, "with other test partners"),
         (on_other_sides, "with other train partners|with other test partners"),
-        (on_another_split, "no split of the release"),
+        (on_another_split, "not a split of the release"),
         (with_other_preferences, "played other preferences"),
         (of_another_release, "of release v1"),
         (without_a_pair, "pairs on gentle_scratch is not there"),

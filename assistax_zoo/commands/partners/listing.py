@@ -84,7 +84,9 @@ def show(
         assistax-zoo show scratch/ippo-d3-s5-v1/human
     """
     if image and not card:
-        raise ValueError("--image stands in a written card; name its file with --card")
+        raise ValueError(
+            "--image goes into a card that is written; name the card's file with --card"
+        )
     loaded = load_registry(registry)
     cards = find_cards(loaded, id)
     if card:

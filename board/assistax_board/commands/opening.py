@@ -36,7 +36,7 @@ def open_folder(data: Path, database: str | None = None, artefacts: str | None =
     from assistax_board.serve import open_service
 
     if not (data / "signing-key.pem").is_file():
-        raise ValueError(f"{data} is no folder of a service; `assistax-zoo serve` makes one")
+        raise ValueError(f"{data} is not a service's folder; `assistax-zoo serve` makes one")
     return open_service(data, database=database, artefacts=artefacts)
 
 

@@ -116,7 +116,7 @@ def decode_table(
     if not table["return"].is_finite().all():
         raise Problem("invalid", "the result has returns that are not finite")
     if preferences and not set(table["preference"]) <= set(preferences):
-        raise Problem("invalid", "the result has preferences that nobody asked for")
+        raise Problem("invalid", "the result has preferences that the job does not ask for")
     return table
 
 

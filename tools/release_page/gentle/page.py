@@ -132,7 +132,7 @@ def _cost_of_making(results: Results, command: str) -> str:
     """Return device minutes and commands of every table; `command` makes the page."""
     note = (
         "Minutes are a process's own; up to twelve shared a GPU. What trained `ppo-mirror` is the "
-        "split with its sides exchanged, which is no split of the release."
+        "split with its sides exchanged, which is not a split of the release."
     )
     return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
 
