@@ -168,7 +168,7 @@ def summarise_parameters(
         record: Of a folder whose partners are persons.
         over: Two numbers; the two that matter most for the return if none are given.
         bins: Of each number.
-        most: How many numbers to tell of.
+        most: How many numbers to show.
 
     Raises:
         ValueError: The folder has no persons, or too few, or a number is none of theirs.

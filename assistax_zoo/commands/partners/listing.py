@@ -76,7 +76,7 @@ def show(
     Args:
         id: A policy's id, or a team's for both its policies.
         card: Write the card to this file too, as Markdown to be shared.
-        image: Picture that stands in the written card.
+        image: Picture for the written card.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 
@@ -108,10 +108,10 @@ def verify(
 ) -> None:
     """Check every published byte, split, figure and reference; exit code 1 if anything is wrong.
 
-    Given a folder of results, its files are held against the manifest that it holds instead, and so
-    is what they depend on and is here: policies, entries of the registry, own robots' files.
-    With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
-    under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
+    Given a folder of results, the command compares its files with the folder's manifest instead,
+    and also what they depend on, as far as it is here: policies, entries of the registry, own
+    robots' files. With --deep the policies are loaded and stepped too, and the teams replay their
+    self-play, each under its own disability setting: this tests the installed MuJoCo, MJX and JAX.
 
     Args:
         pattern: A folder of results; or a glob over the policies that --deep replays, default all.

@@ -16,7 +16,7 @@ SHOWN = 8  # problems; --json has all
 
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
-    """Hold a finished folder and its sources against its manifest; print and return the verdict."""
+    """Compare a finished folder and its sources with its manifest; print and return the verdict."""
     from evaluation.record.verification import check_sources, verify_folder
 
     report = verify_folder(folder)
@@ -47,12 +47,13 @@ def replay(
     The job is made again from the registry. Every table and figure is computed again from the
     episodes. A sample of the episodes is played again, those of the references too. If the folder
     names a machine of this kind, every bit must be the same. If not, each robot, partner and pair
-    may differ by what was measured between processors. The answer says which, and what is not
-    checked.
+    may differ by as much as was measured between processors. The answer says which of the two
+    applied, and what was not checked.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
-        sample: Episodes; what was simulated together is played together, so there may be more.
+        sample: Episodes; those that were simulated together are played together, so there may be
+            more.
         seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
         run_code: Run a robot from Python code that the folder names; read it first.
         crossplay: Folder of the cross-play that was given to evaluate; it is checked as well.

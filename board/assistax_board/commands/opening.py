@@ -32,7 +32,7 @@ class Server:
 
 
 def open_folder(data: Path, database: str | None = None, artefacts: str | None = None) -> "Service":
-    """Open the service of a folder that exists: a mistyped one must not make a new service."""
+    """Open the service of a folder that exists: a mistyped name must not make a new one."""
     from assistax_board.serve import open_service
 
     if not (data / "signing-key.pem").is_file():

@@ -153,7 +153,7 @@ def _check_takes(connection: sa.Connection, season: Any) -> None:
 
 
 def disqualify(service: "Service", season: str, lab: str) -> int:
-    """Take a lab out of a season: its submissions leave the boards, and it hands in no more.
+    """Take a lab out of a season: its submissions leave the boards, and it can submit no more.
 
     Args:
         service: The service.

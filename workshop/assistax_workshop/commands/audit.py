@@ -59,13 +59,13 @@ def audit(
     Args:
         task: Task, such as gentle_scratch.
         team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
-        others: Who plays for the other gates.
+        others: Policies that play for the other gates.
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         env_version: Version of the environment; that of published teams, else the newest, if not
             given.
-        out: Folder for the episodes; an audit that was stopped goes on.
+        out: Folder for the episodes; a stopped audit continues.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         json: Print JSON.
 

@@ -23,9 +23,9 @@ def train(
     set_: Changes = (),
     backend: str = "auto",
 ) -> None:
-    """Train those who play for the gates of a gentle task, each condition into FOLDER/CONDITION.
+    """Train policies for the gates of a gentle task, each condition into FOLDER/CONDITION.
 
-    Runs that were interrupted go on. Conditions with humans of teams need FOLDER/teams first.
+    Interrupted runs continue. Conditions with humans of teams need FOLDER/teams first.
 
     Args:
         task: Gentle task.
@@ -70,13 +70,13 @@ def told_egos(
 ) -> None:
     """Train robots that are told what their partners like, and evaluate them.
 
-    FOLDER/training is as of `train-ego`, FOLDER/evaluation as of `evaluate --split both`; what was
-    interrupted goes on.
+    FOLDER/training is as of `train-ego`, FOLDER/evaluation as of `evaluate --split both`; an
+    interrupted command continues.
 
     Args:
         task: Gentle task.
         folder: Of the run and the evaluation.
-        split: With whose training half they learn; default the release's own.
+        split: Split whose training half they learn with; default that of the release.
         seeds: How many, or which.
         steps: Environment steps of each robot.
         episodes: Of each pair.
@@ -133,7 +133,7 @@ def persons(
     num_envs: int = 2048,
     backend: str = "auto",
 ) -> None:
-    """Train robots with persons, told, with a memory and neither, and play them with strangers.
+    """Train robots with persons: plain, told, or with a memory. Play them with new persons.
 
     FOLDER/persons.json has what each robot earns with each person that it never met.
 
