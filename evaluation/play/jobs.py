@@ -1,4 +1,4 @@
-"""What is evaluated, as data: the job. How it is cut is said in `evaluation.play.tiles`."""
+"""The job of an evaluation, as data. `evaluation.play.tiles` cuts it."""
 
 import dataclasses
 import hashlib

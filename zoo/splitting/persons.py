@@ -1,4 +1,4 @@
-"""What a user asks of persons: of which side, which of them, and how many."""
+"""Which persons a user asks for: their side, their ids, and how many."""
 
 from collections.abc import Sequence
 

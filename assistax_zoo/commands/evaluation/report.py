@@ -1,4 +1,4 @@
-"""What finished folders tell: differences of methods, strategies of partners, and a page."""
+"""What finished folders show: differences of methods, strategies of partners, and a page."""
 
 import textwrap
 from pathlib import Path
