@@ -214,11 +214,12 @@ class TrainingLine(Line):
         mean = progress.rows["return"].mean()
         self._return = self._return if mean is None else f"return {mean:.1f}"
         reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
-        left, parts = progress.seconds_left, [self._return or reward]
-        if left is not None:
-            parts = [f"{progress.steps_per_second:,.0f} steps/s", *parts, f"{_duration(left)} left"]
-        done = f"{_count(progress.steps)} of {_count(progress.total_steps)} steps"
-        text = f"{self._name}: {', '.join([done, *parts])}"
+        left, speed = progress.seconds_left, f"{progress.steps_per_second:,.0f} steps/s, "
+        text = (
+            f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
+            f"{'' if left is None else speed}{self._return or reward}"
+            f"{'' if left is None else f', {_duration(left)} left'}"
+        )
         self.show(text, last=progress.update == progress.updates)
 
 

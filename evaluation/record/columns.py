@@ -8,8 +8,6 @@ from typing import Literal
 
 import polars as pl
 
-from assistax_base.errors import counted
-
 SIDES = ("train", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
 
@@ -124,8 +122,7 @@ def _validate_column(table: pl.DataFrame, name: str, expected: Column) -> None:
         raise ValueError(f"column {name} is {column.dtype}; expected {expected.dtype}")
     if not expected.nullable and column.null_count():
         raise ValueError(
-            f"column {name} has {counted(column.null_count(), 'empty value')}; every episode needs "
-            "a value"
+            f"column {name} has {column.null_count()} empty values; every episode needs one"
         )
     if expected.dtype.is_float():
         bad = table.filter(~column.is_finite())

@@ -257,7 +257,7 @@ def test_the_page_shows_and_acts(service: Service, browser: TestClient) -> None:
     fail(service)
     text = send(browser, token, action="look").text
     assert id in text and "service retry" in text and "spring" in text and token not in text
-    assert "can be queued again" in send(browser, token, action="retry", submission=id).text
+    assert "is queued again" in send(browser, token, action="retry", submission=id).text
     assert "unbroken chain" in send(browser, token, action="ledger").text
     date = datetime.fromtimestamp(service.clock() + 100 * DAY, UTC).strftime("%Y-%m-%dT%H:%M")
     assert (

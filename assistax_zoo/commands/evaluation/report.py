@@ -131,8 +131,13 @@ def _print_strategies(strategies: dict[str, Any]) -> None:
             f"most incompatible: {names}: {own} with their own robots, {exchanged} with each "
             "other's"
         )
-    for line in lines:
-        print(textwrap.fill(printable(line), 80, subsequent_indent="  ", break_on_hyphens=False))
+    print(
+        *(
+            textwrap.fill(printable(line), 80, subsequent_indent="  ", break_on_hyphens=False)
+            for line in lines
+        ),
+        sep="\n",
+    )
 
 
 def _figure(value: float) -> str:

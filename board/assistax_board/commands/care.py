@@ -3,7 +3,6 @@
 import tempfile
 from pathlib import Path
 
-from assistax_base.errors import counted
 from assistax_board.commands.opening import open_client, open_folder, print_answer
 
 
@@ -72,7 +71,7 @@ def service_backup(target: Path, /, *, data: Path) -> None:
     from assistax_board.store.backup import back_up
 
     count = back_up(data, target)
-    print(f"{target} has the database, the key and {counted(count, 'artefact')}")
+    print(f"{target} has the database, the key and {count} artefacts")
 
 
 def service_restore(source: Path, /, *, data: Path) -> None:

@@ -94,8 +94,10 @@ def audit(
 
 def _print(result: Mapping[str, Any]) -> None:
     """Print an audit's gates as a table, then the figures behind them."""
-    played = counted(len(result["teams"]), "team"), counted(result["episodes"], "episode")
-    table = new_table(f"{result['task']}, {', '.join(played)} a pair")
+    table = new_table(
+        f"{result['task']}, {counted(len(result['teams']), 'team')}, "
+        f"{counted(result['episodes'], 'episode')} a pair"
+    )
     for name in ("gate", "bar", "found", "95%", "holds"):
         table.add_column(name, overflow="fold")
     for gate in result["gates"]:
