@@ -87,7 +87,7 @@ def run_blocks(
         raise BlocksFailedError(
             f"{len(failures)} of {len(names)} blocks failed: "
             + "; ".join(f"{names[number]}: {reason}" for number, reason in sorted(failures.items()))
-            + "; what is finished is kept, and the same command again goes on"
+            + "; finished blocks are kept; the same command continues with the others"
         )
 
 

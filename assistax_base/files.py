@@ -33,7 +33,7 @@ def atomic_path(path: Path) -> Generator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.is_file():
-        raise OSError(f"{path} is no regular file; it is not replaced")
+        raise OSError(f"{path} is not a regular file; it is not replaced")
     remove_stale(path.parent, f".{glob.escape(path.name)}.*.tmp")
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:

@@ -332,8 +332,7 @@ def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> j
 def _check_scene(task: str, backend: str) -> None:
     if task not in REGISTERED:
         raise ValueError(
-            f"there is no scene {task!r}; let the class say in `scene` whose scene it takes, of "
-            f"{', '.join(TASKS)}"
+            f"there is no scene {task!r}; set the class's `scene` to one of {', '.join(TASKS)}"
         )
     if REGISTERED[task].felt and backend not in GIVES_CONTACT_FRAMES:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""What stands below a picture: clock, reward terms as bars, force, and what the colours mean."""
+"""The strip below a picture: clock, reward terms as bars, force, and a legend of colours."""
 
 import dataclasses
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Robots that nobody trained: a few lines for each task that drive the tool to its target.
+"""Scripted robots: a few lines for each task that drive the tool to its target.
 
 What such a script earns with a passive human is what a task pays without coordination: a task on
 which it does well says little about partners. It sees what a trained robot sees, and has no memory.

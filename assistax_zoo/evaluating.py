@@ -57,8 +57,8 @@ def evaluate(
 ) -> EvaluationResult:
     """Compute M_test: the return of a robot with partners that it never met.
 
-    Each partner plays under its own disability setting and in episodes of its own, which are the
-    same for every robot.
+    Each partner plays under its own disability setting, in its own episodes, which are the same for
+    every robot.
 
     Args:
         robot: A callable from observations [N, O] to actions [N, A], float32, called with one row
@@ -72,7 +72,7 @@ def evaluate(
             split's id (ID:both); "validation" where the split has that side.
         partners: Globs over partners, to play only some of those sides; "persons" for persons, or
             globs over them, such as "gentle_scratch/person-08*-v3".
-        persons: How many persons, drawn of those that are meant; default 200.
+        persons: How many persons to draw; default 200.
         episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
             4 with persons, and 8 in the others.
         seed: Of the episodes: each partner has its own, the same for every robot.
@@ -177,8 +177,8 @@ def cross_play(
         egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
         partners: Globs over humans, or "persons"; all of the release if None.
         task: Task, such as "scratch".
-        release: Release of both, where a glob names none; default the newest whole one
-            that has the task.
+        release: Release of both, if a glob names none; default the newest complete one that has the
+            task.
         persons: As in `evaluate`.
         episodes: As in `evaluate`, like all that follows but `cluster`.
         seed: Of the episodes.

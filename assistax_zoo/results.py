@@ -72,8 +72,8 @@ class _Result:
         if any(hashes.get(name) != self._hashes.get(name) for name in names):
             raise ValueError(
                 f"{self.folder} no longer holds this result: its tables were replaced, or written "
-                "again with other options; load_result reads what it holds now, and `out` gives "
-                "each result a folder of its own"
+                "again with other options; load_result reads the new tables, and `out` gives each "
+                "result its own folder"
             )
         return self.folder
 

@@ -65,7 +65,7 @@ def vector_env(
     if form not in FORMS:
         raise ValueError(f"form is {form!r}; allowed are {', '.join(FORMS)}")
     if form in ("sb3", "jaxmarl") and arrays != "numpy":
-        raise ValueError(f"arrays is {arrays!r}, but form {form!r} has arrays of its own kind")
+        raise ValueError(f"arrays is {arrays!r}, but form {form!r} has its own kind of arrays")
     if partners == PERSONS:
         if split or preferences:
             raise ValueError("persons have no split and no preferences; leave these out")

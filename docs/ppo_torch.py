@@ -40,7 +40,7 @@ def mlp(inputs: int, outputs: int) -> nn.Sequential:
 def train(task: str, partners: str | None, envs: int, steps: int, rollout: int = 32) -> Agent:
     env = az.vector_env(task, envs, partners=partners, arrays="jax")
     agent = Agent(env.single_observation_space.shape[0], env.single_action_space.shape[0])
-    adam = torch.optim.Adam(agent.parameters(), lr=1e-3)
+    adam, returns = torch.optim.Adam(agent.parameters(), lr=1e-3), []
     obs = torch.from_dlpack(env.reset(seed=0)[0])
     began, earned, updates = time.time(), torch.zeros(envs), steps // (envs * rollout)
     for update in range(updates):
@@ -51,15 +51,16 @@ def train(task: str, partners: str | None, envs: int, steps: int, rollout: int =
                 agent.see(obs)
                 policy, value = agent(obs)
                 action = policy.sample()
-                new, reward, _, ended, info = env.step(action)
-                new, reward, ended = map(torch.from_dlpack, (new, reward, ended))
+                *step, info = env.step(action)
+                new, reward, stop, limit = map(torch.from_dlpack, step)
                 after = torch.from_dlpack(info["final_obs"]) if "final_obs" in info else new
                 rows.append((obs, action, policy.log_prob(action).sum(-1), value,
-                             reward, agent(after)[1], ended))  # fmt: skip
+                             reward, agent(after)[1] * ~stop, stop | limit))  # fmt: skip
                 obs, earned = new, earned + reward
-                if ended[0]:  # all end together, by time: the value of what comes next still counts
-                    print(f"{time.time() - began:.0f} s, return {earned.mean():.1f}", flush=True)
-                    earned = torch.zeros(envs)
+                earned, returns = earned * ~(stop | limit), returns + earned[stop | limit].tolist()
+                if limit[0]:  # of all at once; the value of what comes next still counts
+                    mean = torch.tensor(returns[-envs:]).mean()
+                    print(f"{time.time() - began:.0f} s, return {mean:.1f}", flush=True)
             seen, taken, log, worth, paid, then, end = map(torch.stack, zip(*rows, strict=True))
             gains, gain = torch.zeros_like(worth), torch.zeros(envs)
             for t in reversed(range(rollout)):

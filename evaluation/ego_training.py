@@ -205,7 +205,7 @@ def _chosen_split(
         raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
     chosen = registry.split(task, split or partners)
     if partners and chosen.rule != PERSONS:
-        raise ValueError(f"split {chosen.id} is none of persons; leave it or partners out")
+        raise ValueError(f"split {chosen.id} has no persons; leave out the split or the partners")
     return chosen
 
 
@@ -223,7 +223,7 @@ def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -
         return load_partners(registry, split)
     if preferences:
         raise ValueError(
-            f"preferences are {', '.join(preferences)}, but persons have wishes of their own; "
+            f"preferences are {', '.join(preferences)}, but persons have their own preferences; "
             "leave preferences out"
         )
     return load_persons(registry, split)

@@ -116,7 +116,7 @@ class Pair:
         self.seats = self._seated(0)
         if self.seats["human"].humans is not None and (disability or preference):
             raise ValueError(
-                f"{human} is a person, with a body and wishes of its own; leave disability and "
+                f"{human} is a person with its own body and preferences; leave disability and "
                 "preference out"
             )
         self.setting = disability or self.seats["human"].setting or "d1"

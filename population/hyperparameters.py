@@ -104,8 +104,8 @@ class PPOConfig(Hyperparameters):
             )
         if self.shared and self.torso == "gru" and len(self.hidden) < 2:
             raise ValueError(
-                f"hidden is {self.hidden}; a shared recurrent network tells roles apart in its "
-                "embedding, so give two widths at least, such as (128, 128)"
+                f"hidden is {self.hidden}; a shared recurrent network distinguishes the roles in "
+                "its embedding, so give at least two widths, such as (128, 128)"
             )
         if self.population_coef and (self.shared or self.torso == "gru"):
             raise ValueError(

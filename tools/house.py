@@ -158,7 +158,10 @@ def floors(modules: Mapping[str, Module], package: str) -> tuple[list[list[str]]
 
 def picture(modules: Mapping[str, Module]) -> str:
     """Return the rooms as Markdown: a line for each package, from the lowest floor up."""
-    lines = ["| package | its rooms, each above all that it imports |", "|---|---|"]
+    lines = [
+        "| package | its rooms; each stands to the right of those that it imports |",
+        "|---|---|",
+    ]
     for package in FOLDERS:
         rooms = (", ".join(f"`{room}`" for room in floor) for floor in floors(modules, package)[0])
         lines.append(f"| `{package}` | {' ← '.join(rooms)} |")
@@ -242,7 +245,7 @@ def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return ast.literal_eval(node.value)
-    raise ValueError(f"there is no {name} at the module's top")
+    raise ValueError(f"the module has no {name} at its top")
 
 
 def main(arguments: list[str]) -> int:

@@ -56,7 +56,7 @@ def check_grown(old: RegistryFile, new: RegistryFile) -> None:
             "all that was published, unchanged",
             f"{listing(lost)} gone or changed",
             "publish under a new release",
-            "nothing was written: what is published never changes",
+            "nothing was written, because published data never changes",
         )
 
 
@@ -102,8 +102,8 @@ def refuse_official(path: Path) -> NoReturn:
     raise PublishError(
         f"registry {path}",
         "a registry of your own",
-        "releases of this project, which nobody else may change",
-        "name another registry, or none: your own teams and splits are then kept beside it",
+        "releases of this project, which only its makers may change",
+        "name another registry, or none; your own teams and splits are then kept beside it",
         "nothing was written",
     )
 

@@ -250,7 +250,7 @@ class RegistryFile(StrictModel):
             self._check_member(name, entry)
         splits = {split.id: (split.task, split.release) for split in self.splits}
         if len(splits) != len(self.splits):
-            raise ValueError("a split id stands twice in splits")
+            raise ValueError("a split id occurs twice in splits")
         for name, release in self.releases.items():
             for task in release.persons:
                 _known(f"releases.{name}.persons", task, release.environments)

@@ -60,7 +60,7 @@ def _check_platforms(platforms: str | None) -> None:
         reason = str(error).partition("\n")[0].partition(" (set JAX_PLATFORMS")[0]
         raise ValueError(
             f"JAX has no device of JAX_PLATFORMS={platforms}{f' ({reason})' if reason else ''}; "
-            "unset JAX_PLATFORMS to take what is here, or set it to cpu"
+            "unset JAX_PLATFORMS to use this machine's devices, or set it to cpu"
         ) from None
 
 

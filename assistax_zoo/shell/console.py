@@ -214,10 +214,11 @@ class TrainingLine(Line):
         mean = progress.rows["return"].mean()
         self._return = self._return if mean is None else f"return {mean:.1f}"
         reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"
+        left, speed = progress.seconds_left, f"{progress.steps_per_second:,.0f} steps/s, "
         text = (
             f"{self._name}: {_count(progress.steps)} of {_count(progress.total_steps)} steps, "
-            f"{progress.steps_per_second:,.0f} steps/s, {self._return or reward}, "
-            f"{_duration(progress.seconds_left)} left"
+            f"{'' if left is None else speed}{self._return or reward}"
+            f"{'' if left is None else f', {_duration(left)} left'}"
         )
         self.show(text, last=progress.update == progress.updates)
 

@@ -1,4 +1,4 @@
-"""What of an installation is broken, what is missing, and what is there: one line each."""
+"""Lists what is broken, missing and present in an installation: one line each."""
 
 import dataclasses
 import json

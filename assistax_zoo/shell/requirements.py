@@ -1,4 +1,4 @@
-"""What this installation says that it needs, held against what is installed."""
+"""Compares what this installation declares that it needs with what is installed."""
 
 import dataclasses
 from importlib.metadata import PackageNotFoundError, metadata, requires, version

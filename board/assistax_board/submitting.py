@@ -36,7 +36,9 @@ def read_file(path: Path) -> bytes:
     if not path.exists() and not path.suffix:
         return _robot_of_zoo(str(path))
     if not path.is_file():
-        raise ValueError(f"{path} is no file; give a .safetensors, an .onnx or an id of the zoo")
+        raise ValueError(
+            f"{path} is not a file; give a .safetensors file, an .onnx file or an id of the zoo"
+        )
     if path.stat().st_size > MAX_BYTES:
         raise Refusal("too_large", f"{path.stat().st_size} bytes")
     return path.read_bytes()

@@ -1,4 +1,4 @@
-"""Policies that nobody trained: the zero action, uniformly random ones, a task's script."""
+"""Policies without training: the zero action, uniformly random ones, a task's script."""
 
 import dataclasses
 from typing import Any

@@ -65,8 +65,8 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
             host.append(_from_outside(reference, registry, task))
         else:
             raise ValueError(
-                f"policy {reference.text!r} is no robot to evaluate; references play it beside "
-                "every robot"
+                f"policy {reference.text!r} is not a robot to evaluate; every evaluation plays it "
+                "as a reference"
             )
     stacks = stack_policies((member.id, spec, params) for member, spec, params in single)
     members = [member for member, *_ in (*single, *host)]
@@ -182,7 +182,7 @@ def _from_files(
     files = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
     names = sorted(files, key=lambda name: (len(name), name))
     if not names:
-        raise ValueError(f"policy {text!r} matches no file; see what is there with ls")
+        raise ValueError(f"policy {text!r} matches no file; list the folder with ls")
     for name in names:
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))

@@ -146,7 +146,7 @@ def check_new(
             side = "of the test side " * (len(names) < len(sides))
             raise ValueError(
                 f"every partner {side}that matches was trained with one of the robots ({names[0]}),"
-                " hence is not new to it; choose others, or let include_own count them"
+                " so is not new to it; choose others, or let include_own count them"
             )
 
 

@@ -60,7 +60,7 @@ def as_robot(robot: Any) -> Robot:
     if act is None:
         act = _torch(robot) if _is_torch_module(robot) else robot
     if not callable(act) or hasattr(robot, "unbind"):
-        raise TypeError(f"{type(robot).__name__} is no robot; expected {FORMS}")
+        raise TypeError(f"{type(robot).__name__} is not a robot; expected {FORMS}")
     reset = getattr(robot, "reset", None)
     return Robot(act, reset if callable(reset) else None)
 

@@ -174,7 +174,7 @@ def summarise_parameters(
         record: Of a folder whose partners are persons.
         over: Two numbers; the two that matter most for the return if none are given.
         bins: Of each number.
-        most: How many numbers to tell of.
+        most: How many numbers to show.
 
     Raises:
         ValueError: The folder has no persons, or too few, or a number is none of theirs.
@@ -182,8 +182,8 @@ def summarise_parameters(
     of = outcomes(record)
     if len(over) not in (0, 2) or most < 1:
         raise ValueError(
-            f"the surface is over {len(over)} parameters, and {most} are told of; name two or none "
-            "for the surface, and tell of 1 or more"
+            f"the surface is over {len(over)} parameters, and {most} are to be shown; name two or "
+            "none for the surface, and show 1 or more"
         )
     measured = {outcome: effects(of, outcome, bins=bins) for outcome in of.values}
     matter = {

@@ -60,8 +60,8 @@ def best_responses(pairs: pl.DataFrame) -> Responses:
     """
     if missing := [name for name in BEHAVIOUR if name not in pairs.columns]:
         raise ValueError(
-            f"the table of pairs lacks {', '.join(missing)}: it was written before behaviour was "
-            "recorded; run the cross-play again, into another folder"
+            f"the table of pairs lacks {', '.join(missing)}: it is from a version that did not "
+            "record behaviour; run the cross-play again, into another folder"
         )
     partners = pairs["partner"].unique(maintain_order=True).to_list()
     best = pairs.sort("return", descending=True, maintain_order=True).unique(

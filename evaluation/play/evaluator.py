@@ -104,7 +104,7 @@ def check_folder(folder: Path, advice: str = "choose another folder") -> None:
     probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
     try:
         if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "it is no folder")
+            raise NotADirectoryError(errno.ENOTDIR, "it is not a folder")
         folder.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()

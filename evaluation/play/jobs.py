@@ -1,4 +1,4 @@
-"""What is evaluated, as data: the job. How it is cut is said in `evaluation.play.tiles`."""
+"""The job of an evaluation, as data. `evaluation.play.tiles` cuts it."""
 
 import dataclasses
 import hashlib
@@ -61,8 +61,8 @@ class Job:
             )
         if self.own_wishes and self.preferences:
             raise ValueError(
-                f"preferences are {', '.join(self.preferences)}, but persons have wishes of their "
-                "own; leave preferences out"
+                f"preferences are {', '.join(self.preferences)}, but persons have their own "
+                "preferences; leave preferences out"
             )
         for member in self.partners.describe(self.partners.ids):
             if member.disability is None:
@@ -189,8 +189,8 @@ def brings_wishes(humans: Roster) -> bool:
     bring = {hasattr(stack.spec, "humans") for stack in humans.policies}
     if len(bring) > 1:
         raise ValueError(
-            "some partners are persons, who have wishes of their own, and others are not; play "
-            "them apart"
+            "some partners are persons, which have their own preferences, and others are not; "
+            "play them in separate jobs"
         )
     return True in bring
 

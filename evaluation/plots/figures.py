@@ -39,7 +39,7 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
         name = folder.resolve().name
         if name in summaries:
             raise ValueError(
-                f"two folders are named {name}; rename one, because the figure tells methods by it"
+                f"two folders are named {name}; rename one, because the figure labels methods by it"
             )
         _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
         summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
@@ -151,6 +151,6 @@ def _require(folder: Path, command: str, *names: str) -> None:
     if missing:
         raise ValueError(
             f"{folder} lacks {', '.join(missing)}; run `assistax-zoo {command}` into it to its "
-            "end, a run that was stopped goes on"
+            "end; a stopped run continues"
         )
     check_whole(folder)

@@ -75,8 +75,8 @@ def write_bytes(data: bytes, path: Path) -> None:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         raise OSError(
-            f"the disk is full: {path} needs {len(data)} bytes; make room, then the same command "
-            "goes on"
+            f"the disk is full: {path} needs {len(data)} bytes; free some space, then repeat the "
+            "command; it continues"
         ) from None
 
 

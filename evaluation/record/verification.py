@@ -1,4 +1,4 @@
-"""What is here held against what a folder's manifest names, leaf by leaf.
+"""Compares the sources that are here with those that a manifest names, leaf by leaf.
 
 All files of a finished folder must be there and whole. What they were drawn from lies elsewhere: a
 folder that was received comes from another machine, so what is absent is said, and is no problem.

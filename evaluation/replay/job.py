@@ -131,7 +131,7 @@ def _split_of(
         )
     defaults = {release.splits.get(task) for release in registry.data.releases.values()}
     if isinstance(summary, CrossPlaySummary) and split.id not in defaults:
-        raise ValueError(f"split {split.id} is no release's default, as a cross-play's is")
+        raise ValueError(f"split {split.id} is not a release's default, which a cross-play needs")
     return split
 
 
@@ -149,7 +149,7 @@ def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool)
     """Return the robots that a manifest names; nothing but robots' own files is opened."""
     for name in names:
         if name.startswith("object:"):
-            raise ValueError(f"robot {name} was an object of a Python process; nobody else has it")
+            raise ValueError(f"robot {name} was a Python object, which no file holds")
         reference = parse_reference(name)
         if reference.kind == "python" and not run_code:
             raise ValueError(

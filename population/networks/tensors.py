@@ -80,7 +80,7 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
     try:
         metadata = parse_json(header["__metadata__"][METADATA_KEY])
         if not isinstance(metadata, dict):
-            raise ValueError(f"metadata {METADATA_KEY!r} is no JSON object")
+            raise ValueError(f"metadata {METADATA_KEY!r} is not a JSON object")
     except KeyError as error:
         raise FormatError(
             source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}"

@@ -51,7 +51,7 @@ class Checkpoints:
             )
             raise OSError(
                 f"cannot write the checkpoint of update {update} to {self.folder}: {reason}; "
-                f"{kept}; free some space there and run the same command again to go on"
+                f"{kept}; free some space there and run the same command again to continue"
             ) from error
 
     def restore_latest(self, like: Any) -> tuple[int, Any] | None:

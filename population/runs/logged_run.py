@@ -99,7 +99,7 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
         preset_of, changes = content["algorithm"], dict(content["hyperparameters"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} is no preset ({type(error).__name__}: {error}); give a JSON object with "
+            f"{path} is not a preset ({type(error).__name__}: {error}); give a JSON object with "
             "algorithm and hyperparameters, such as the preset.json of `assistax-zoo sweep`"
         ) from None
     if algorithm not in (None, preset_of):

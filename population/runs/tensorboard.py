@@ -48,8 +48,8 @@ class EventFiles:
         self._metrics, self._files = run / "metrics.parquet", []
         if len(set(self._folders)) < len(self._folders):
             raise ValueError(
-                "members of one disability setting and seed would share event files; train them "
-                "apart"
+                "members with the same disability setting and seed would share event files; train "
+                "them in separate runs"
             )
         there = any(any(path.glob("events.out.tfevents.*")) for path in self._folders)
         if there and not (run / "config.json").exists():

@@ -43,8 +43,8 @@ class Progress:
     updates: int  # updates in all
     steps: int  # environment steps done, of all members together
     total_steps: int  # environment steps in all
-    steps_per_second: float  # since this process began, without its first compilation
-    seconds_left: float  # at that speed
+    steps_per_second: float  # of this process; only its first report counts compilation too
+    seconds_left: float | None  # at that speed; None in the first report, where it misleads
     rows: pl.DataFrame  # metrics of the newest updates: one row for each update and member
 
 
@@ -306,14 +306,13 @@ class _Clock:
 
     def progress(self, config: TrainConfig, done: int, rows: pl.DataFrame) -> Progress:
         now = time.perf_counter()
-        since, start = self._first or (self._start, self._done)
+        first, (since, start) = self._first is None, self._first or (self._start, self._done)
         self._first = self._first or (now, done)
         batch = config.trainer.batch_steps * len(config.members)
         speed = (done - start) * batch / (now - since)
         total = config.updates * batch
-        return Progress(
-            done, config.updates, done * batch, total, speed, (total - done * batch) / speed, rows
-        )
+        left = None if first and done < config.updates else (total - done * batch) / speed
+        return Progress(done, config.updates, done * batch, total, speed, left, rows)
 
 
 def _provenance(

@@ -54,7 +54,7 @@ class DrawnPersons(FrozenPartners):
             ValueError: Preferences are given, and persons have wishes of their own.
         """
         if preferences:
-            raise ValueError("persons have wishes of their own; leave preferences out")
+            raise ValueError("persons have their own preferences; leave preferences out")
         return self._of(jnp.zeros(num_envs, jnp.int32))
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:

@@ -1,4 +1,4 @@
-"""Frozen partners who change seats: each simulation meets the next one in its next episode."""
+"""Frozen partners in rotation: each simulation meets the next one in its next episode."""
 
 import dataclasses
 import math

@@ -46,8 +46,8 @@ def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, 
     sweep, done = plan(), []
     make_env = partial(toy_that_fails_once, tmp_path / "marker")
     reason = (
-        r"1 of 3 blocks failed: block-00\d: RuntimeError: out of luck; what is finished is kept, "
-        "and the same"
+        r"1 of 3 blocks failed: block-00\d: RuntimeError: out of luck; finished blocks are kept; "
+        "the same command"
     )
     with pytest.raises(BlocksFailedError, match=reason):
         run_sweep(sweep, make_env, tmp_path / "ray", RayCluster(cpus=1), done.append)

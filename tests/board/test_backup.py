@@ -96,7 +96,7 @@ def test_a_backup_replaces_nothing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not empty"):
         restore(tmp_path / "board.zip", tmp_path / "board")
     (tmp_path / "no.zip").write_bytes(b"PK\x05\x06" + bytes(18))
-    with pytest.raises(ValueError, match="no backup"):
+    with pytest.raises(ValueError, match="not a service's backup"):
         restore(tmp_path / "no.zip", tmp_path / "new")
 
 

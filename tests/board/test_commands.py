@@ -164,7 +164,7 @@ def test_a_folder_that_is_no_service_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["token", "list", "--data", str(tmp_path)]) == 1
-    assert "no folder of a service" in capsys.readouterr().err
+    assert "is not a service's folder" in capsys.readouterr().err
 
 
 def test_a_refused_file_says_why_at_home(

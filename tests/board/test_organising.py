@@ -127,7 +127,7 @@ def test_a_disqualified_lab_leaves_the_boards_and_hands_in_no_more(service: Serv
     work_off(service)
     assert {id for id, _ in service.panel_b(season)} == {ids[1]}
     assert kinds(service).count("disqualify") == 1
-    with pytest.raises(Problem, match="no submission that stands"):
+    with pytest.raises(Problem, match="no submission in season"):
         service.disqualify("spring", "bad")
     with pytest.raises(Problem, match="no lab 'nobody'"):
         service.disqualify("spring", "nobody")

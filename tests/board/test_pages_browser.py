@@ -264,7 +264,7 @@ def look_again(page: Page) -> None:
     """Load a page anew until it tells of the end: what it shows may be a second old."""
     for _ in range(30):
         page.wait_for_timeout(1100)
-        link = page.get_by_role("link", name="load it anew")
+        link = page.get_by_role("link", name="reload it")
         if not link.count():
             return
         link.click()

@@ -121,7 +121,7 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture
         word in strategies for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
     )
     table = strategies.partition("BR-Div")[0]
-    assert "…" not in table and max(map(len, table.splitlines())) <= 80
+    assert "…" not in table and max(map(len, strategies.splitlines())) <= 80
     assert " ippo-d1-s" in table and "scratch/" not in table
     assert call("strategies", crossplay / "none") == 1
     assert "does not exist" in capfd.readouterr().err

@@ -88,20 +88,23 @@ def test_a_live_line_says_how_far_the_run_is(capsys):
 
     from population.runs.train import Progress
 
+    rows = pl.DataFrame({"return": [480.25, None], "reward": [0.5, 0.5]})
     line = TrainingLine("scratch ippo")
-    line(
-        Progress(
-            3,
-            4,
-            1_500_000,
-            2_000_000,
-            15_200.4,
-            33.0,
-            pl.DataFrame({"return": [480.25, None], "reward": [0.5, 0.5]}),
-        )
-    )
+    line(Progress(3, 4, 1_500_000, 2_000_000, 15_200.4, 33.0, rows))
     assert capsys.readouterr().err == (
         "scratch ippo: 1.50M of 2.00M steps, 15,200 steps/s, return 480.2, 33 s left\n"
+    )
+
+
+def test_the_first_line_promises_no_time_since_it_counts_compilation(capsys):
+    import polars as pl
+
+    from population.runs.train import Progress
+
+    rows = pl.DataFrame({"return": [None], "reward": [0.5]}, schema_overrides={"return": float})
+    TrainingLine("scratch ippo")(Progress(1, 4, 500_000, 2_000_000, 37.0, None, rows))
+    assert capsys.readouterr().err == (
+        "scratch ippo: 500.00k of 2.00M steps, reward 0.50 a step, no whole episode yet\n"
     )
 
 

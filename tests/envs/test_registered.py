@@ -70,5 +70,5 @@ def test_a_class_without_a_scene_is_refused_with_what_to_do() -> None:
     class Mine(Scratch):
         name = "mine"
 
-    with pytest.raises(ValueError, match="there is no scene 'mine'; let the class say in `scene`"):
+    with pytest.raises(ValueError, match="there is no scene 'mine'; set the class's `scene`"):
         make(Mine, "native")

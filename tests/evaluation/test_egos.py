@@ -75,7 +75,7 @@ def test_an_onnx_file_that_is_not_there_is_told(tmp_path: Path):
     [
         ("scratch/ippo-d1-s0-v0/robot", "is of task scratch, not of bed_bath; .* or play scratch"),
         ("bed_bath/ippo-d1-s0-v0/human", "is a human, not a robot; .* bed_bath/.*-v0/robot"),
-        ("zero", "is no robot to evaluate"),
+        ("zero", "is not a robot to evaluate"),
     ],
 )
 def test_what_cannot_play_says_why(reference: str, message: str):

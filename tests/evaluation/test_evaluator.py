@@ -406,7 +406,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path)
     with pytest.raises(OSError, match=r"cannot write to .*file/out.*another folder"):
         check_folder(tmp_path / "file" / "out")
     for device in ("/dev/null", "/dev/full"):
-        with pytest.raises(OSError, match=r"cannot write to .*it is no folder.*another folder"):
+        with pytest.raises(OSError, match=r"cannot write to .*it is not a folder.*another folder"):
             check_folder(Path(device))
         assert Path(device).is_char_device()
 

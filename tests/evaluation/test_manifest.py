@@ -306,7 +306,7 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
             rebuild_job(Record.read(folder), registry)
 
     refused("is code, and the folder names it", egos=[["python:evil.py:make", "0"]])
-    refused("nobody else has it", egos=[["object:Robot-0", "0"]])
+    refused("which no file holds", egos=[["object:Robot-0", "0"]])
     refused("is not here", egos=[["/gone/mine.safetensors", "0"]])
     refused("egos differ", egos=[[robot, "0" * 64]])
     refused("env_version differ", env_version=7)

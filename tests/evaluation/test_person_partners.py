@@ -72,10 +72,14 @@ def test_fewer_persons_are_a_part_of_more() -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ((TASK, None, ["persons", "gentle_scratch/ippo-*"]), ValueError, "play them apart"),
+        (
+            (TASK, None, ["persons", "gentle_scratch/ippo-*"]),
+            ValueError,
+            "play them in a separate job",
+        ),
         ((TASK, None, "gentle_scratch/ippo-*", 9), ValueError, "persons is 9"),
         (("scratch", None, "persons"), SplitError, "no persons"),
-        ((TASK, "half", "persons"), ValueError, "none of persons"),
+        ((TASK, "half", "persons"), ValueError, "has no persons"),
         ((TASK, "persons-s0-v9", None), SplitError, "persons-s0-v3"),
     ],
 )
@@ -105,12 +109,12 @@ def test_persons_bring_their_bodies_and_wishes() -> None:
 
 
 def test_preferences_and_company_are_refused() -> None:
-    with pytest.raises(ValueError, match="wishes of their own; leave preferences out"):
+    with pytest.raises(ValueError, match="have their own preferences; leave preferences out"):
         job_of((3,), preferences="p1")
     _, job = job_of((3,))
     registry = load_registry()
     others = registry_roster(registry, [registry.policy("gentle_scratch/ippo-d1-s0-v2/human")])
-    with pytest.raises(ValueError, match="play them apart"):
+    with pytest.raises(ValueError, match="play them in separate jobs"):
         dataclasses.replace(job, partners=joined(job.partners, others))
     assert job_of((3,), series=3)[1].episodes == 6
 
@@ -222,7 +226,7 @@ def test_a_robot_that_trains_with_persons_says_whom_it_meets() -> None:
     [
         ({"partners": "people"}, "allowed are persons"),
         ({"partners": "persons", "preferences": ["p1"]}, "leave preferences out"),
-        ({"partners": "persons", "split": "without-mep"}, "none of persons|custom"),
+        ({"partners": "persons", "split": "without-mep"}, "has no persons|custom"),
     ],
 )
 def test_a_training_that_is_none_is_refused(changes, words) -> None:

@@ -78,7 +78,7 @@ def test_state_and_resets_arrive() -> None:
 
 @pytest.mark.parametrize("robot", [3, None, (1, 2), MODULE])
 def test_what_is_no_robot_is_told_what_one_is(robot: Any) -> None:
-    with pytest.raises(TypeError, match="is no robot; expected a callable from observations"):
+    with pytest.raises(TypeError, match="is not a robot; expected a callable from observations"):
         as_robot(robot)
 
 

@@ -56,7 +56,7 @@ def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
 
 
 def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
-    with pytest.raises(ValueError, match="wishes of their own; leave preferences out"):
+    with pytest.raises(ValueError, match="have their own preferences; leave preferences out"):
         partners.humans(4, ("p1",))
     env = assistax_envs.make("gentle_bath", "native")
     with pytest.raises(ValueError, match="persons of gentle_scratch cannot sit in gentle_bath"):

@@ -76,6 +76,6 @@ def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
         read_preset(path, "ippo")
     path.write_text("[1]")
     with pytest.raises(
-        ValueError, match=r"preset\.json is no preset .* give a JSON object with algorithm"
+        ValueError, match=r"preset\.json is not a preset .* give a JSON object with algorithm"
     ):
         read_preset(path)

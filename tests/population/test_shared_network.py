@@ -100,5 +100,5 @@ def test_a_shared_network_learns_both_roles(algorithm, reward, changes):
 
 
 def test_a_shared_recurrent_network_needs_an_embedding():
-    with pytest.raises(ValueError, match="give two widths at least"):
+    with pytest.raises(ValueError, match="give at least two widths"):
         PPOConfig(shared=True, torso="gru", hidden=(8,))

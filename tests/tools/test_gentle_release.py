@@ -3,6 +3,7 @@
 Every table is written by the test; nothing is trained or simulated.
 """
 
+import csv
 import dataclasses
 import math
 import re
@@ -404,6 +405,11 @@ def page(tmp_path: Path, *more: str, code: int = 0) -> str:
     return path.read_text() if path.is_file() else ""
 
 
+def beside(tmp_path: Path, name: str) -> list[list[str]]:
+    """Return the rows of a table beside the page, its headings first."""
+    return [*csv.reader((tmp_path / "v2" / name).read_text().splitlines())]
+
+
 def cells(text: str, first: str, heading: str = "") -> list[str]:
     """Return the cells beside the first of the one row that begins so, below a heading."""
     section = text.split(f"## {heading}\n", 1)[1].split("\n## ")[0] if heading else text
@@ -428,6 +434,9 @@ def test_methods_have_the_figures_of_their_tables(data: Path, tmp_path: Path, re
     assert sac[6:] == ["33.3% [33.3%, 33.3%]", "66.7% [66.7%, 66.7%]"]
     assert cells(text, "`random`", "Methods")[0] == "1"
     assert "| `ppo-mirror` |" not in text
+    headings, *rows = beside(tmp_path, "methods.csv")
+    assert headings[:4] == ["task", "split", "method", "seeds"] and len(rows) == 3
+    assert next(row for row in rows if row[2] == "ppo")[3:] == ["2", *same, *shares]
 
 
 def test_the_split_costs_a_fifth(data: Path, tmp_path: Path, registry: Registry, split: Split):
@@ -501,8 +510,8 @@ def test_what_is_not_there_is_said_so(
     assert "not measured yet: cross-play of gentle_scratch" in message
     assert "not measured yet: ppo-gru-series on gentle_bath" in message
     assert "ppo on gentle_scratch" not in message
-    # Of the two other tasks every section says so: seven by task.
-    assert text.count("Not measured yet.") == 2 * 7 + 1
+    # Of the two other tasks every section says so: six by task.
+    assert text.count("Not measured yet.") == 2 * 6 + 1
     for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
         assert len({line.count(" | ") for line in block.splitlines()}) == 1
 
@@ -513,12 +522,12 @@ def test_minutes_and_commands(data: Path, tmp_path: Path, registry: Registry, sp
     assert run(["collect", str(trained), "--as", "ppo-gru", "--out", str(data)]) == 0
     text = page(tmp_path)
     name = split.id.split("/")[1]
-    row = cells(text, f"evaluation of sac egos, {name}", "How this was made")
-    assert row[1:] == ["H200", "fused", "1.5"]
-    row = cells(text, f"training ppo-gru egos, {name}", "How this was made")
-    assert row == ["1 egos, 5 M steps each", "cpu", "fused", "1.5"]
-    assert "\nassistax-zoo train-ego\n" in text
-    assert "\nassistax-zoo evaluate ppo-series\n" in text
+    minutes = {row[0]: row[1:] for row in beside(tmp_path, "minutes.csv")}
+    assert minutes[f"evaluation of sac egos, {name}"][1:] == ["H200", "fused", "1.5"]
+    made = minutes[f"training ppo-gru egos, {name}"]
+    assert made == ["1 ego, 5 M steps each", "cpu", "fused", "1.5"]
+    commands = (tmp_path / "v2" / "commands.txt").read_text().splitlines()
+    assert {"assistax-zoo train-ego", "assistax-zoo evaluate ppo-series"} <= {*commands}
     assert text.endswith(f"--data {data} --out {tmp_path / 'page.md'}\n```\n")
 
 
@@ -537,6 +546,9 @@ def test_check_finds_a_changed_table(
     assert "is not what the tables give: line" in capfd.readouterr().err
     tables.write_parquet(pairs, path)
     page(tmp_path, "--check")
+    (tmp_path / "v2" / "methods.csv").write_text("changed")
+    page(tmp_path, "--check", code=1)
+    assert "methods.csv is not what the tables give: line 1" in capfd.readouterr().err
 
 
 def without_a_partner(data: Path, split: Split) -> None:
@@ -575,7 +587,7 @@ def without_a_pair(data: Path, split: Split) -> None:
     [
         (without_a_partner, "with other test partners"),
         (on_other_sides, "with other train partners|with other test partners"),
-        (on_another_split, "no split of the release"),
+        (on_another_split, "not a split of the release"),
         (with_other_preferences, "played other preferences"),
         (of_another_release, "of release v1"),
         (without_a_pair, "pairs on gentle_scratch is not there"),

@@ -177,7 +177,7 @@ def test_the_name_of_the_own_zoo_is_nobody_elses(
     with pytest.raises(IdError, match="user's own zoo"):
         add(str(lab.path.parent), "own")
     publish_to(teams(("mappo",)), own_registry())
-    with pytest.raises(UnknownIdError, match="may lie nowhere else"):
+    with pytest.raises(UnknownIdError, match="may hold the only copy"):
         remove("own")
     assert own_registry().is_file()
 

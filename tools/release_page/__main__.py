@@ -66,7 +66,7 @@ def page(
     Example:
         python -m tools.release_page page --release v1 --data docs/data/v1 --out v1.md
     """
-    from tools.release_page.pages import check_page, relative_folder
+    from tools.release_page.pages import check_pages, relative_folder
     from zoo.registry import load_registry
 
     if out.suffix.lower() != ".md":
@@ -83,15 +83,19 @@ def page(
     command = f"{PROGRAM} page --release {release} {places}"
     text = questions.make_page(results, relative_folder(folder, out), command)
     figures = questions.figures(results)
+    files = {out: text} | {
+        out.parent / release / name: table for name, table in questions.tables(results).items()
+    }
     if check:
-        check_page(out, text, folder, figures, f"run `{command}`")
+        check_pages(files, folder, figures, f"run `{command}`")
     else:
         from evaluation.plots.style import save_figure
         from evaluation.record.tables import write_bytes
 
         for name, draw in figures.items():
             save_figure(draw(), folder / name, DPI)
-        write_bytes(text.encode(), out)
+        for path, content in files.items():
+            write_bytes(content.encode(), path)
     for what in results.missing:
         print(f"warning: not measured yet: {what}", file=sys.stderr)
     if results.missing:
@@ -100,7 +104,7 @@ def page(
 
 
 def questions_of(registry: "Registry", release: str) -> ModuleType:
-    """Return what a release's page asks: `read_results`, `make_page` and `figures`."""
+    """Return what a release's page asks: `read_results`, `make_page`, `tables` and `figures`."""
     from assistax_envs.versions import GENTLE_TASKS
     from tools.release_page import gentle, paper
     from tools.release_page.data import read_humans

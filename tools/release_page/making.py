@@ -1,9 +1,10 @@
-"""The page's last section: which commands made the tables, on what device, in how many minutes."""
+"""Which commands made a page's tables, on what device, in how many minutes."""
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from assistax_base.errors import counted
 from assistax_envs.versions import VERSIONS
 from tools.release_page.data import Played
 from tools.release_page.markdown import MISSING, code, spoken, table
@@ -11,7 +12,7 @@ from zoo.schema import PolicyEntry, Training
 
 _POLICY = re.compile(r"--policy[ =](\S+)")
 _TASKS = list(VERSIONS)
-_HEADINGS = ("what", "how much", "device", "backend", "device minutes")
+HEADINGS = ("what", "how much", "device", "backend", "device minutes")
 
 
 def costs(
@@ -28,16 +29,32 @@ def costs(
         played: Cross-plays and evaluations, by what is said of each.
         page: Command that makes the page.
     """
-    rows = [
+    rows = cost_rows(humans, trained, played)
+    shown = table(HEADINGS, rows, (4,)) if rows else f"{MISSING.capitalize()}."
+    known = commands(trained, played, page)
+    return "\n\n".join([shown, *([code("\n".join(known))] if known else [])])
+
+
+def cost_rows(
+    humans: Sequence[PolicyEntry],
+    trained: Mapping[str, Mapping[str, Any]],
+    played: Mapping[str, Played],
+) -> list[list[object]]:
+    """Return a row of `HEADINGS` for every part; arguments are those of `costs`."""
+    return [
         *_team_rows(humans),
         *([f"training {name}", *_ego_cells(run)] for name, run in trained.items()),
         *([name, *_played_cells(result)] for name, result in played.items()),
     ]
-    shown = table(_HEADINGS, rows, (4,)) if rows else f"{MISSING.capitalize()}."
+
+
+def commands(
+    trained: Mapping[str, Mapping[str, Any]], played: Mapping[str, Played], page: str = ""
+) -> list[str]:
+    """Return the commands that are known, each once; arguments are those of `costs`."""
     runs = (*trained.values(), *(result.run for result in played.values()))
-    commands = dict.fromkeys([*(run.get("command", "") for run in runs), page])
-    known = [_shortened(command) for command in commands if command]
-    return "\n\n".join([shown, *([code("\n".join(known))] if known else [])])
+    every = dict.fromkeys([*(run.get("command", "") for run in runs), page])
+    return [_shortened(command) for command in every if command]
 
 
 def _team_rows(everyone: Sequence[PolicyEntry]) -> list[list[object]]:
@@ -48,14 +65,14 @@ def _team_rows(everyone: Sequence[PolicyEntry]) -> list[list[object]]:
     rows: list[list[object]] = []
     for (task, algorithm), humans in kinds.items():
         runs = list({human.run: human.training for human in humans}.values())
-        much = f"{len(humans)} teams, {_steps(runs)} steps each"
+        much = f"{counted(len(humans), 'team')}, {_steps(runs)} steps each"
         minutes = _minutes([run.seconds for run in runs])
         rows.append([f"training {spoken(task)} {algorithm.upper()}", much, *_where(runs), minutes])
     return rows
 
 
 def _ego_cells(run: Mapping[str, Any]) -> list[object]:
-    much = f"{run['egos']} egos, {run['steps'] / 1e6:.3g} M steps each"
+    much = f"{counted(run['egos'], 'ego')}, {run['steps'] / 1e6:.3g} M steps each"
     place = [run.get("device") or "–", run.get("backend") or "–"]
     return [much, *place, _minutes([run.get("seconds")])]
 

@@ -1,6 +1,8 @@
 """Pieces of the Markdown page."""
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 MISSING = "not measured yet"
@@ -37,11 +39,13 @@ def image(path: str, text: str, width: str = "100%") -> str:
     return f'<img src="{path}" alt="{text}" width="{width}">'
 
 
+def csv_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([headings, *rows])
+    return out.getvalue()
+
+
 def code(text: str) -> str:
     """Return a block of commands."""
     return f"```console\n{text}\n```"
-
-
-def folded(summary: str, text: str) -> str:
-    """Return what a reader opens with a click."""
-    return f"<details markdown>\n<summary>{summary}</summary>\n\n{text}\n\n</details>"

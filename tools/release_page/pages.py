@@ -1,7 +1,7 @@
 """A page and its figures on disk: written, or held against what is there."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 
@@ -19,17 +19,20 @@ def first_difference(text: str, expected: str) -> str:
     return f"it has {len(text.splitlines())} lines, not {len(expected.splitlines())}"
 
 
-def check_page(out: Path, text: str, folder: Path, pictures: Iterable[str], again: str) -> None:
-    """Check that a page is this text and that its pictures are in the folder.
+def check_pages(
+    files: Mapping[Path, str], folder: Path, pictures: Iterable[str], again: str
+) -> None:
+    """Check that a page and the files beside it have these texts, and that its pictures are there.
 
     Raises:
         ValueError: it is not so; the message says to run `again`.
     """
-    if not out.is_file():
-        raise ValueError(f"{out} does not exist; {again}")
-    if (written := out.read_text(encoding="utf-8")) != text:
-        raise ValueError(
-            f"{out} is not what the tables give: {first_difference(written, text)}; {again}"
-        )
+    for path, text in files.items():
+        if not path.is_file():
+            raise ValueError(f"{path} does not exist; {again}")
+        if (written := path.read_text(encoding="utf-8")) != text:
+            raise ValueError(
+                f"{path} is not what the tables give: {first_difference(written, text)}; {again}"
+            )
     if missing := [name for name in pictures if not (folder / name).is_file()]:
         raise ValueError(f"{folder} lacks {', '.join(missing)}; {again}")

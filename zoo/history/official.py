@@ -1,4 +1,4 @@
-"""Official registries: releases of this project, which only those who make them may change.
+"""Official registries: releases of this project, which only its makers may change.
 
 A registry is official if one of its releases has the root of a release that came with this code,
 whatever the file is called and wherever it lies. `zoo.saving` writes to none of them.

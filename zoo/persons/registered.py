@@ -103,8 +103,8 @@ def check_table(release: str, task: str, table: Persons) -> None:
             what,
             f"{table.count} rows of sha256 {table.sha256}",
             f"{here.count} rows of sha256 {here.sha256}",
-            "take the registry from where it was published, or report that this machine makes "
-            "other rows",
+            "fetch the registry again from its publisher, or report that this machine makes other "
+            "rows",
             "nobody was loaded",
         )
 

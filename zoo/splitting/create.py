@@ -126,7 +126,7 @@ def _keep_own(registry: Registry, split: Split, default: bool) -> None:
             f"default split of {split.task} {split.release}",
             "the published one",
             f"{split.id}, a split of your own",
-            "make it without that wish, and name it wherever a split is chosen",
+            "make it without `default`, and name it where you choose a split",
         )
     if split not in registry.splits:
         keep_split(split)

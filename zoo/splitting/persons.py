@@ -1,4 +1,4 @@
-"""What a user asks of persons: of which side, which of them, and how many."""
+"""Which persons a user asks for: their side, their ids, and how many."""
 
 from collections.abc import Sequence
 
@@ -23,8 +23,8 @@ def asks_for_persons(split: str | None, patterns: str | Sequence[str] | None) ->
     if named and len(named) < len(texts):
         other = next(text for text in texts if text not in named)
         raise ValueError(
-            f"partners are {named[0]!r} beside {other!r}; persons bring wishes of their own, so "
-            "play them apart from others"
+            f"partners are {named[0]!r} beside {other!r}; persons have their own preferences, so "
+            "play them in a separate job"
         )
     return bool(named) or PERSONS in (split or "")
 
@@ -56,7 +56,7 @@ def choose_persons(
     name, side = _parsed(split, default="both" if globs else "test")
     dealt = person_split(data, task, name)
     if dealt is None:
-        raise ValueError(f"split {split!r} is none of persons; name {PERSONS}, or one of its sides")
+        raise ValueError(f"split {split!r} has no persons; name {PERSONS}, or one of its sides")
     wanted = [team for of in SIDES[side] for team in getattr(dealt, of)]
     if globs:
         matching = {entry.team for entry in select_persons(data, globs)}

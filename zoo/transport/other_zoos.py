@@ -72,8 +72,8 @@ def remove(namespace: str) -> None:
         raise UnknownIdError(
             f"zoo {namespace!r}",
             "one that was added",
-            "your own, whose parameters may lie nowhere else",
-            f"delete the folder {added_registry(OWN).parent} if nobody needs it",
+            "your own, which may hold the only copy of its parameters",
+            f"delete the folder {added_registry(OWN).parent} if it is not needed",
             "nothing was removed",
         )
     if namespace not in (known := added_registries()):

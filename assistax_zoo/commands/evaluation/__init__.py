@@ -1,1 +1,1 @@
-"""Commands for who evaluates robots."""
+"""Commands that evaluate robots."""

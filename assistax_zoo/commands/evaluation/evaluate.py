@@ -38,19 +38,20 @@ def evaluate(
 ) -> None:
     """Compute M_test: the return of robot policies with partners of the zoo that they never met.
 
-    Each partner plays under its own disability setting and in episodes of its own, which are the
-    same for every robot. With --out, every episode is kept there as Parquet, and a run that was
-    stopped goes on where it was.
+    Each partner plays under its own disability setting, in its own episodes, which are the same for
+    every robot. With --out, every episode is kept there as Parquet, and a stopped run continues
+    where it was.
 
     Args:
         how: How they play.
         policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
             python:package.module:FACTORY. For more seeds repeat it, or quote a glob of ids or
             .safetensors files.
-        against: With whom, and what it is compared with.
+        against: With whom it plays, and what it is compared with.
         fetch: Bring partners and robots of the zoo that are missing here from the remote.
-        reuse: Take what --out holds of a robot from Python code though its module does not declare
-            what it depends on, so that it may have changed; else it is refused.
+        reuse: Take the result that --out holds of a robot from Python code, even if its module does
+            not declare what it depends on. Without this the result is refused, since the robot may
+            have changed.
         replace: Remove the result that --out holds, of whichever job, and play anew; else another
             job is refused.
         out: Folder for the tables.
@@ -99,8 +100,8 @@ def crossplay(
 ) -> None:
     """Play every robot of a population with every human, and draw the clustered matrix.
 
-    A robot with the human it was trained with is self-play, the matrix's diagonal. A run that was
-    stopped goes on.
+    A robot with the human it was trained with is self-play, the matrix's diagonal. A stopped run
+    continues.
 
     Args:
         how: How they play.
@@ -108,14 +109,14 @@ def crossplay(
         egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
             given.
         partners: Glob over humans; repeat it for more; persons for persons; all if not given.
-        persons: How many persons, drawn of those that are meant; default 200.
-        release: Release of both, where a glob names none; default the newest whole one
-            that has the task.
-        share: Simulate only a share, such as 2/4; with the parts of all, the command without
+        persons: How many persons to draw; default 200.
+        release: Release of both, if a glob names none; default the newest complete one that has the
+            task.
+        share: Simulate only a share, such as 2/4; once all parts are there, the command without
             --share merges them.
         replace: Remove the result that --out holds, of whichever job, and play anew; else another
             job is refused.
-        engine: What runs the blocks.
+        engine: Where the blocks run.
         source: Where policies come from.
         json: Print JSON.
 

@@ -27,7 +27,7 @@ def persons(
         over: Two numbers for a surface of both outcomes, such as strength,liked_force; default the
             two that matter most for the return.
         bins: Of each number.
-        most: How many numbers to tell of.
+        most: How many numbers to show.
         out: Figure to write, .png, .pdf or .svg.
         json: Print JSON.
 

@@ -34,8 +34,8 @@ def zsc(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw the returns of methods with training and test partners, with 95% intervals.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --split both --out` filled, one a method, named
-            as in the figure.
+        folders: Folders that `assistax-zoo evaluate --split both --out` filled, one for each
+            method; the figure shows their names.
         out: Figure to write, .png, .pdf or .svg.
 
     Example:
@@ -48,8 +48,8 @@ def disability(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw the returns of methods with the partners of each disability setting, with 95% intervals.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
-            figure.
+        folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
+            shows their names.
         out: Figure to write, .png, .pdf or .svg.
 
     Example:
@@ -62,8 +62,8 @@ def preference(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw the returns of methods on a gentle task by what the humans like, with 95% intervals.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
-            figure.
+        folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
+            shows their names.
         out: Figure to write, .png, .pdf or .svg.
 
     Example:
@@ -76,8 +76,8 @@ def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 
     Args:
-        folders: Folders that `assistax-zoo evaluate --out` filled, one a method, named as in the
-            figure.
+        folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
+            shows their names.
         out: Figure to write, .png, .pdf or .svg.
 
     Example:

@@ -24,7 +24,7 @@ def render(
     sheet: bool = False,
     registry: str | None = None,
 ) -> None:
-    """Film an episode of a robot and a human, with targets, touches and what the step earned.
+    """Film an episode of a robot and a human, with targets, touches and the reward of each step.
 
     No display is needed. An .mp4 or .gif runs in real time, a .png shows four moments.
 

@@ -1,5 +1,6 @@
-"""What finished folders tell: differences of methods, strategies of partners, and a page."""
+"""What finished folders show: differences of methods, strategies of partners, and a page."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -213,16 +214,26 @@ def _print_strategies(strategies: dict[str, Any]) -> None:
     if len(strategies["clusters"]) == 1:
         print("no clear clusters: all partners are one")
     diversity = strategies["br_div"]
-    print(
+    lines = [
         f"BR-Div: rank {diversity['rank']} of {diversity['n']}, participation "
-        f"{diversity['participation_ratio']:.2f}"
-    )
-    print(printable(f"a diverse subset: {', '.join(strategies['diverse_subset'])}"))
+        f"{diversity['participation_ratio']:.2f}",
+        f"a diverse subset: {', '.join(strategies['diverse_subset'])}",
+    ]
     if pair := strategies["incompatible"]:
         exchanged = " and ".join(f"{value:.0f}" for value in pair["returns_exchanged"])
         own = " and ".join(f"{value:.0f}" for value in pair["returns"])
-        names = printable(" and ".join(pair["partners"]))
-        print(f"most incompatible: {names}: {own} with their robots, {exchanged} exchanged")
+        names = " and ".join(pair["partners"])
+        lines.append(
+            f"most incompatible: {names}: {own} with their own robots, {exchanged} with each "
+            "other's"
+        )
+    print(
+        *(
+            textwrap.fill(printable(line), 80, subsequent_indent="  ", break_on_hyphens=False)
+            for line in lines
+        ),
+        sep="\n",
+    )
 
 
 def _figure(value: float) -> str:

@@ -23,8 +23,8 @@ def trajectories(
 ) -> None:
     """Record a robot and a human step by step, as Parquet: for imitation and for studies.
 
-    A row has what both saw, did and earned; docs/trajectories.md lists the columns. Who played what
-    is in the file's metadata.
+    A row has the observations, actions and reward of a step; docs/trajectories.md lists the
+    columns. Who played what is in the file's metadata.
 
     Args:
         task: Task, such as scratch.
@@ -35,7 +35,8 @@ def trajectories(
         steps: Steps of 20 ms of each; the whole episode of 1000 if not given.
         seed: Seed of the episodes.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; drawn anew if not given.
+        preference: What the human of a gentle task likes, p1 to p9; drawn for each episode if not
+            given.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         json: Print JSON.

@@ -33,8 +33,8 @@ def clean_cache(
 ) -> None:
     """Remove cached files; without --yes only say which.
 
-    Zoos that were added, own partners and settings are no cache and stay. What remotes published is
-    removed only with --what registries.
+    Added zoos, your own partners and settings are not part of the cache and stay. Registries of
+    remotes are removed only with --what registries.
 
     Args:
         what: Kind to remove: shards, registries, references, xla or fused; repeat it for more.

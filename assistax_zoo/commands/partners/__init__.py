@@ -1,1 +1,1 @@
-"""Commands for who takes, shares and cites partners."""
+"""Commands that take, share and cite partners."""

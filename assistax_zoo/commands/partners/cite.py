@@ -28,9 +28,9 @@ PAPER = """@inproceedings{hinckeldey2025assistax,
 def cite(*, release: str | None = None, source: Source = Source(), json: bool = False) -> None:
     """Print BibTeX of the paper, of this software, and of the partners that were used.
 
-    The partners' entry names their release, its root, the splits, and the registry's sha256: a
-    reader with these has the same bytes. With --lock it names what the lock pins. Releases of
-    others are cited by the authors, title and address that they were published with.
+    The partners' entry names their release, its root, the splits, and the registry's sha256: with
+    these a reader gets the same bytes. With --lock it names what the lock pins. Releases of other
+    zoos are cited by the authors, title and address that they were published with.
 
     Args:
         release: Release of the partners; default the lock's, else the newest.

@@ -76,7 +76,7 @@ def show(
     Args:
         id: A policy's id, or a team's for both its policies.
         card: Write the card to this file too, as Markdown to be shared.
-        image: Picture that stands in the written card.
+        image: Picture for the written card.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 
@@ -84,7 +84,9 @@ def show(
         assistax-zoo show scratch/ippo-d3-s5-v1/human
     """
     if image and not card:
-        raise ValueError("--image stands in a written card; name its file with --card")
+        raise ValueError(
+            "--image goes into a card that is written; name the card's file with --card"
+        )
     loaded = load_registry(registry)
     cards = find_cards(loaded, id)
     if card:
@@ -106,10 +108,10 @@ def verify(
 ) -> None:
     """Check every published byte, split, figure and reference; exit code 1 if anything is wrong.
 
-    Given a folder of results, its files are held against the manifest that it holds instead, and so
-    is what they depend on and is here: policies, entries of the registry, own robots' files.
-    With --deep the policies are loaded and stepped too, and the teams replay their self-play, each
-    under its own disability setting: a judgement on the installed MuJoCo, MJX and JAX.
+    Given a folder of results, the command compares its files with the folder's manifest instead,
+    and also what they depend on, as far as it is here: policies, entries of the registry, own
+    robots' files. With --deep the policies are loaded and stepped too, and the teams replay their
+    self-play, each under its own disability setting: this tests the installed MuJoCo, MJX and JAX.
 
     Args:
         pattern: A folder of results; or a glob over the policies that --deep replays, default all.
@@ -212,7 +214,7 @@ def _replay_teams(
 
 def _replay_lines(result: "SelfPlayReport") -> list[str]:
     """Return expected and found returns of each team, the versions, and a verdict."""
-    done = "replayed" if result.ok else f"{len(result.problems)} problems in"
+    done = "replayed" if result.ok else f"{counted(len(result.problems), 'problem')} in"
     start = "not replayed, trained on another version of the environment: "
     outdated = [start + ", ".join(result.outdated)] if result.outdated else []
     return [

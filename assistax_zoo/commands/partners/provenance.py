@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_zoo.commands.options import Source
 from assistax_zoo.shell.console import answer, stdout_is_data
 from zoo.registry import load_registry
@@ -16,7 +16,7 @@ SHOWN = 8  # problems; --json has all
 
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
-    """Hold a finished folder and its sources against its manifest; print and return the verdict."""
+    """Compare a finished folder and its sources with its manifest; print and return the verdict."""
     from evaluation.record.verification import check_sources, verify_folder
 
     report = verify_folder(folder)
@@ -24,8 +24,8 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
         report = dataclasses.replace(check_sources(folder, registry), files=report.files)
     lines = [f"not here, and not checked: {absent}" for absent in report.absent]
     lines += [f"problem: {problem}" for problem in report.problems]
-    verdict = "verified" if report.ok else f"{len(report.problems)} problems in"
-    files = f"{report.files} files of {folder}, and {report.sources} that they depend on"
+    verdict = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
+    files = f"{counted(report.files, 'file')} of {folder}, and {report.sources} that they depend on"
     content = {"ok": report.ok, **vars(report)}
     answer(json, content, *map(printable, lines), f"{verdict} {files}")
     return report.ok
@@ -47,12 +47,13 @@ def replay(
     The job is made again from the registry. Every table and figure is computed again from the
     episodes. A sample of the episodes is played again, those of the references too. If the folder
     names a machine of this kind, every bit must be the same. If not, each robot, partner and pair
-    may differ by what was measured between processors. The answer says which, and what is not
-    checked.
+    may differ by as much as was measured between processors. The answer says which of the two
+    applied, and what was not checked.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
-        sample: Episodes; what was simulated together is played together, so there may be more.
+        sample: Episodes; those that were simulated together are played together, so there may be
+            more.
         seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
         run_code: Run a robot from Python code that the folder names; read it first.
         crossplay: Folder of the cross-play that was given to evaluate; it is checked as well.
@@ -85,7 +86,7 @@ def _replay_lines(report: "ReplayReport") -> list[str]:
     lines = [f"not checked: {what}" for what in report.unchecked]
     lines += [f"problem: {problem}" for problem in report.problems[:SHOWN]]
     if len(report.problems) > SHOWN:
-        lines.append(f"and {len(report.problems) - SHOWN} more problems")
+        lines.append(f"and {counted(len(report.problems) - SHOWN, 'more problem')}")
     if not report.episodes:
         return [*lines, f"{report.folder}: {report.why}; nothing was played"]
     if report.exact:

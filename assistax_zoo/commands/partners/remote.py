@@ -39,7 +39,7 @@ def fetch(
 ) -> None:
     """Fetch partners from a remote into the cache; files that are present are verified.
 
-    The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch goes on where
+    The cache is ~/.cache/assistax-zoo, or $ASSISTAX_ZOO_CACHE. An interrupted fetch continues where
     it was.
 
     Args:
@@ -54,7 +54,7 @@ def fetch(
         lock: Only what this lock file pins.
         registry: Registry that says which bytes; default the remote's with --from, else the
             installed one.
-        yes: Accept another default split or release than the remote had before; else it is asked.
+        yes: Accept another default split or release than the remote had before, without a question.
         json: Print JSON.
 
     Example:
@@ -102,13 +102,13 @@ def add(
 ) -> None:
     """Add another zoo beside the installed one: its policies are then NAME:scratch/... everywhere.
 
-    The same again brings it up to date, and shows what changed. Its parameters are fetched as any
-    others: `assistax-zoo fetch 'NAME:*'`.
+    The same command again updates it and shows what changed. Fetch its parameters like any others:
+    `assistax-zoo fetch 'NAME:*'`.
 
     Args:
         remote: Folder, https://..., hf://org/name or hf://org/name@revision.
-        as_: Name, in lower case, that stands before the ids.
-        yes: Accept another default split or release than the zoo had before; else it is asked.
+        as_: Name in lower case, which goes before the ids.
+        yes: Accept another default split or release than the zoo had before, without a question.
         json: Print JSON.
 
     Example:
@@ -138,11 +138,11 @@ def remove(name: str) -> None:
 
 
 def config_remote(remote: str | None = None, *, forget: bool = False) -> None:
-    """Show or set the remote that is asked where none is named.
+    """Show or set the remote that is used if a command names none.
 
     Args:
         remote: Folder, https://... or hf://org/name.
-        forget: Have none again.
+        forget: Remove the setting.
 
     Example:
         assistax-zoo config remote hf://org/name

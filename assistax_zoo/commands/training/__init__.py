@@ -1,1 +1,1 @@
-"""Commands for who trains."""
+"""Commands that train."""

@@ -100,7 +100,7 @@ def _print_json_line(stream: TextIO, progress: "Progress") -> None:
         "steps": progress.steps,
         "total_steps": progress.total_steps,
         "steps_per_second": round(progress.steps_per_second, 1),
-        "seconds_left": round(progress.seconds_left, 1),
+        "seconds_left": progress.seconds_left and round(progress.seconds_left, 1),
         "return": newest["return"].mean(),
         "nonfinite": int(newest["nonfinite"].sum()),
         "members": newest.select("disability", "seed", "return", "reward").to_dicts(),

@@ -9,7 +9,7 @@ from assistax_board.commands.opening import open_client, open_folder, print_answ
 def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
     """Check that a server's ledger is an unbroken chain, and print its end.
 
-    Keep what it prints: a later ledger that has another hash at this number was changed.
+    Keep the output: if a later ledger has another hash at this number, it was changed.
 
     Args:
         url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.
@@ -37,9 +37,9 @@ def service_check(
 
     Args:
         data: Folder of the service.
-        backup: A backup to check instead: it is restored to a folder that goes again.
-        database: URL, where it is not the folder's.
-        artefacts: Address, where it is not the folder's.
+        backup: A backup to check instead: it is restored to a temporary folder.
+        database: URL, if it is not in the folder.
+        artefacts: Address, if they are not in the folder.
         json: Print JSON.
 
     Example:
@@ -95,7 +95,7 @@ def service_erase(submitter: str, /, *, data: Path, database: str | None = None)
     Args:
         submitter: Name of the lab.
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo service erase 'Lab of Ada' --data board

@@ -32,11 +32,11 @@ class Server:
 
 
 def open_folder(data: Path, database: str | None = None, artefacts: str | None = None) -> "Service":
-    """Open the service of a folder that exists: a mistyped one must not make a new service."""
+    """Open the service of a folder that exists: a mistyped name must not make a new one."""
     from assistax_board.serve import open_service
 
     if not (data / "signing-key.pem").is_file():
-        raise ValueError(f"{data} is no folder of a service; `assistax-zoo serve` makes one")
+        raise ValueError(f"{data} is not a service's folder; `assistax-zoo serve` makes one")
     return open_service(data, database=database, artefacts=artefacts)
 
 

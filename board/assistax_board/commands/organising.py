@@ -4,6 +4,7 @@ import dataclasses
 from datetime import UTC, datetime
 from pathlib import Path
 
+from assistax_base.errors import counted
 from assistax_board.clock import seconds_of
 from assistax_board.commands.opening import open_folder, print_answer
 
@@ -13,7 +14,7 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
 
     Args:
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
         json: Print JSON.
 
     Example:
@@ -27,15 +28,15 @@ def service_retry(
 ) -> None:
     """Queue again what the workers failed: a submission, or its panel B while its season closes.
 
-    What was played stays. A submission of a season takes the attempt again that it gave back; if
-    its lab has used that one since, nothing is queued.
+    What was played stays. A submission of a season uses again the attempt that was given back; if
+    its lab has used that attempt since, nothing is queued.
 
     Args:
         submission: As `service failures` shows it.
         data: Folder of the service.
-        extra_attempt: Give its lab one attempt more than the season has, if it has none left; the
-            ledger says so.
-        database: URL, where it is not the folder's.
+        extra_attempt: Give the lab an additional attempt if it has none left; the ledger records
+            it.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo service retry 7kq2mz4a --data board
@@ -46,12 +47,12 @@ def service_retry(
 def service_notices(
     *, data: Path, clear: bool = False, database: str | None = None, json: bool = False
 ) -> None:
-    """List what the organiser is to know: failures, errors, a full disk, seasons that closed.
+    """List notices for the organiser: failures, errors, a full disk, seasons that closed.
 
     Args:
         data: Folder of the service.
         clear: Forget them once they are listed.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
         json: Print JSON.
 
     Example:
@@ -77,21 +78,21 @@ def service_notices(
 
 
 def season_disqualify(season: str, lab: str, /, *, data: Path, database: str | None = None) -> None:
-    """Take a lab out of a season: its submissions leave the boards, and it hands in no more.
+    """Take a lab out of a season: its submissions leave the boards, and it can submit no more.
 
-    Scores and receipts stay known, as they do of a submission that was taken back.
+    Scores and receipts stay known, as those of a withdrawn submission do.
 
     Args:
         season: Name or id of the season.
         lab: Name of the lab.
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season disqualify spring 'Lab of Ada' --data board
     """
     count = open_folder(data, database).disqualify(season, lab)
-    print(f"{count} submissions of {lab} left season {season}")
+    print(f"{counted(count, 'submission')} of {lab} left season {season}")
 
 
 def season_extend(
@@ -103,7 +104,7 @@ def season_extend(
         name: Name or id of the season.
         closes: When it closes by itself, in UTC if no zone is given.
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season extend spring --closes 2026-12-15T12:00 --data board

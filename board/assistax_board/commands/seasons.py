@@ -20,14 +20,14 @@ def season_plan(
     release: str | None = None,
     teams: int | None = None,
 ) -> None:
-    """Write a private plan: a public one's teams, with seeds that nobody can guess.
+    """Write a private plan: the teams of a public plan, with secret seeds.
 
-    `train population` trains and publishes it to a private release. Whoever has the plan, the runs
-    or the registry has the partners: keep them out of repositories and shared folders.
+    `train population` trains and publishes it to a private release. The plan, the runs or the
+    registry give access to the partners: keep all of them out of repositories and shared folders.
 
     Args:
         plan: Public plan, such as zoo/plans/v2.json.
-        out: File to write, for its owner alone; one that exists is never overwritten.
+        out: File to write, readable by its owner only; an existing file is never overwritten.
         task: Only the groups of this task; default all.
         release: Name of the private release, such as v3; default the plan's.
         teams: At most so many, by fewer seeds in every group; default as many as the plan has.
@@ -76,7 +76,7 @@ def season_create(
     database: str | None = None,
     artefacts: str | None = None,
 ) -> None:
-    """Make a season of a private release, which nobody sees yet.
+    """Make a season of a private release; it is not visible yet.
 
     Args:
         name: Name of the season.
@@ -86,8 +86,8 @@ def season_create(
         budget: Attempts of each lab.
         rules: File with the season's rules; default those of docs/service.md.
         small: Allow a panel B of fewer than 60 partners.
-        database: URL, where it is not the folder's.
-        artefacts: Address, where it is not the folder's.
+        database: URL, if it is not in the folder.
+        artefacts: Address, if they are not in the folder.
 
     Example:
         assistax-zoo season create spring --task scratch --release private --data board
@@ -110,7 +110,7 @@ def season_open(
         name: Name or id of the season.
         data: Folder of the service.
         closes: When it closes by itself, in UTC if no zone is given; default in 90 days.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
@@ -123,12 +123,12 @@ def season_open(
 
 
 def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
-    """Close a season before its date: workers play what is in, then panel B; all is revealed.
+    """Close a season early: workers play all submissions, then panel B; all is revealed.
 
     Args:
         name: Name or id of the season.
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season close spring --data board
@@ -150,9 +150,9 @@ def season_rehearse(
 
     Args:
         task: Task.
-        data: Folder to make and to leave for a look; default one that goes again.
+        data: Folder to make and keep; default a temporary one.
         registry: Registry of the public partners instead of the installed one.
-        minutes: For which labs may hand in.
+        minutes: How long labs may submit.
 
     Example:
         assistax-zoo season rehearse --data rehearsal

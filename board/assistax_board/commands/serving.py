@@ -31,13 +31,13 @@ def serve(
         data: Folder for the database, the artefacts and the signing key; made if it is new.
         host: Address to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
         port: Port to listen on; 0 takes a free one.
-        workers: Local worker processes; 0 where all work elsewhere.
+        workers: Local worker processes; 0 if all workers run elsewhere.
         database: URL of a PostgreSQL database instead of SQLite in the folder.
         artefacts: Address of a store instead of the folder, such as s3://bucket/path.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play zero and random actions, scripts, published egos and the partners' own
-            robots whenever nobody waits: the rows that a board measures by.
+            robots when no submission waits: the rows to compare with.
         proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
             where a request comes from; default nobody's.
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
@@ -89,8 +89,8 @@ def worker(
         token_file: File with a token that may work; default the token in $ASSISTAX_ZOO_TOKEN.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the server's.
-        until_empty: Stop when nothing waits.
-        engine: What runs workers.
+        until_empty: Stop when no job waits.
+        engine: Where workers run.
 
     Example:
         assistax-zoo worker --url https://board.example.org --token-file worker-token

@@ -16,7 +16,7 @@ _NO_METHOD = (
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Words:
-    """What the method's page says of it.
+    """Texts for the method's page.
 
     Attributes:
         about: A text of at most 600 characters.
@@ -47,7 +47,7 @@ def submit(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Hand a robot in to a service, or check at home what the service will say.
+    """Submit a robot to a service, or check at home what the service will say.
 
     Args:
         file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
@@ -56,9 +56,9 @@ def submit(
             seeds of one method, and their mean counts.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
-        live: A robot that stays here instead of a file, such as python:mine:make.
-        words: What the method's page says of it.
-        limits: Only print what you may still hand in: of this hour, and of each open season.
+        live: A robot that stays on this machine, instead of a file; such as python:mine:make.
+        words: Texts for the method's page.
+        limits: Only print how much you may still submit: in this hour, and in each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
@@ -106,7 +106,7 @@ def season_enter(
     token_file: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Choose what of yours plays a season's panel B, in place of what you chose before.
+    """Choose which submissions play a season's panel B, instead of an earlier choice.
 
     At most two methods; submissions of one method are its seeds, and their mean counts. Without any
     the submission whose score on panel A was shown last plays.
@@ -128,7 +128,7 @@ def season_enter(
 
 
 def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool = False) -> None:
-    """Prove that the partners that a closed season reveals are those it opened with.
+    """Prove that a closed season reveals the partners with which it opened.
 
     Args:
         name: Name or id of the season.

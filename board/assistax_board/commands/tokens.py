@@ -15,7 +15,7 @@ def token_create(
     label: str = "",
     database: str | None = None,
 ) -> None:
-    """Make a token and print it: the only time that it is seen.
+    """Make a token and print it; it is shown only once.
 
     Args:
         scopes: What it may do.
@@ -23,7 +23,7 @@ def token_create(
         submitter: Lab that submits with it; made if it is new.
         contact: How to reach a new lab.
         label: For `token list`.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token create submit --submitter 'Lab of Ada' --data board
@@ -33,11 +33,11 @@ def token_create(
 
 
 def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:
-    """List the tokens; their secrets are known to nobody but their owners.
+    """List the tokens, without their secrets.
 
     Args:
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
         json: Print JSON.
 
     Example:
@@ -55,7 +55,7 @@ def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None
     Args:
         id: As `token list` shows it.
         data: Folder of the service.
-        database: URL, where it is not the folder's.
+        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token revoke 7kq2mz4a --data board

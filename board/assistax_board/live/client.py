@@ -36,7 +36,7 @@ def play_live(client: Client, submission: str, robot: Any, *, connect: Any = Non
         except (OSError, EOFError, _closed()) as error:
             tries += not _is_full(error)
             time.sleep(PAUSE_SECONDS)
-    raise OSError("the server cannot be reached; the submission goes on if you come back in time")
+    raise OSError("the server cannot be reached; the submission continues if you come back in time")
 
 
 class _Answering:

@@ -29,7 +29,7 @@ HEADERS = {
 }
 COOKIE = "assistax_form"
 FIELD = "form_token"
-NOT_OURS = "This form was not written by this page. Go back, load it anew and try again."
+NOT_OURS = "This form was not written by this page. Go back, reload it and try again."
 
 
 class SecurityHeaders:

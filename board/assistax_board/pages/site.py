@@ -51,7 +51,7 @@ class Site:
         """Return a task's cross-play."""
         crossplay = self.crossplays.of(self.task(task))
         if crossplay is None:
-            raise NotFoundError(f"Nobody has played the cross-play of {task} on this server yet.")
+            raise NotFoundError(f"There is no cross-play of {task} on this server yet.")
         return crossplay
 
     def submission(self, id: str) -> Submission:

@@ -99,7 +99,7 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
             raise Problem(
                 "conflict",
                 f"submission {id} is {row.state}{f' ({row.reason})' if row.reason else ''}; only "
-                "what failed for worker_errors is queued again",
+                "submissions that failed with worker_errors can be queued again",
             )
         for kind in ("worker_errors", "panel_b"):
             withdraw_notice(connection, kind, id)
@@ -153,7 +153,7 @@ def _check_takes(connection: sa.Connection, season: Any) -> None:
 
 
 def disqualify(service: "Service", season: str, lab: str) -> int:
-    """Take a lab out of a season: its submissions leave the boards, and it hands in no more.
+    """Take a lab out of a season: its submissions leave the boards, and it can submit no more.
 
     Args:
         service: The service.
@@ -180,7 +180,7 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
         standing = SUBMISSION.state.in_(("queued", "running", "scored"))
         rows = connection.execute(sa.select(schema.submissions).where(*mine, standing)).all()
         if not rows:
-            raise Problem("not_found", f"{lab} has no submission that stands in season {season}")
+            raise Problem("not_found", f"{lab} has no submission in season {season}")
         for row in rows:
             if row.state not in FINAL_STATES:
                 submissions.end(database, connection, row, "failed", "disqualified", "spent", now)

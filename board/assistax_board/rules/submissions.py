@@ -214,7 +214,10 @@ def _retract(database: Database, connection: sa.Connection, row: Any, now: float
     """Take a scored submission off its board; its score, attempt and receipt stay known."""
     closing = sa.select(SEASON.name).where(SEASON.id == row.season, SEASON.state == "closing")
     if name := connection.execute(closing).scalar():
-        raise Problem("too_late", f"season {name} is closing; panel B is played with what is there")
+        raise Problem(
+            "too_late",
+            f"season {name} is closing, so its submissions can no longer be withdrawn",
+        )
     values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
     connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
     jobs.cancel_jobs(connection, row.id)

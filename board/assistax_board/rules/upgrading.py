@@ -83,6 +83,7 @@ def _check_closing(service: "Service", task: str) -> None:
         )
         raise Problem(
             "conflict",
-            f"season {row.name} is closing, and one version alone plays what was in by then "
-            f"({differences}); start the version and options that it began with until it is closed",
+            f"season {row.name} is closing, and one version must play all that was handed in "
+            f"({differences}); start the version and options with which the closing began until "
+            "the season is closed",
         )

@@ -54,12 +54,12 @@ def restore(source: Path, data: Path) -> None:
     with zipfile.ZipFile(source) as archive:
         names = set(archive.namelist())
         if not {DATABASE_FILE, KEY_FILE} <= names or archive.testzip() is not None:
-            raise ValueError(f"{source} is no backup of a service, or is damaged")
+            raise ValueError(f"{source} is not a service's backup, or is damaged")
         data.mkdir(parents=True, exist_ok=True)
         data.chmod(0o700)
         for name in sorted(names):
             if not (data / name).resolve().is_relative_to(data.resolve()):
-                raise ValueError(f"{source} is no backup of a service")
+                raise ValueError(f"{source} is not a service's backup")
             archive.extract(name, data)
     (data / KEY_FILE).chmod(0o600)
 

@@ -75,7 +75,7 @@ def verify_receipt(receipt: dict[str, Any], public_key: str) -> dict[str, Any]:
         ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"this is no receipt, or no key ({error}); give the JSON that the server sent, and the "
-            "key of GET /api/key"
+            f"this is not a receipt, or not a key ({error}); give the JSON that the server sent "
+            "and the key of GET /api/key"
         ) from None
     return content

@@ -88,7 +88,7 @@ def _check_model(model: Any) -> None:
         raise UntrustedModelError("opset_not_allowed", str(sets[:4]))
     graph = model.graph
     if any(not isinstance(name, str) for name in _names(graph)):
-        raise UntrustedModelError("malformed", "a name is no text")
+        raise UntrustedModelError("malformed", "a name is not text")
     if len(sets) != 1 or graph.quantization_annotation:
         raise UntrustedModelError("operator_not_allowed", "quantised weights, or several opsets")
     if len(graph.node) > MAX_NODES or len(graph.initializer) > MAX_TENSORS:

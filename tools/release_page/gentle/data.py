@@ -188,7 +188,7 @@ def _read_egos(folder: Path) -> Evaluated:
 def _check_sides(egos: Evaluated, split: Split | None, name: str, method: str) -> None:
     """Refuse an evaluation whose partners are not those of its split's sides, all of them."""
     if split is None:
-        raise ValueError(f"{method} was evaluated on {name}, which is no split of the release")
+        raise ValueError(f"{method} was evaluated on {name}, which is not a split of the release")
     for side in SIDES:
         teams = set(egos.pairs.filter(pl.col("side") == side)["partner_team"])
         if teams and teams != set(getattr(split, side)):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -12,6 +13,7 @@ from tools.release_page.gentle.data import SERIES, Results
 from tools.release_page.gentle.evaluations import REFERENCES
 from tools.release_page.gentle.measures import Comparison, SplitCost
 from tools.release_page.gentle.sections import (
+    METHOD,
     adaptation,
     compared,
     cost,
@@ -22,13 +24,15 @@ from tools.release_page.gentle.sections import (
     gain,
     lost,
     mean,
+    method_rows,
     methods,
     p_value,
     population,
     splits,
 )
-from tools.release_page.making import costs
-from tools.release_page.markdown import MISSING, code, folded, spoken, table
+from tools.release_page.making import HEADINGS, commands, cost_rows
+from tools.release_page.markdown import MISSING, code, csv_table, spoken, table
+from zoo.schema import PolicyEntry
 
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
@@ -52,7 +56,8 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         "The population": by_task(results, population),
         "Training for equally many steps": by_task(results, equal_steps),
         "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
-        "Methods": by_task(results, methods),
+        "Methods": f"{by_task(results, methods)}\n\n[methods.csv]({results.release}/methods.csv) "
+        "has the same figures on all splits.",
         "Differences between methods": by_task(results, partial(differences, comparisons)),
         "Adaptation within a series of episodes": by_task(results, adaptation),
         "Cross-play": cross_play(results, pictures),
@@ -81,21 +86,22 @@ def in_short(
     comparisons: Mapping[str, Comparison],
     split_costs: Mapping[str, SplitCost | None],
 ) -> str:
-    """Return what the default splits cost, and which methods come apart on them."""
+    """Return what the default splits cost, and which methods differ on them."""
     rows: list[list[str]] = []
     for task in GENTLE_TASKS:
         default = [lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
             MISSING
         ]
         rows.append([spoken(task), *default, *_in_short(results, task, comparisons[task])])
-    headings = ["task", "lost", "come apart", "do not", f"`{TOLD[0]}` - `{TOLD[1]}`"]
+    headings = ["task", "lost", "differ", "do not differ", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
     return (
-        f"{table(headings, rows, (1, 4, 5))}\n\nOn the default splits: the share of M_test that a "
-        "robot loses because it trained with the training side; the trained methods that are not "
-        f"told what a partner likes, apart where p is below {ALPHA:g} after Holm's correction, the "
-        "better one first; what being told is worth, and what a memory gains within a series. The "
-        "sections below say how each is measured."
+        f"{table(headings, rows, (1, 4, 5))}\n\nOn the default splits. *Lost*: the share of M_test "
+        "that a robot loses by training with the training side instead of the test side. *Differ*: "
+        f"trained methods that are not told the preference, with p below {ALPHA:g} after Holm's "
+        "correction, the better one first. The last columns have the value of being told the "
+        "preference, and the gain of a memory within a series. The sections below say how each is "
+        "measured."
     )
 
 
@@ -128,18 +134,41 @@ def figures(results: Results) -> dict[str, Callable[[], Figure]]:
     }
 
 
-def _cost_of_making(results: Results, command: str) -> str:
-    """Return device minutes and commands of every table; `command` makes the page."""
-    note = (
-        "Minutes are a process's own; up to twelve shared a GPU. What trained `ppo-mirror` is the "
-        "split with its sides exchanged, which is no split of the release."
+def tables(results: Results) -> dict[str, str]:
+    """Return the files beside the page, in a folder named after the release."""
+    methods = (
+        [spoken(task), split, *row]
+        for task in GENTLE_TASKS
+        for split, rows in method_rows(results, task).items()
+        for row in rows
     )
-    return f"{note}\n\n{by_task(results, _made)}\n\nThis page:\n\n{code(command)}"
+    parts = [_made(results, task) for task in GENTLE_TASKS]
+    rows = (row for part in parts for row in cost_rows(*part))
+    lines = (line for _, trained, played in parts for line in commands(trained, played))
+    return {
+        "methods.csv": csv_table(("task", "split", *METHOD), methods),
+        "minutes.csv": csv_table(HEADINGS, rows),
+        "commands.txt": "".join(f"{line}\n" for line in lines),
+    }
 
 
-def _made(results: Results, task: str) -> str:
+def _cost_of_making(results: Results, command: str) -> str:
+    """Return where minutes and commands of every table are; `command` makes the page."""
+    folder = results.release
+    return (
+        f"[minutes.csv]({folder}/minutes.csv) has the device minutes of every part, "
+        f"[commands.txt]({folder}/commands.txt) its command. Minutes are those of one process; up "
+        "to twelve processes shared a GPU. `ppo-mirror` was trained with the split's sides "
+        f"exchanged. This command makes the page:\n\n{code(command)}"
+    )
+
+
+def _made(
+    results: Results, task: str
+) -> tuple[list[PolicyEntry], dict[str, Mapping[str, Any]], dict[str, Played]]:
+    """Return teams, trainings and plays of a task, as `cost_rows` takes them."""
     humans = [human for human in results.humans if human.task == task]
-    trained = {
+    trained: dict[str, Mapping[str, Any]] = {
         f"{method} egos, {split}": training
         for (of, split, method), training in results.trained.items()
         if of == task
@@ -154,5 +183,4 @@ def _made(results: Results, task: str) -> str:
         for (of, split, method), egos in results.egos.items()
         if of == task
     }
-    text = costs(humans, trained, played)
-    return folded("Minutes and commands", text)
+    return humans, trained, played

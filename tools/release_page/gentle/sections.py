@@ -18,13 +18,15 @@ from tools.release_page.gentle.measures import (
     diversity,
     split_cost,
 )
-from tools.release_page.markdown import MISSING, figure, folded, image, spoken, table
+from tools.release_page.markdown import MISSING, figure, image, spoken, table
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
 SIDE = "test"  # of the partners that methods are compared with
 TRAINED_WITH = (f"ppo{MIRROR}", "ppo")  # the test side, and the training side
 NOTHING = f"{MISSING.capitalize()}."
+METHOD = ("method", "seeds", "M_train mean", "M_train IQM", "M_test mean", "M_test IQM")
+METHOD += ("gap, mean", "safe success", "violations")
 
 
 def population(results: Results, task: str) -> str:
@@ -90,11 +92,11 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
     headings += [*(f"M_test of {name}" for name in TRAINED_WITH), "lost [95%]", "lost, share"]
     return (
         f"{table(headings, rows, (2, 3, 5, 6, 7, 8))}\n\n`ppo{MIRROR}` was trained with the test "
-        "side, `ppo` with the training side; both play with the test partners, and what is lost is "
-        "the former's return less the latter's, with its share of the former's where that is "
-        "surely above zero. The interval resamples the seeds of either apart, and the partners "
-        "together. Custom splits are by behaviour: humans fall into two groups by which robots "
-        "suit them; the better is held out."
+        "side, `ppo` with the training side, and both play with the test partners. *Lost* is the "
+        f"return of `ppo{MIRROR}` minus that of `ppo`, and its share of the former where that is "
+        "surely above zero. The interval resamples the seeds of each separately, and the partners "
+        "of both together. Custom splits are by behaviour: humans fall into two groups by which "
+        "robots suit them, and the group that earns more is held out."
     )
 
 
@@ -108,24 +110,26 @@ def cost(results: Results, split: Split) -> SplitCost | None:
 
 
 def methods(results: Results, task: str) -> str:
-    """Return what every method earned on every split where one was evaluated, default first."""
-    headings = ["method", "seeds", "M_train mean", "M_train IQM", "M_test mean", "M_test IQM"]
-    headings += ["gap, mean", "safe success", "violations"]
-    texts = []
-    for split in results.splits[task]:
-        methods = results.methods(task, split)
-        rows = [[f"`{name}`", *_figures(egos)] for name, egos in methods.items()]
-        texts += [f"`{short(split)}`:\n\n{table(headings, rows, range(1, 9))}"] if rows else []
-    if not texts:
+    """Return what every method earned on the first split where one was evaluated."""
+    split, rows = next(iter(method_rows(results, task).items()), ("", []))
+    if not rows:
         return NOTHING
-    about = (
-        "M is the mean return over partners; the gap is M_train - M_test. Safe success, the goal "
-        "reached and nobody hurt, and violations, a contact above the hard limit, are shares of "
-        "episodes with test partners. Intervals resample seeds and partners. What was trained with "
-        "the test side is no method, and stands above alone."
+    shown = table(METHOD, [[f"`{name}`", *cells] for name, *cells in rows], range(1, 9))
+    return (
+        f"`{split}`:\n\n{shown}\n\nM is the mean return over partners; the gap is M_train - M_test."
+        " Safe success is the share of episodes with test partners that reach the goal without a "
+        "contact above the hard limit; violations is the share with such a contact. Intervals "
+        "resample seeds and partners. Robots that trained with the test side are not listed here."
     )
-    others = [folded("Other splits", "\n\n".join(texts[1:]))] if texts[1:] else []
-    return "\n\n".join([texts[0], *others, about])
+
+
+def method_rows(results: Results, task: str) -> dict[str, list[list[object]]]:
+    """Return the rows of `METHOD` by split, for splits where one was evaluated, default first."""
+    rows = {
+        short(split): [[name, *_figures(e)] for name, e in results.methods(task, split).items()]
+        for split in results.splits[task]
+    }
+    return {split: found for split, found in rows.items() if found}
 
 
 def differences(comparisons: Mapping[str, Comparison], results: Results, task: str) -> str:

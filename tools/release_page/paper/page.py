@@ -44,6 +44,11 @@ def make_page(results: Results, pictures: str, command: str) -> str:
     return "\n\n".join(texts) + "\n"
 
 
+def tables(results: Results) -> dict[str, str]:
+    """Return the files beside the page: none, it holds all of its tables."""
+    return {}
+
+
 def _head(results: Results) -> str:
     return (
         f"# Release {results.release} beside the paper\n\n"

@@ -7,6 +7,7 @@ from typing import Any
 
 from cyclopts import Parameter
 
+from assistax_base.errors import counted
 from assistax_zoo.shell.console import new_table, print_json, print_table, stdout_is_data
 
 
@@ -58,13 +59,13 @@ def audit(
     Args:
         task: Task, such as gentle_scratch.
         team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
-        others: Who plays for the other gates.
+        others: Policies that play for the other gates.
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         env_version: Version of the environment; that of published teams, else the newest, if not
             given.
-        out: Folder for the episodes; an audit that was stopped goes on.
+        out: Folder for the episodes; a stopped audit continues.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         json: Print JSON.
 
@@ -93,7 +94,10 @@ def audit(
 
 def _print(result: Mapping[str, Any]) -> None:
     """Print an audit's gates as a table, then the figures behind them."""
-    title = f"{result['task']}, {len(result['teams'])} teams, {result['episodes']} episodes a pair"
+    title = (
+        f"{result['task']}, {counted(len(result['teams']), 'team')}, "
+        f"{counted(result['episodes'], 'episode')} a pair"
+    )
     print_gates(title, result["gates"])
     for name, figures in result["figures"].items():
         print(f"{name}: {', '.join(f'{what} {value:.3g}' for what, value in figures.items())}")

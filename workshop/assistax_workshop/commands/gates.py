@@ -23,9 +23,9 @@ def train(
     set_: Changes = (),
     backend: str = "auto",
 ) -> None:
-    """Train those who play for the gates of a gentle task, each condition into FOLDER/CONDITION.
+    """Train policies for the gates of a gentle task, each condition into FOLDER/CONDITION.
 
-    Runs that were interrupted go on. Conditions with humans of teams need FOLDER/teams first.
+    Interrupted runs continue. Conditions with humans of teams need FOLDER/teams first.
 
     Args:
         task: Gentle task.
@@ -70,13 +70,13 @@ def told_egos(
 ) -> None:
     """Train robots that are told what their partners like, and evaluate them.
 
-    FOLDER/training is as of `train-ego`, FOLDER/evaluation as of `evaluate --split both`; what was
-    interrupted goes on.
+    FOLDER/training is as of `train-ego`, FOLDER/evaluation as of `evaluate --split both`; an
+    interrupted command continues.
 
     Args:
         task: Gentle task.
         folder: Of the run and the evaluation.
-        split: With whose training half they learn; default the release's own.
+        split: Split whose training half they learn with; default that of the release.
         seeds: How many, or which.
         steps: Environment steps of each robot.
         episodes: Of each pair.

@@ -31,12 +31,12 @@ def population(
     json: bool = False,
     json_lines: bool = False,
 ) -> None:
-    """Train and publish what is missing of a plan, such as the population of a release.
+    """Train and publish the missing teams of a plan, such as the population of a release.
 
-    The same command goes on wherever it was interrupted, and does nothing once all teams are
-    published. Several may work on one plan at once, each on a device of its own: a run is trained
-    by the first that takes it. A run that fails does not stop the others. How far the plan is, and
-    its cost, stand in PLAN.progress.json.
+    The same command continues after an interruption, and does nothing once all teams are published.
+    Several processes may work on one plan at once, each on its own device: the first that takes a
+    run trains it. A run that fails does not stop the others. PLAN.progress.json has the progress of
+    the plan and its cost.
 
     Args:
         plan: JSON file of the plan, such as zoo/plans/v1.json; docs/population.md describes it.

@@ -32,9 +32,8 @@ def publish(
 ) -> None:
     """Publish the teams or egos of run folders in a release: shards, registry, split and card.
 
-    Where no place is named, they join your own zoo, and are own:scratch/... everywhere from then
-    on. What is published never changes; the same run again is a no-op. A hub gets one commit, then
-    a tag.
+    Without --to and --registry they join your own zoo, as own:scratch/... Published data never
+    changes; publishing the same run again does nothing. A hub gets one commit, then a tag.
 
     Args:
         runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
@@ -43,7 +42,7 @@ def publish(
         registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
-        author: Whom `cite` names as the release's author; repeat it for more, in order.
+        author: Author of the release for `cite`; repeat it for more, in order.
         title: Title by which `cite` calls the release.
         url: Address of the release or its paper, for `cite`.
         key: Ed25519 private key, PEM, to sign the release with.

@@ -70,17 +70,17 @@ def sweep(
 ) -> None:
     """Try hyperparameters, many at once in one program.
 
-    Continuous ones are drawn at random, discrete ones form a grid. The same command again goes on
-    where a sweep was interrupted. The best configuration is written as preset.json, which
-    `assistax-zoo train --preset` reads.
+    Continuous ones are drawn at random, discrete ones form a grid. The same command again continues
+    an interrupted sweep. The best configuration is written as preset.json, which `assistax-zoo
+    train --preset` reads.
 
     Args:
         task: Task, such as scratch.
         out: Folder of the sweep: a run for each block, sweep.parquet, preset.json.
         algorithm: Preset that is varied: ippo, mappo, isac, masac or mep.
-        search: What is tried.
+        search: What the sweep tries.
         backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
-        engine: What runs the blocks.
+        engine: Where the blocks run.
         json: Print the results as JSON.
 
     Example:

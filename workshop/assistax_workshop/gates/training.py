@@ -119,7 +119,7 @@ def train_conditions(
 ) -> None:
     """Train conditions of a gentle task, each into FOLDER/CONDITION.
 
-    Runs that were interrupted go on. Conditions with humans of teams need FOLDER/teams first.
+    Interrupted runs continue. Conditions with humans of teams need FOLDER/teams first.
 
     Args:
         task: Gentle task.

@@ -229,8 +229,8 @@ def write_private_plan(plan: Plan, path: Path) -> None:
     """
     if path.exists():
         raise ValueError(
-            f"{path} exists, and seeds that were trained with may be nowhere else; choose a new "
-            "file, or remove this one first"
+            f"{path} exists, and may hold the only copy of seeds that were trained with; choose a "
+            "new file, or remove this one first"
         )
     content = TypeAdapter(Plan).dump_python(plan, mode="json", exclude_defaults=True)
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -294,8 +294,7 @@ def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[Pl
         if 0 < left < group.together:
             raise ValueError(
                 f"group {group.name} lacks {left} of its {group.together} teams of {setting}, "
-                f"which are one population; seeds that come later are a population of their own: "
-                "give them a group"
+                "which are one population; put seeds that you add later into a new group"
             )
     size = group.max_members or len(group.members)
     size -= size % group.together

@@ -9,6 +9,7 @@ from typing import Any
 
 from filelock import AcquireReturnProxy, Timeout
 
+from assistax_base.errors import counted
 from assistax_base.files import exclusive
 from assistax_workshop.plans.learning_curves import write_curves
 from assistax_workshop.plans.plan import Group, Plan, PlannedRun, planned_runs
@@ -163,7 +164,9 @@ class PlanTraining:
     def _train(self, status: Status, planned: PlannedRun) -> None:
         from population.runs.logged_run import run_training
 
-        teams = f"{len(planned.members)} teams, {status.group.task} {status.group.algorithm}"
+        teams = (
+            f"{counted(len(planned.members), 'team')}, {status.group.task} {status.group.algorithm}"
+        )
         print(
             f"{planned.name}: {teams}, {planned.config().steps} steps each",
             file=sys.stderr,
@@ -197,7 +200,7 @@ class PlanTraining:
                 complete=False,
             )
             print(
-                f"published {len(teams)} teams in release {self.plan.release}",
+                f"published {counted(len(teams), 'team')} in release {self.plan.release}",
                 file=sys.stderr,
                 flush=True,
             )

@@ -16,6 +16,7 @@ from assistax_base.errors import (
     MissingRepositoryError,
     PublishError,
     ZooError,
+    counted,
     shorten,
 )
 from assistax_base.files import atomic_write
@@ -157,7 +158,7 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
                 return api.create_commit(
                     remote.repo,
                     [CommitOperationAdd(path, data) for path, data in files.items()],
-                    commit_message=f"Release {release}: {added} policies",
+                    commit_message=f"Release {release}: {counted(added, 'policy')}",
                     parent_commit=remote.revision,
                 ).oid
         except (TransientError, _ConflictError) as error:

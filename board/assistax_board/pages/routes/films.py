@@ -102,7 +102,9 @@ def robot_of(site: Site, submission: Submission) -> HandedIn:
     humans = site.registry.of_task(submission.task, "human")
     of_training = [entry for entry in humans if split.side(entry.team) == "train"]
     if not of_training:
-        raise NotFoundError("There is no public partner but those that score: none to film with.")
+        raise NotFoundError(
+            "All public partners count in the score, so there is none to film with."
+        )
     human = min(of_training, key=lambda entry: entry.id)
     version = site.registry.env_version(human)
     return HandedIn(submission.task, file, human.id, human.sha256, version, site.read)

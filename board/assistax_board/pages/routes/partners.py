@@ -113,7 +113,7 @@ def explorer_router(site: Site) -> APIRouter:
             return respond(request, crossplay.description, immutable=True)
         if digest == crossplay.digest and ending == "f32" and stem in crossplay.measures:
             return respond(request, crossplay.measures[stem], immutable=True)
-        raise NotFoundError("There are no such numbers; open the explorer anew.")
+        raise NotFoundError("These numbers do not exist; open the explorer again.")
 
     @router.get("/films/{key}")
     def film(key: str) -> Response:

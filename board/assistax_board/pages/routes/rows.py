@@ -122,7 +122,7 @@ def board_of(site: Site, task: str, version: str) -> Board:
     if board is None and site.boards.is_behind(task, old):
         raise being_computed(task)
     if board is None:
-        raise NotFoundError(f"The board of {task} is empty: nobody has been scored on it yet.")
+        raise NotFoundError(f"The board of {task} is empty: no method was scored yet.")
     return board
 
 
