@@ -183,7 +183,14 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
         """One row a partner: means over robots and episodes."""
         return tables.read_parquet(self._own(tables.PARTNERS_FILE) / tables.PARTNERS_FILE)
 
-    def plot(self, path: Path | str, kind: FigureKind = "zsc") -> "Figure":
+    def plot(
+        self,
+        path: Path | str,
+        kind: FigureKind = "zsc",
+        *,
+        width: float | None = None,
+        bare: bool = False,
+    ) -> "Figure":
         """Draw the result, write it as .png, .pdf or .svg, and return the figure.
 
         Args:
@@ -191,10 +198,12 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
             kind: "zsc" for training beside test partners, "disability" for each setting,
                 "preference" for what the humans of a gentle task like, "profile" for the share of
                 pairs above each return.
+            width: Inches of the figure, for a paper's column or page; letters keep their size.
+            bare: Leave out title and caption.
         """
         from evaluation.plots.figures import evaluation_figure
 
-        return evaluation_figure([self._own()], kind, Path(path))
+        return evaluation_figure([self._own()], kind, Path(path), width=width, bare=bare)
 
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
@@ -233,7 +242,12 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
         return tables.read_parquet(self._own(tables.PAIRS_FILE) / tables.PAIRS_FILE)
 
     def plot(
-        self, path: Path | str, order: Literal["shared", "separate"] | None = None
+        self,
+        path: Path | str,
+        order: Literal["shared", "separate"] | None = None,
+        *,
+        width: float | None = None,
+        bare: bool = False,
     ) -> "Figure":
         """Draw the clustered matrix, write it as .png, .pdf or .svg, and return the figure.
 
@@ -241,10 +255,12 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
             path: File to write.
             order: "shared" for one order of teams on both axes, "separate" for one order each;
                 default shared if possible.
+            width: Inches of the figure, for a paper's column or page; letters keep their size.
+            bare: Leave out title and caption.
         """
         from evaluation.plots.figures import crossplay_figure
 
-        return crossplay_figure(self._own(), Path(path), order)
+        return crossplay_figure(self._own(), Path(path), order, width=width, bare=bare)
 
     def _figures(self) -> dict[str, Estimate | None]:
         names = {"self-play": self.self_play, "cross-play": self.cross_play}

@@ -36,6 +36,24 @@ class Source:
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Page:
+    """How a figure stands on a page.
+
+    Attributes:
+        width: Inches of the figure, such as 3.3 for a column; its letters keep their size.
+        bare: Leave out title and caption, for a text that has its own.
+    """
+
+    width: float | None = None
+    bare: bool = False
+
+    def given(self) -> dict[str, Any]:
+        """Return it as the functions of `evaluation.plots.figures` take it."""
+        return dataclasses.asdict(self)
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Against:
     """Partners of robots, and what the robots are compared with.
 

@@ -1,14 +1,16 @@
 """Figures with one pair of axes: returns as dots, profiles, learning curves, speed."""
 
 import math
+import textwrap
 import types
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, StrMethodFormatter
+from matplotlib.ticker import EngFormatter
 
 from assistax_base.errors import counted
 from evaluation.cast.met_partners import UNKNOWN
@@ -17,11 +19,16 @@ from evaluation.plots import style
 
 _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
 
+_LEFT, _NARROWEST = 0.75, 1.2  # inches: left of axes, and their least width
+
 Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the method's name
 
 
 def zsc_dots(
-    summaries: Summaries, lines: Mapping[str, float] = types.MappingProxyType({})
+    summaries: Summaries,
+    lines: Mapping[str, float] = types.MappingProxyType({}),
+    *,
+    width: float | None = None,
 ) -> Figure:
     """Draw M_train beside M_test of each method, mean and 95% interval (paper, Figures 6, 14).
 
@@ -30,10 +37,14 @@ def zsc_dots(
     Args:
         summaries: of `evaluate`.
         lines: other returns to draw as lines, by name, beside those of the reference egos.
+        width: of the figure, in inches.
     """
-    references = _references(summaries, lines)
-    width, head = 2.6 + 0.9 * len(summaries), 0.2 * ((len(references) + 1) // 3)
-    figure, axes = _returns(summaries, "Zero-shot coordination", width, head)
+    references = {
+        textwrap.fill(f"{name} {value:.0f}", 16): value
+        for name, value in _references(summaries, lines).items()
+    }
+    size = width or max(2.6 + 0.9 * len(summaries), 6.2) + style.room_for(references) - 0.15
+    figure, axes = _returns(summaries, "Zero-shot coordination", size, style.room_for(references))
     colours = style.algorithm_colours(summaries)
     for i, (name, summary) in enumerate(summaries.items()):
         colour = colours[name]
@@ -57,18 +68,14 @@ def zsc_dots(
     for label, fill in labels:
         axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
     for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
-        axes.axhline(
-            value,
-            color=style.MUTED,
-            linewidth=0.9,
-            linestyle=dashes,
-            label=f"{name} {value:.0f}",
-            zorder=1.5,  # below the dots
-        )
+        below = {"color": style.MUTED, "linewidth": 0.9, "zorder": 1.5}  # the dots
+        axes.axhline(value, linestyle=dashes, gid=name, **below)
     axes.set_ylim(*_limits(summaries, references))
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
-    _name_places(axes, list(summaries))
+    _name_places(axes, [style.spelled(name) for name in summaries])
+    ends = {name: (axes.get_xlim()[1], value) for name, value in references.items()}
+    style.label_ends(axes, ends, dict.fromkeys(ends, style.MUTED))
     return figure
 
 
@@ -95,17 +102,22 @@ def _references(summaries: Summaries, lines: Mapping[str, float]) -> dict[str, f
     return {name: sum(values) / len(values) for name, values in means.items()}
 
 
-def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
+def trait_points(
+    summaries: Summaries, trait: str = "disability", *, width: float | None = None
+) -> Figure:
     """Draw each method's return by a trait of the partners: mean with its 95% interval.
 
-    The trait is their "disability" setting or, of a gentle task, their "preference".
+    The trait is their "disability" setting or, of a gentle task, their "preference"; the width that
+    of the figure, in inches.
     """
     settings = sorted({n for summary in summaries.values() for n in summary.get(f"by_{trait}", ())})
     if summaries and not settings:
         raise ValueError(f"no partner of these folders has a {trait}; leave that figure out")
     what = {"disability": "disability setting", "preference": "preference"}[trait]
     title = f"Return by the partner's {what}"
-    figure, axes = _returns(summaries, title, 2.4 + 0.55 * len(settings))
+    size = width or max(2.4 + 0.55 * len(settings), 6.2)
+    figure, axes = _returns(summaries, title, size, marks=len(summaries))
+    axes.set_xlabel(what, fontsize=9, color=style.INK)
     colours = style.algorithm_colours(summaries)
     for i, (label, summary) in enumerate(summaries.items()):
         shift = (i - (len(summaries) - 1) / 2) * min(0.2, 0.7 / len(summaries))
@@ -113,7 +125,9 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
         places = {x + shift: groups[name] for x, name in enumerate(settings) if groups.get(name)}
         heights, colour = [value["mean"] for value in places.values()], colours[label]
         mark = style.MARKERS[i % len(style.MARKERS)]
-        axes.plot(list(places), heights, mark, color=colour, markersize=5, label=label)
+        axes.plot(
+            list(places), heights, mark, color=colour, markersize=5, label=style.spelled(label)
+        )
         for place, value in places.items():
             _whisker(axes, place, value, colour)
     _name_places(axes, settings)
@@ -122,76 +136,102 @@ def trait_points(summaries: Summaries, trait: str = "disability") -> Figure:
     return figure
 
 
-def performance_profile(profiles: Mapping[str, pl.DataFrame], *, task: str, caption: str) -> Figure:
+def performance_profile(
+    profiles: Mapping[str, pl.DataFrame], *, task: str, caption: str, width: float | None = None
+) -> Figure:
     """Draw the share of ego-partner pairs above each return, with 95% bands.
 
     Args:
         profiles: columns threshold, share, low and high, by the method's name.
         task: named in the title.
         caption: written below.
+        width: of the figure, in inches.
     """
-    figure, axes = _lines(f"Performance profile: {task}", caption, "return")
-    for name, colour in style.algorithm_colours(profiles).items():
+    figure, axes = _lines(f"Performance profile: {task}", caption, "return of an episode", width)
+    colours = style.algorithm_colours(profiles)
+    for name, colour in colours.items():
         style.band(axes, profiles[name], "threshold", "share", colour, name)
     axes.set_ylabel("share of pairs above it", fontsize=9)
     axes.set_ylim(0, 1.02)
-    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    _label_falls(axes, profiles, colours)
     return figure
 
 
-def learning_curves(curves: pl.DataFrame, *, title: str, caption: str) -> Figure:
+def _label_falls(
+    axes: Axes, profiles: Mapping[str, pl.DataFrame], colours: Mapping[str, str]
+) -> None:
+    """Write each profile's name where it falls through a share of its own: all end at 0."""
+    shares = np.linspace(0.85, 0.15, len(profiles)) if len(profiles) > 1 else [0.5]
+    behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+    best_last = sorted(profiles, key=lambda name: -profiles[name]["share"].sum())
+    for name, share in zip(best_last, shares, strict=True):
+        table = profiles[name]
+        place = float(table["threshold"][int((table["share"] >= share).sum()) - 1])
+        font = {"fontsize": style.END, "color": colours[name], "bbox": behind}
+        offset = {"textcoords": "offset points", "va": "center"}
+        axes.annotate(style.spelled(name), (place, share), (7.0, 0.0), **offset, **font)
+
+
+def learning_curves(
+    curves: pl.DataFrame, *, title: str, caption: str, width: float | None = None
+) -> Figure:
     """Draw the IQM over seeds with its 95% band, one line for each disability setting.
 
     Args:
         curves: columns disability, steps, iqm, low and high.
         title: written above.
         caption: written below.
+        width: of the figure, in inches.
     """
-    figure, axes = _lines(title, caption, "environment steps of one member")
-    for name, colour in style.disability_colours(curves["disability"]).items():
-        style.band(axes, curves.filter(disability=name), "steps", "iqm", colour, name)
+    colours = style.disability_colours(curves["disability"])
+    x = "environment steps of one member"
+    figure, axes = _lines(title, caption, x, width, right=style.room_for(colours))
+    ends = {}
+    for name, colour in colours.items():
+        curve = curves.filter(disability=name)
+        style.band(axes, curve, "steps", "iqm", colour, name)
+        ends[name] = curve["steps"][-1], curve["iqm"][-1]
     axes.set_ylabel("return of an episode", fontsize=9)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    style.label_ends(axes, ends, colours)
     return figure
 
 
-def speed(measured: pl.DataFrame, *, caption: str) -> Figure:
+def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -> Figure:
     """Draw environment steps per second against the batch size, both axes logarithmic.
 
     Args:
         measured: columns task, backend, device, batch and env_steps_per_second, as
             `python -m benchmarks env --json` prints them.
         caption: written below.
+        width: of the figure, in inches.
     """
     title = "Open loop: environment steps per second"
-    groups = sorted(measured.select("task", "backend", "device").unique().rows())
-    tasks = sorted({task for task, _, _ in groups})
-    kinds = sorted({(backend, device) for _, backend, device in groups})
+    tasks = sorted(set(measured["task"]))
+    kinds = sorted(set(measured.select("backend", "device").rows()))
     palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
-    columns = 2
-    head = 0.2 * -(-len(groups) // columns)
-    figure, axes = _lines(title, caption, "simulations in the batch", head)
-    for task, backend, device in groups:
-        rows = measured.filter(task=task, backend=backend, device=device).sort("batch")
-        axes.plot(
-            rows["batch"],
-            rows["env_steps_per_second"],
-            color=palette[kinds.index((backend, device)) % len(palette)],
-            marker=style.MARKERS[tasks.index(task) % len(style.MARKERS)],
-            markersize=5,
-            markerfacecolor="none",
-            label=f"{task}, {backend}, {device}",
-            clip_on=False,
-        )
+    colours = {f"{b},\n{d}": palette[i % len(palette)] for i, (b, d) in enumerate(kinds)}
+    room = style.room_for(colours)
+    figure, axes = _lines(title, caption, "simulations in the batch", width, 0.25, room)
+    ends: dict[str, tuple[float, float]] = {}
+    for (task, backend, device), rows in sorted(measured.group_by("task", "backend", "device")):
+        rows, name = rows.sort("batch"), f"{backend},\n{device}"
+        marks = {"marker": style.MARKERS[tasks.index(task) % len(style.MARKERS)], "markersize": 5}
+        x, y = rows["batch"], rows["env_steps_per_second"]
+        axes.plot(x, y, color=colours[name], markerfacecolor="none", clip_on=False, **marks)
+        ends[name] = max(ends.get(name, (0.0, 0.0)), (x[-1], y[-1]))
+    for mark, task in zip(style.MARKERS, tasks, strict=False):
+        axes.plot([], [], mark, color=style.MUTED, markerfacecolor="none", label=task)
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_ylabel("environment steps / s", fontsize=9)
     _whole_decades(axes, measured["env_steps_per_second"])
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.tick_params(axis="x", labelsize=7)
     axes.yaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=7, frameon=False)
+    style.label_ends(axes, ends, colours)
+    above = {"loc": "lower left", "bbox_to_anchor": (0, 1.0), "ncols": 3, "columnspacing": 1.0}
+    axes.legend(fontsize=8, frameon=False, borderaxespad=0.2, handletextpad=0.2, **above)
     return figure
 
 
@@ -217,8 +257,8 @@ def provenance(summaries: Summaries) -> str:
         broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
         known = (summary.get("met") or {}).get("known")
         lines.append(
-            f"{name}: {counted(len(summary['egos']), 'seed')} × {partners} partners × "
-            f"{counted(summary['episodes_per_pair'], 'episode')}"
+            f"{style.spelled(name)}: {counted(len(summary['egos']), 'seed')} × {partners} "
+            f"partners × {counted(summary['episodes_per_pair'], 'episode')}"
             f"{broken}; {summary['task']}, release {summary['release']}{split}, "
             f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
         )
@@ -226,11 +266,11 @@ def provenance(summaries: Summaries) -> str:
 
 
 def _returns(
-    summaries: Summaries, title: str, width: float, head: float = 0.0
+    summaries: Summaries, title: str, width: float, right: float = 0.2, marks: int = 2
 ) -> tuple[Figure, Axes]:
     """Return axes for the returns of evaluations, which are of one task.
 
-    `head` inches more are kept above them for a legend.
+    Right of them are `right` inches for names of lines, above them a legend of so many marks.
     """
     if not summaries:
         raise ValueError("there is nothing to draw; give at least one folder that evaluate filled")
@@ -243,16 +283,20 @@ def _returns(
     figures = [summary.get(key) for summary in summaries.values() for key in sides]
     scopes = sorted({scope(figure["generalises_to"]) for figure in figures if figure})
     caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}"
-    size = max(width, 6.2), 3.35 + head, 0.42
-    figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, (0.15, 2.5), "returns")
+    rows = -(-marks // _columns(width - _LEFT - right))
+    size, span = (width, 3.4 + 0.17 * rows, 0.42), (0.35, 2.5, right)
+    figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, span, "returns")
     axes.set_ylabel("return of an episode", fontsize=9, color=style.INK)
     axes.tick_params(axis="y", labelsize=8)
     return figure, axes
 
 
-def _lines(title: str, caption: str, x: str, head: float = 0.0) -> tuple[Figure, Axes]:
-    """Return axes for lines; `head` inches above them are kept for a legend."""
-    figure, axes = _axes(title, caption, (6.4, 4.2 + head, 0.15), (0.55, 3.1), "lines")
+def _lines(
+    title: str, caption: str, x: str, width: float | None, head: float = 0.0, right: float = 0.2
+) -> tuple[Figure, Axes]:
+    """Return axes for lines; `head` inches above and `right` inches beside them are kept."""
+    size = width or 6.2 + right, 4.2 + head, 0.15
+    figure, axes = _axes(title, caption, size, (0.55, 3.1, right), "lines")
     axes.tick_params(labelsize=8)
     axes.grid(color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
@@ -264,17 +308,20 @@ def _axes(
     title: str,
     caption: str,
     size: tuple[float, float, float],
-    span: tuple[float, float],
+    span: tuple[float, float, float],
     label: str,
 ) -> tuple[Figure, Axes]:
     """Return a figure with axes.
 
-    In inches its size and the room above the caption; the axes' bottom above that, and height.
+    In inches its size and the room above the caption; the axes' bottom above that, their height,
+    and the room right of them.
     """
+    style.check_width(size[0], _LEFT + _NARROWEST + span[2])
     width, foot = size[0], size[2] + style.caption_height(caption, size[0])
     height = size[1] + foot
     figure = style.titled_figure(title, caption, width, height)
-    place = (0.75 / width, (foot + span[0]) / height, 1 - 0.95 / width, span[1] / height)
+    across = 1 - (_LEFT + span[2]) / width
+    place = (_LEFT / width, (foot + span[0]) / height, across, span[1] / height)
     axes = figure.add_axes(place, label=label)
     style.bare(axes, ("left", "bottom"))
     return figure, axes
@@ -286,13 +333,15 @@ def _whisker(axes: Axes, place: float, value: Mapping[str, Any], colour: str) ->
 
 
 def _name_places(axes: Axes, names: list[str]) -> None:
-    axes.set_xticks(range(len(names)), names, fontsize=8)
+    inches = axes.get_window_extent().width / axes.figure.dpi
+    tight = max(map(len, names)) * 0.065 > inches / (len(names) + 0.2)
+    turned: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"}
+    axes.set_xticks(range(len(names)), names, fontsize=8, **(turned if tight else {}))
     axes.set_xlim(-0.6, len(names) - 0.4)
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        ncols=3,
-        fontsize=8,
-        frameon=False,
-        borderaxespad=0.2,
-    )
+    above = {"loc": "lower left", "bbox_to_anchor": (0, 1.0), "ncols": _columns(inches)}
+    axes.legend(fontsize=8, frameon=False, borderaxespad=0.2, **above)
+
+
+def _columns(inches: float) -> int:
+    """Return how many columns a legend above axes of this width has."""
+    return max(1, min(3, int(inches // 1.3)))

@@ -14,19 +14,28 @@ from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
 from evaluation.plots.persons import person_panels
 from evaluation.plots.population import population_grid
-from evaluation.plots.style import check_path, save_figure
+from evaluation.plots.style import check_path, save_figure, spelled
 from evaluation.plots.sweep import sweep_panels
 from evaluation.record import tables
 from evaluation.record.verification import check_whole
 
 
-def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
+def evaluation_figure(
+    folders: Sequence[Path],
+    kind: str,
+    path: Path,
+    *,
+    width: float | None = None,
+    bare: bool = False,
+) -> Figure:
     """Draw evaluations, one a method, named as their folders.
 
     Args:
         folders: That `evaluate` filled.
         kind: "zsc", "disability", "preference" or "profile".
         path: File to write.
+        width: Of the figure, in inches.
+        bare: Leave out title and caption.
 
     Raises:
         ValueError: A folder holds something else, or two have one name.
@@ -45,14 +54,17 @@ def evaluation_figure(folders: Sequence[Path], kind: str, path: Path) -> Figure:
         summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
     if kind != "profile":
         drawn = (
-            charts.zsc_dots(summaries) if kind == "zsc" else charts.trait_points(summaries, kind)
+            charts.zsc_dots(summaries, width=width)
+            if kind == "zsc"
+            else charts.trait_points(summaries, kind, width=width)
         )
-        return save_figure(drawn, path)
+        return save_figure(drawn, path, bare=bare)
     read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
     task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
     caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
     profiles = dict(zip(summaries, read, strict=True))
-    return save_figure(charts.performance_profile(profiles, task=task, caption=caption), path)
+    figure = charts.performance_profile(profiles, task=task, caption=caption, width=width)
+    return save_figure(figure, path, bare=bare)
 
 
 def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
@@ -66,8 +78,15 @@ def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
     return save_figure(person_panels(summary, caption=caption), path)
 
 
-def crossplay_figure(folder: Path, path: Path, order: Order | None = None) -> Figure:
-    """Draw the clustered matrix of a cross-play.
+def crossplay_figure(
+    folder: Path,
+    path: Path,
+    order: Order | None = None,
+    *,
+    width: float | None = None,
+    bare: bool = False,
+) -> Figure:
+    """Draw the clustered matrix of a cross-play, `width` inches wide, bare of title and caption.
 
     Raises:
         ValueError: The folder holds something else, or its axes share no order.
@@ -77,10 +96,12 @@ def crossplay_figure(folder: Path, path: Path, order: Order | None = None) -> Fi
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     matrix = arrange(pairs, tables.read_json(folder / tables.ORDER_FILE), order)
     summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    return save_figure(crossplay_heatmap(matrix, summary), path)
+    return save_figure(crossplay_heatmap(matrix, summary, width=width), path, bare=bare)
 
 
-def curves_figure(run: Path, path: Path) -> Figure:
+def curves_figure(
+    run: Path, path: Path, *, width: float | None = None, bare: bool = False
+) -> Figure:
     """Draw the learning curves of a folder that `train` filled, or is filling."""
     check_path(path)
     _require(run, "train", "metrics.parquet", "config.json")
@@ -89,11 +110,14 @@ def curves_figure(run: Path, path: Path) -> Figure:
     counts = table.select("disability", "seeds").unique().sort("disability").rows()
     seeds = ", ".join(f"{name} {n}" for name, n in counts)
     caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
-    title = f"Training: {config['task']}, {config.get('algorithm', 'ippo')}"
-    return save_figure(charts.learning_curves(table, title=title, caption=caption), path)
+    title = f"Training: {config['task']}, {spelled(config.get('algorithm', 'ippo'))}"
+    figure = charts.learning_curves(table, title=title, caption=caption, width=width)
+    return save_figure(figure, path, bare=bare)
 
 
-def sweep_figure(folder: Path, path: Path) -> Figure:
+def sweep_figure(
+    folder: Path, path: Path, *, width: float | None = None, bare: bool = False
+) -> Figure:
     """Draw the final returns of a folder that `sweep` filled over each hyperparameter."""
     check_path(path)
     _require(folder, "sweep", "sweep.parquet", "preset.json")
@@ -104,11 +128,14 @@ def sweep_figure(folder: Path, path: Path) -> Figure:
         f"seeds, {diverged} runs diverged and are not drawn. Circles: the configuration with the "
         "best mean."
     )
-    title = f"Sweep: {tables.read_json(folder / 'preset.json')['algorithm']}"
-    return save_figure(sweep_panels(results, title=title, caption=caption), path)
+    title = f"Sweep: {spelled(tables.read_json(folder / 'preset.json')['algorithm'])}"
+    figure = sweep_panels(results, title=title, caption=caption, width=width)
+    return save_figure(figure, path, bare=bare)
 
 
-def speed_figure(measured: Sequence[Path], path: Path) -> Figure:
+def speed_figure(
+    measured: Sequence[Path], path: Path, *, width: float | None = None, bare: bool = False
+) -> Figure:
     """Draw what `python -m benchmarks env --json` printed, one file or more."""
     check_path(path)
     printed = "`python -m benchmarks env` printed as JSON"
@@ -120,10 +147,12 @@ def speed_figure(measured: Sequence[Path], path: Path) -> Figure:
         raise ValueError(f"{bad[0]!r} is not a row that {printed}; it needs {', '.join(names)}")
     table = pl.DataFrame([{name: row[name] for name in names} for row in rows])
     caption = "Random actions; the median of three repeats, compilation not counted."
-    return save_figure(charts.speed(table, caption=caption), path)
+    return save_figure(charts.speed(table, caption=caption, width=width), path, bare=bare)
 
 
-def population_figure(partners: Iterable[Any], path: Path) -> Figure:
+def population_figure(
+    partners: Iterable[Any], path: Path, *, width: float | None = None, bare: bool = False
+) -> Figure:
     """Draw partners, entries of a registry, as a grid of algorithms and disability settings."""
     check_path(path)
     entries = list(partners)
@@ -133,7 +162,8 @@ def population_figure(partners: Iterable[Any], path: Path) -> Figure:
         f"n = {len(entries)} human partners of release {releases}. Below each setting: the elbow's "
         "range and the strength that are left."
     )
-    return save_figure(population_grid(pl.DataFrame(rows), caption=caption), path)
+    figure = population_grid(pl.DataFrame(rows), caption=caption, width=width)
+    return save_figure(figure, path, bare=bare)
 
 
 def _require(folder: Path, command: str, *names: str) -> None:

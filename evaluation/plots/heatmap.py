@@ -1,6 +1,7 @@
 """Clustered cross-play heatmap (paper, Figure 4): dendrograms, strips, clusters, caption."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -14,7 +15,15 @@ from matplotlib.patches import Rectangle
 from scipy.cluster import hierarchy
 
 from evaluation.plots import style
-from evaluation.plots.legend import LINE, caption, draw_legend, headline, legend_lines
+from evaluation.plots.legend import (
+    LINE,
+    Line,
+    caption,
+    draw_legend,
+    headline,
+    in_columns,
+    legend_lines,
+)
 from evaluation.plots.matrix import Matrix, Side
 from evaluation.plots.style import INK
 
@@ -26,7 +35,9 @@ _STRIP, _GAP = 0.13, 0.035
 _BRACKET = 0.17  # strip of cluster letters
 _LETTER = 0.09  # least bracket with a letter: letters of smaller clusters would lie on each other
 _TREE = 0.42
-_LEGEND = 2.5
+_LEGEND = 2.75
+_BAR = 0.85  # of the colour bar with its figures
+_SMALLEST = 1.0  # longer side of a matrix in a narrow figure
 _COLOUR_BAR = 1.6
 _FEW, _FEW_CELL = 10, 0.2  # an axis with few policies is drawn this wide, whatever the other has
 _HEAD = 0.72
@@ -45,13 +56,19 @@ class _Layout:
     top: float
     width: float  # of the matrix
     height: float
-    legend_left: float
-    legend_height: float
+    bar_left: float
+    legend: tuple[float, float, float, float]  # left, top, width, height
+    columns: list[list[Line]]  # of the legend
     size: tuple[float, float]  # of all, width and height, without the caption
 
 
-def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
-    """Draw a matrix in its order with what its summary says."""
+def crossplay_heatmap(
+    matrix: Matrix, summary: Mapping[str, Any], *, width: float | None = None
+) -> Figure:
+    """Draw a matrix in its order with what its summary says.
+
+    In a width in inches that leaves the matrix small, its legend stands below it.
+    """
     palettes = {
         "algorithm": style.algorithm_colours([*matrix.rows.algorithms, *matrix.columns.algorithms]),
         "disability": style.disability_colours(
@@ -59,12 +76,13 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
         ),
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
-    layout = _layout(matrix, len(lines))
+    layout = _layout(matrix, lines) if width is None else _fitted(matrix, lines, width)
     uncoloured = _told_below(matrix.values)
     below = caption(matrix, summary, _marks(matrix)) + uncoloured
     wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
     figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
-    figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), fontsize=8.5, va="top", color=INK)
+    under: dict[str, Any] = {"fontsize": 8.5, "va": "top", "color": INK, "gid": style.WORDS}
+    figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), **under)
 
     def place(x: float, y: float, width: float, height: float, label: str) -> Axes:
         corner = (x / wide, 1 - (y + height) / high)
@@ -74,32 +92,60 @@ def crossplay_heatmap(matrix: Matrix, summary: Mapping[str, Any]) -> Figure:
     image = _draw_matrix(heat, matrix, layout.cells)
     _draw_margin(place, layout, "left", matrix.rows, palettes)
     _draw_margin(place, layout, "top", matrix.columns, palettes)
-    bar = place(layout.legend_left, layout.top, 0.15, _COLOUR_BAR, "colourbar")
+    long = min(_COLOUR_BAR, max(layout.height, _SMALLEST))
+    bar = place(layout.bar_left, layout.top, 0.15, long, "colourbar")
     _draw_colour_bar(image, bar, below=bool(uncoloured))
-    top, height = layout.top + _COLOUR_BAR + 0.25, max(layout.legend_height, LINE)
-    draw_legend(place(layout.legend_left, top, _LEGEND, height, "legend"), lines)
+    draw_legend(place(*layout.legend, "legend"), layout.columns)
     return figure
 
 
-def _layout(matrix: Matrix, legend_lines: int) -> _Layout:
+def _fitted(matrix: Matrix, lines: list[Line], width: float) -> _Layout:
+    """Return the largest layout of a width, its legend below where the matrix would be small."""
+    least = _layout(matrix, lines, _SMALLEST, below=_SMALLEST).size[0]
+    style.check_width(width, math.ceil(10 * least) / 10)
+    below = width if _layout(matrix, lines, _MATRIX / 2).size[0] > width else None
+    low, high = _SMALLEST, style.WIDEST
+    for _ in range(40):
+        middle = (low + high) / 2
+        fits = _layout(matrix, lines, middle, below).size[0] <= width
+        low, high = (middle, high) if fits else (low, middle)
+    found = _layout(matrix, lines, low, below)
+    return dataclasses.replace(found, size=(width, found.size[1]))
+
+
+def _layout(
+    matrix: Matrix, lines: list[Line], longer: float = _MATRIX, below: float | None = None
+) -> _Layout:
+    """Place everything around a matrix whose longer side has a length.
+
+    The legend stands on the right, or below in a figure of the width `below`.
+    """
     rows, columns = matrix.values.shape
-    square = min(_MATRIX / max(rows, columns), 0.6)
+    square = min(longer / max(rows, columns), 0.6)
     cells = [max(square, _FEW_CELL) if count <= _FEW else square for count in (rows, columns)]
     sides = (matrix.rows, matrix.columns)
     # Right of the rows, below the columns.
     rooms = [_name_room(side, _name_size(cell)) for side, cell in zip(sides, cells, strict=True)]
     margins = [_TREE + 2 * (_STRIP + _GAP) + _GAP + _bracket(side) for side in sides]
     left, top = 0.42 + margins[0], _HEAD + margins[1]
-    width, height, legend = columns * cells[1], rows * cells[0], LINE * legend_lines
-    legend_left = left + width + rooms[0] + 0.3
-    lowest = top + max(height + rooms[1] + 0.3, _COLOUR_BAR + 0.25 + legend) + 0.15
-    size = (legend_left + _LEGEND, lowest)
-    return _Layout((cells[0], cells[1]), left, top, width, height, legend_left, legend, size)
+    width, height = columns * cells[1], rows * cells[0]
+    bar_left, bottom = left + width + rooms[0] + 0.3, top + height + rooms[1] + 0.3
+    if below is None:
+        dealt, first, across = [lines], top + _COLOUR_BAR + 0.25, _LEGEND
+        start, right = bar_left, bar_left + _LEGEND
+    else:
+        dealt = in_columns(lines, max(1, int((below - 0.4) // _LEGEND)))
+        first, across = max(bottom, top + _SMALLEST + 0.2), below - 0.4
+        start, right = 0.2, max(bar_left + _BAR, 0.4 + _LEGEND)
+    deep = max(LINE, LINE * max(map(len, dealt)))
+    size = (right, max(bottom, first + deep) + 0.15)
+    place = start, first, across, deep
+    return _Layout((cells[0], cells[1]), left, top, width, height, bar_left, place, dealt, size)
 
 
 def _draw_colour_bar(image: AxesImage, axes: Axes, below: bool) -> None:
     bar = axes.figure.colorbar(image, cax=axes, extend="min" if below else "neither")
-    bar.set_label("mean return", fontsize=8, color=INK)
+    bar.set_label("mean return of an episode", fontsize=8, color=INK)
     axes.tick_params(labelsize=7, width=0.6, length=2.5, colors=INK)
     axes.spines["outline"].set_visible(False)
 

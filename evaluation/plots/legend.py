@@ -12,7 +12,7 @@ from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.plots import style
 from evaluation.plots.matrix import Matrix
 
-LINE = 0.165  # inches
+LINE = 0.18  # inches
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ def legend_lines(
 ) -> list[Line]:
     """List algorithms and disability settings with their colours, then the clusters."""
     lines = [Line("algorithm", heading=True)]
-    lines += [Line(name, colour) for name, colour in algorithms.items()]
+    lines += [Line(style.spelled(name), colour) for name, colour in algorithms.items()]
     lines += [Line(), Line("disability", heading=True)]
     lines += [Line(f"{name}{_meaning(name)}", colour) for name, colour in disabilities.items()]
     if None in (*matrix.rows.algorithms, *matrix.columns.algorithms):
@@ -56,25 +56,36 @@ def legend_lines(
     return lines
 
 
-def draw_legend(axes: Axes, lines: list[Line]) -> None:
-    """Write the lines from the top of the axes."""
+def in_columns(lines: list[Line], columns: int) -> list[list[Line]]:
+    """Deal the blocks between gaps into columns from left to right, each onto the shortest."""
+    blocks: list[list[Line]] = [[]]
+    for line in lines:
+        blocks[-1].append(line)
+        if line == Line():
+            blocks.append([])
+    dealt: list[list[Line]] = [[] for _ in range(columns)]
+    for block in blocks:
+        min(dealt, key=len).extend(block)
+    return dealt
+
+
+def draw_legend(axes: Axes, columns: list[list[Line]]) -> None:
+    """Write lines from the top of the axes, in columns of equal width."""
     axes.set_axis_off()
     box = axes.get_window_extent()
     height, width = (extent / axes.figure.dpi for extent in (box.height, box.width))
     axes.set(xlim=(0, width), ylim=(height, 0))  # both in inches
-    for i, line in enumerate(lines):
-        y = (i + 0.5) * LINE
-        if line.colour is not None:
-            axes.add_patch(Rectangle((0, y - 0.05), 0.11, 0.1, facecolor=line.colour, linewidth=0))
-        font = {"fontsize": 8, "weight": "bold"} if line.heading else {"fontsize": 7.5}
-        axes.text(
-            0 if line.colour is None else 0.18,
-            y,
-            line.text,
-            va="center",
-            color=style.INK,
-            fontdict=font,
-        )
+    for number, lines in enumerate(columns):
+        for i, line in enumerate(lines):
+            _draw_line(axes, line, number * width / len(columns), (i + 0.5) * LINE)
+
+
+def _draw_line(axes: Axes, line: Line, x: float, y: float) -> None:
+    if line.colour is not None:
+        axes.add_patch(Rectangle((x, y - 0.055), 0.15, 0.11, facecolor=line.colour, linewidth=0))
+        x += 0.21
+    font = {"fontsize": 9, "weight": "bold"} if line.heading else {"fontsize": 8.5}
+    axes.text(x, y, line.text, va="center", color=style.INK, fontdict=font)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

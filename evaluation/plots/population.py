@@ -8,26 +8,33 @@ from matplotlib.patches import Rectangle
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.plots import style
 
-_CELL, _HEIGHT = 0.36, 0.3  # inches
+_CELL, _LEAST, _HEIGHT = 0.36, 0.24, 0.3  # inches: width of a cell, its least, and its height
 _LEFT, _HEAD, _GAP, _FOOT = 0.75, 0.35, 0.75, 0.4  # the gap holds a task's name and its columns'
 _ACROSS = 3  # tasks side by side
 
 
-def population_grid(teams: pl.DataFrame, *, caption: str) -> Figure:
+def population_grid(teams: pl.DataFrame, *, caption: str, width: float | None = None) -> Figure:
     """Draw the number of partners by task, algorithm and disability setting (paper, Figure 2).
 
     Args:
         teams: columns task, algorithm and disability, one row a partner.
         caption: written below.
+        width: of the figure, in inches.
     """
     if teams.is_empty():
         raise ValueError("the population is empty; there is nothing to draw")
     tasks = teams["task"].unique().sort().to_list()
     settings = sorted(set(teams["disability"].drop_nulls()) | set(DISABILITY_SETTINGS))
     algorithms = sorted(set(teams["algorithm"]))
-    columns, rows = min(len(tasks), _ACROSS), -(-len(tasks) // _ACROSS)
-    panel = _CELL * (len(settings) + 1), _HEIGHT * (len(algorithms) + 1)  # with sums
-    width = 0.2 + columns * (_LEFT + panel[0])
+    cells = len(settings) + 1  # with sums
+    columns = min(len(tasks), _ACROSS)
+    if width is None:
+        width = 0.2 + columns * (_LEFT + _CELL * cells)
+    least = _LEFT + _LEAST * cells
+    style.check_width(width, round(0.2 + least, 1))
+    columns = min(columns, int((width - 0.2 + 1e-6) / least))
+    rows = -(-len(tasks) // columns)
+    panel = (width - 0.2) / columns - _LEFT, _HEIGHT * (len(algorithms) + 1)
     foot = _FOOT + style.caption_height(caption, width) - 0.14
     height = _HEAD + rows * (_GAP + panel[1]) + foot
     figure = style.titled_figure("Population of partners", caption, width, height)
@@ -68,10 +75,11 @@ def _draw_task(axes: Axes, teams: pl.DataFrame, algorithms: list[str], settings:
     axes.xaxis.tick_top()
     names = [f"{name}\n{_meaning(name)}" for name in settings]
     places = [i + 0.47 for i in range(len(settings) + 1)]
-    axes.set_xticks(places, [*names, "all"], fontsize=6, linespacing=1.3)
-    axes.set_yticks(
-        [i + 0.46 for i in range(len(algorithms) + 1)], [*algorithms, "all"], fontsize=8
-    )
+    inches = axes.get_window_extent().width / axes.figure.dpi
+    size = min(6.5, 6.5 * inches / (_CELL * len(places)))
+    axes.set_xticks(places, [*names, "all"], fontsize=size, linespacing=1.3)
+    spelled = [*map(style.spelled, algorithms), "all"]
+    axes.set_yticks([i + 0.46 for i in range(len(spelled))], spelled, fontsize=8)
     axes.tick_params(length=0, pad=2, colors=style.INK)
 
 

@@ -2,17 +2,20 @@
 
 import io
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from matplotlib.typing import ColorType
+from scipy.optimize import isotonic_regression
 
 from assistax_base.files import atomic_write
 
@@ -22,26 +25,31 @@ _UNDATED: dict[str, dict[str, Any]] = {
     ".pdf": {"CreationDate": None, "Producer": None},
     ".svg": {"Date": None, "Creator": None},
 }
+_TEXT_STAYS_TEXT = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "assistax-zoo"}
+WIDEST = 40.0  # inches of a figure
 INK = "#222222"
 MUTED = "#555555"
 FAINT = "#8a8a8a"
 GRID = "#e5e5e5"
 UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
-_CAPTION_LINE = 0.14  # inches
-# One colour for an algorithm in all figures and reports. They differ for every vision and in grey,
-# and from every colour of the map, beside which they stand. An ego has its algorithm's colour.
+WORDS = "words"  # the id of texts around a figure, which a bare one lacks
+END = 7.5  # points of the letters of a line's name at its end
+_CAPTION_LINE, _MARGIN = 0.14, 0.04  # inches
+# One colour for an algorithm in all figures and reports; an ego has its algorithm's. Algorithms and
+# settings stand side by side in strips: all of these were chosen together, by a search for the
+# largest least distance (CIEDE2000) for every vision. Tests hold what it found.
 ALGORITHMS = {
-    **{"ippo": "#1e0ff0", "mappo": "#e17800", "isac": "#1e0000", "masac": "#b41ec3"},
-    **{"mep": "#690f00", "ppo": "#1e0ff0", "sac": "#1e0000"},
+    **{"ippo": "#990011", "mappo": "#ff8800", "isac": "#88eeaa", "masac": "#7777aa"},
+    **{"mep": "#002222", "ppo": "#990011", "sac": "#88eeaa"},
 }
-OTHERS = ("#f0003c", "#ffb4d2", "#ff78e1", "#a52d5a")  # of methods that are not ours
+OTHERS = ("#dd1111", "#cc99dd", "#447744", "#005544")  # of methods that are not ours
 MARKERS = ("o", "s", "^", "D", "v", "P")
-# One hue for each level of the elbow's range, lighter as strength falls; as far from the map.
+# One hue for each level of the elbow's range, lighter as strength falls.
 _DISABILITY = {
-    **{"d1": "#7800a5", "d2": "#5a4bff", "d3": "#b487f0"},
-    **{"d4": "#690000", "d5": "#c31e0f", "d6": "#ff7800"},
-    **{"d7": "#4b0f2d", "d8": "#964b5a", "d9": "#ffb4b4"},
+    **{"d1": "#331100", "d2": "#bb5566", "d3": "#eeaabb"},
+    **{"d4": "#000033", "d5": "#1100aa", "d6": "#9900ee"},
+    **{"d7": "#553355", "d8": "#ee55ff", "d9": "#ccccff"},
 }
 
 
@@ -61,15 +69,68 @@ def titled_figure(
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     x, y = 0.2 / width, 1 - drop / height
-    figure.text(x, y, title, fontsize=size, weight="bold", va="top", color=INK)
-    lines = "\n".join(_wrap(caption, width))
-    figure.text(x, 0.1 / height, lines, fontsize=7, va="bottom", color=MUTED, linespacing=1.35)
+    head: dict[str, Any] = {"fontsize": size, "weight": "bold", "va": "top", "color": INK}
+    figure.text(x, y, title, gid=WORDS, **head)
+    foot: dict[str, Any] = {"fontsize": 7, "va": "bottom", "color": MUTED, "linespacing": 1.35}
+    figure.text(x, 0.1 / height, "\n".join(_wrap(caption, width)), gid=WORDS, **foot)
     return figure
 
 
 def caption_height(text: str, width: float) -> float:
     """Return the height that a caption takes at the foot of a figure of a width, in inches."""
     return _CAPTION_LINE * len(_wrap(text, width))
+
+
+def check_width(width: float | None, least: float) -> None:
+    """Check that a figure can be drawn in a width in inches; None is its own width."""
+    if width is not None and not least <= width <= WIDEST:
+        raise ValueError(
+            f"width is {width:g} inches; allowed for this figure are {least:g} to {WIDEST:g}"
+        )
+
+
+def spelled(name: str) -> str:
+    """Return the name of a method as figures write it: IPPO, whatever a folder or an id says."""
+    return name.upper() if name.lower() in ALGORITHMS else name
+
+
+def label_ends(
+    axes: Axes, ends: Mapping[str, tuple[float, float]], colours: Mapping[str, str]
+) -> None:
+    """Write each line's name right of its end, moved up or down where names would meet.
+
+    The limits of the axes must be final.
+
+    Args:
+        axes: That have the lines.
+        ends: x and y of each line's last point.
+        colours: Of each line.
+    """
+    names = sorted(ends, key=lambda name: ends[name][::-1])
+    if not names:
+        return
+    point = 72.0 / axes.figure.dpi
+    heights = np.array([axes.transData.transform(ends[name])[1] * point for name in names])
+    lines = np.array([1 + name.count("\n") for name in names])
+    gaps = 1.2 * END * (np.cumsum(lines) - lines / 2)
+    placed = isotonic_regression(heights - gaps).x + gaps
+    for name, move in zip(names, placed - heights, strict=True):
+        axes.annotate(
+            name,
+            ends[name],
+            (4.0, float(move)),
+            textcoords="offset points",
+            va="center",
+            fontsize=END,
+            color=colours[name],
+            annotation_clip=False,
+        )
+
+
+def room_for(names: Iterable[str]) -> float:
+    """Return the inches that names at the ends of lines take."""
+    longest = max((len(line) for name in names for line in name.split("\n")), default=0)
+    return 0.15 + 0.6 * END / 72 * longest
 
 
 def band(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: str) -> None:
@@ -95,19 +156,38 @@ def check_path(path: Path) -> None:
         )
 
 
-def save_figure(figure: Figure, path: Path, dpi: int = 200) -> Figure:
-    """Write a figure as PNG, PDF or SVG, by its ending, whole or not at all."""
+def save_figure(figure: Figure, path: Path, dpi: int = 200, *, bare: bool = False) -> Figure:
+    """Write a figure as PNG, PDF or SVG, by its ending, whole or not at all.
+
+    A bare one has neither title nor caption, and no room for them.
+    """
     check_path(path)
-    atomic_write(path, figure_bytes(figure, path.suffix.lower(), dpi))
+    if bare:
+        for text in figure.findobj(lambda part: part.get_gid() == WORDS):
+            text.set_visible(False)
+    box = _without_head_and_foot(figure) if bare else None
+    atomic_write(path, figure_bytes(figure, path.suffix.lower(), dpi, box))
     return figure
 
 
-def figure_bytes(figure: Figure, ending: str, dpi: int) -> bytes:
-    """Return a figure as a file of one of `FORMATS`; equal figures give equal bytes."""
+def _without_head_and_foot(figure: Figure) -> Bbox:
+    """Return the part of a figure that holds what is drawn, in inches, as wide as the figure."""
+    drawn = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
+    return Bbox.from_extents(
+        0.0, drawn.y0 - _MARGIN, figure.get_size_inches()[0], drawn.y1 + _MARGIN
+    )
+
+
+def figure_bytes(figure: Figure, ending: str, dpi: int, part: Bbox | None = None) -> bytes:
+    """Return a figure, or a part of it in inches, as a file of one of `FORMATS`.
+
+    Equal figures give equal bytes. Text stays text, also in SVG.
+    """
     content = io.BytesIO()
-    fixed: dict[Any, Any] = {"pdf.fonttype": 42, "svg.hashsalt": "assistax-zoo"}
+    fixed: dict[Any, Any] = dict(_TEXT_STAYS_TEXT)
+    how: dict[str, Any] = {"metadata": _UNDATED[ending], "format": ending[1:], "bbox_inches": part}
     with matplotlib.rc_context(fixed):
-        figure.savefig(content, dpi=dpi, metadata=_UNDATED[ending], format=ending[1:])
+        figure.savefig(content, dpi=dpi, **how)
     return content.getvalue()
 
 

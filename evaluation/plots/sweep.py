@@ -11,11 +11,13 @@ from matplotlib.ticker import MaxNLocator
 from evaluation.plots import style
 
 NOT_HYPERPARAMETERS = ("configuration", "seed", "final_return", "auc", "diverged")
-_SIDE, _COLUMNS = 2.6, 3
+_SIDE, _LEAST, _COLUMNS = 2.6, 1.8, 3  # inches of a panel, its least width; panels side by side
 _DECADES = 1.5  # values that span more than this many powers of ten are drawn on a logarithmic axis
 
 
-def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
+def sweep_panels(
+    results: pl.DataFrame, *, title: str, caption: str, width: float | None = None
+) -> Figure:
     """Draw a panel for each hyperparameter, a point a configuration and seed (Figures 9 to 13).
 
     The configuration with the best mean final return is marked in every panel.
@@ -25,6 +27,7 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
             hyperparameter.
         title: written above.
         caption: written below.
+        width: of the figure, in inches.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -42,12 +45,17 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
         .sort("final_return", "configuration")
     )
     best = shown.filter(pl.col("configuration") == means["configuration"][-1])
-    rows = math.ceil(len(names) / _COLUMNS)
-    width, height = _SIDE * min(len(names), _COLUMNS) + 0.6, _SIDE * rows + 0.9
+    columns = min(len(names), _COLUMNS)
+    if width is None:
+        width = _SIDE * columns + 0.6
+    style.check_width(width, _LEAST + 0.6)
+    columns = min(columns, int((width - 0.6 + 1e-6) / _LEAST))
+    rows = math.ceil(len(names) / columns)
+    height = _SIDE * rows + 0.9
     figure = style.titled_figure(title, caption, width, height, drop=0.12, size=11)
     grid = figure.add_gridspec(
         rows,
-        min(len(names), _COLUMNS),
+        columns,
         left=0.65 / width,
         right=1 - 0.15 / width,
         top=1 - 0.5 / height,
@@ -56,10 +64,10 @@ def sweep_panels(results: pl.DataFrame, *, title: str, caption: str) -> Figure:
         hspace=0.5,
     )
     for index, name in enumerate(names):
-        axes = figure.add_subplot(grid[index // _COLUMNS, index % _COLUMNS])
+        axes = figure.add_subplot(grid[index // columns, index % columns])
         _panel(axes, name, shown, best)
-        if index % _COLUMNS == 0:
-            axes.set_ylabel("final return", fontsize=8)
+        if index % columns == 0:
+            axes.set_ylabel("final return of an episode", fontsize=8)
     return figure
 
 

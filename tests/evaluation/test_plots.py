@@ -1,15 +1,13 @@
 """Figures: what they show, in which order, and that they leave no state behind."""
 
 import itertools
-import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 import polars as pl
 import pytest
@@ -44,20 +42,6 @@ from tests.evaluation.episode_tables import (
 from tools.release_page.paper.panels import training_panels
 
 ROOT = Path(__file__).parents[2]
-# Machado et al. (2009), full severity, on linear RGB.
-COLOUR_VISION = {
-    "normal": np.eye(3),
-    "deuteranopia": np.array(
-        [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]
-    ),
-    "protanopia": np.array(
-        [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]
-    ),
-    "tritanopia": np.array(
-        [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]
-    ),
-}
-XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
 
 
 def saved(
@@ -134,7 +118,7 @@ def test_heatmap_has_its_parts_and_says_what_it_shows():
     }
     assert parts["matrix"].get_xlabel() == "human (partner)"
     assert parts["tree:ego"].get_ylabel() == "robot (ego)"
-    assert parts["colourbar"].get_ylabel() == "mean return"
+    assert parts["colourbar"].get_ylabel() == "mean return of an episode"
     labels = [label.get_text() for label in parts["matrix"].get_yticklabels()]
     assert labels == list(matrix.rows.names)
     assert set(labels) == {f"{a}-{d}-s{s}" for a, d, s in population}
@@ -308,72 +292,6 @@ def test_names_are_shortened_by_what_they_share_and_stay_apart():
     assert long == "...kage.of.mine:make_robot"
 
 
-def lab(colour: str | np.ndarray, vision: str = "normal") -> np.ndarray:
-    """Return CIE Lab of a colour as seen with a vision."""
-    rgb = np.array(to_rgb(colour) if isinstance(colour, str) else colour)
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    xyz = XYZ @ np.clip(COLOUR_VISION[vision] @ linear, 0, 1) / np.array([0.9505, 1.0, 1.0888])
-    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
-    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
-
-
-def closest(colours: Iterable[str], others: Iterable[Any], vision: str) -> float:
-    """Return the least distance in Lab between two colours, one of each list."""
-    seen, beside = ([lab(colour, vision) for colour in many] for many in (colours, others))
-    return min(float(np.linalg.norm(first - other)) for first in seen for other in beside)
-
-
-SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
-OURS = ("ippo", "isac", "mappo", "masac", "mep")
-STRIP = style.algorithm_colours([*OURS, "e", "f", "g", "h"])
-MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
-
-
-@pytest.mark.parametrize("vision", COLOUR_VISION)
-@pytest.mark.parametrize(("colours", "least", "off"), [(SETTINGS, 25, 12), (STRIP, 20, 15)])
-def test_strip_colours_differ_for_every_colour_vision(
-    colours: dict[str, str], least: float, off: float, vision: str
-):
-    """From each other, and from the map of the matrix beside which they stand."""
-    assert len(set(colours.values())) == len(colours)
-    for first, other in itertools.combinations(colours.values(), 2):
-        assert closest([first], [other], vision) > least, (first, other)
-    assert closest(colours.values(), MAP, vision) > off
-
-
-@pytest.mark.parametrize(("near", "least"), [("#4393d5", 12), ("#6a6a6a", 12), ("#009E73", 15)])
-def test_a_blue_a_grey_or_a_green_would_be_too_near_to_the_map(near: str, least: float):
-    assert min(closest([near], MAP, vision) for vision in COLOUR_VISION) < least
-
-
-def test_algorithms_differ_in_grey_and_settings_grow_lighter_as_strength_falls():
-    ours = sorted(lab(STRIP[name])[0] for name in OURS)
-    assert min(np.diff(ours)) > 10
-    for first in (1, 4, 7):
-        lightness = [lab(SETTINGS[f"d{i}"])[0] for i in range(first, first + 3)]
-        assert min(np.diff(lightness)) > 12
-
-
-def test_an_algorithm_has_one_colour_whatever_stands_beside_it():
-    for names in (["masac"], ["ippo", "masac"], ["a", "masac", "z"]):
-        assert style.algorithm_colours(names)["masac"] == style.ALGORITHMS["masac"]
-    assert style.algorithm_colours(["PPO"])["PPO"] == style.ALGORITHMS["ippo"]
-    everywhere = {
-        path: re.findall(r"#[0-9a-fA-F]{6}", path.read_text(encoding="utf-8"))
-        for folder in ("evaluation", "assistax_zoo", "tools")
-        for path in (ROOT / folder).rglob("*.py")
-        if path.name != "style.py"
-    }
-    known = set(style.ALGORITHMS.values()) | set(SETTINGS.values())
-    assert [path for path, colours in everywhere.items() if known & set(colours)] == []
-
-
-def test_unknown_settings_get_colours_and_outsiders_grey():
-    colours = style.disability_colours(["d1", "tremor-2", None, "tremor-1"])
-    assert list(colours) == ["d1", "tremor-1", "tremor-2"]
-    assert len(set(colours.values())) == 3
-
-
 def evaluations() -> dict[str, dict[str, Any]]:
     rng = np.random.default_rng(0)
     partners = teams(8, ("ippo",), ("d1", "d9"))
@@ -406,7 +324,7 @@ def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     np.testing.assert_allclose(whiskers, sorted(tuple(value["mean_ci"]) for value in values))
     written = " ".join("\n".join(texts(figure)).split())
-    assert "ppo: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
+    assert "PPO: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
     assert (
         "95% interval for new partners and starts; 95% interval for new seeds, partners and starts"
         in written
@@ -422,8 +340,10 @@ def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
     low, high = axes.get_ylim()
     assert low < min([*ends, zero_action]) and max([*ends, zero_action]) < high
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    marks = ["training partners", "test partners", "self-play 510"]
-    assert legend == [*marks, f"zero action {zero_action:.0f}"]
+    assert legend == ["training partners", "test partners"]
+    named = {" ".join(text.get_text().split()): text for text in axes.texts}
+    for name, value in (("self-play 510", 510.0), (f"zero action {zero_action:.0f}", zero_action)):
+        assert named[name].xy == (axes.get_xlim()[1], value)  # right of the line's end
 
 
 def test_the_axis_is_zoomed_where_references_are_near():
@@ -531,12 +451,13 @@ def test_the_grid_has_the_number_of_partners_in_each_cell():
     assert cells[(9.47, 0.46)] == "9" and cells[(9.47, 1.46)] == "0"  # sums of ippo and isac
     assert (1.47, 0.46) not in cells  # nobody
     coloured = [to_hex(patch.get_facecolor()) for patch in scratch.patches]
-    assert coloured[0] == SETTINGS["d1"] and coloured[8] == SETTINGS["d9"]
+    settings = style.disability_colours(["d1", "d9"])
+    assert coloured[0] == settings["d1"] and coloured[8] == settings["d9"]
     with pytest.raises(ValueError, match="the population is empty"):
         population_grid(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
 
 
-def test_speeds_lie_inside_their_axes_below_the_legend():
+def test_speeds_lie_inside_their_axes_and_names_inside_the_figure():
     columns = ["task", "backend", "device", "batch", "env_steps_per_second"]
     rows = [
         (task, backend, "NVIDIA H200", 2**n, 90.0 * 4**n)
@@ -550,10 +471,12 @@ def test_speeds_lie_inside_their_axes_below_the_legend():
     assert all(low <= y <= high for line in axes.lines for y in line.get_ydata())
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.canvas.draw()
+    words = [text.get_window_extent(renderer) for text in axes.texts]
+    assert len(words) == 3  # a name for each engine, at the end of its lines
     legend = axes.get_legend().get_window_extent(renderer)
     assert legend.y0 >= axes.get_window_extent().y1 - 1
     width, _ = figure.get_size_inches() * figure.dpi
-    assert legend.x0 > 0 and legend.x1 < width
+    assert all(box.x0 > 0 and box.x1 < width for box in (legend, *words))
     assert legend.y1 < figure.texts[0].get_window_extent(renderer).y0  # below the title
 
 

@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from assistax_zoo.commands.options import Page
 from zoo.registry import load_registry
 
 OrderName = Literal["shared", "separate"]
 
 
-def crossplay(folder: Path, /, *, out: Path, order: OrderName | None = None) -> None:
+def crossplay(
+    folder: Path, /, *, out: Path, order: OrderName | None = None, page: Page = Page()
+) -> None:
     """Draw the clustered cross-play matrix that `crossplay` saved.
 
     Robots and humans are ordered by average linkage with optimal leaf order. With the same teams on
@@ -20,122 +23,135 @@ def crossplay(folder: Path, /, *, out: Path, order: OrderName | None = None) -> 
         out: Figure to write, .png, .pdf or .svg.
         order: shared for one order of teams on both axes, or separate for one order each; default
             shared if possible.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot crossplay xp --out crossplay.pdf
     """
     from evaluation.plots.figures import crossplay_figure
 
-    crossplay_figure(folder, out, order)
+    crossplay_figure(folder, out, order, **page.given())
     print(out)
 
 
-def zsc(folders: tuple[Path, ...], /, *, out: Path) -> None:
+def zsc(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw the returns of methods with training and test partners, with 95% intervals.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --split both --out` filled, one for each
             method; the figure shows their names.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot zsc results/ppo results/fcp --out zsc.pdf
     """
-    _draw(folders, "zsc", out)
+    _draw(folders, "zsc", out, page)
 
 
-def disability(folders: tuple[Path, ...], /, *, out: Path) -> None:
+def disability(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw the returns of methods with the partners of each disability setting, with 95% intervals.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
             shows their names.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot disability results/ppo --out disability.png
     """
-    _draw(folders, "disability", out)
+    _draw(folders, "disability", out, page)
 
 
-def preference(folders: tuple[Path, ...], /, *, out: Path) -> None:
+def preference(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw the returns of methods on a gentle task by what the humans like, with 95% intervals.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
             shows their names.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot preference results/ppo --out preference.png
     """
-    _draw(folders, "preference", out)
+    _draw(folders, "preference", out, page)
 
 
-def profile(folders: tuple[Path, ...], /, *, out: Path) -> None:
+def profile(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure
             shows their names.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot profile results/ppo results/fcp --out profile.pdf
     """
-    _draw(folders, "profile", out)
+    _draw(folders, "profile", out, page)
 
 
-def curves(run: Path, /, *, out: Path) -> None:
+def curves(run: Path, /, *, out: Path, page: Page = Page()) -> None:
     """Draw a training run's learning curves: IQM over seeds with 95% bands, a line a setting.
 
     Args:
         run: Folder that `assistax-zoo train --out` filled, or is filling.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot curves runs/scratch-ippo --out curves.pdf
     """
     from evaluation.plots.figures import curves_figure
 
-    curves_figure(run, out)
+    curves_figure(run, out, **page.given())
     print(out)
 
 
-def speed(measured: tuple[Path, ...], /, *, out: Path) -> None:
+def speed(measured: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw environment steps per second against the batch size.
 
     Args:
         measured: Files with what `python -m benchmarks env --json` printed.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot speed native.json warp.json --out speed.png
     """
     from evaluation.plots.figures import speed_figure
 
-    speed_figure(measured, out)
+    speed_figure(measured, out, **page.given())
     print(out)
 
 
-def sweep(folder: Path, /, *, out: Path) -> None:
+def sweep(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
     """Draw a sweep: the final return over each hyperparameter, the best configuration marked.
 
     Args:
         folder: Folder that `assistax-zoo sweep --out` filled.
         out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot sweep sweeps/ippo --out sweep.pdf
     """
     from evaluation.plots.figures import sweep_figure
 
-    sweep_figure(folder, out)
+    sweep_figure(folder, out, **page.given())
     print(out)
 
 
 def population(
-    *, out: Path, task: str | None = None, release: str | None = None, registry: Path | None = None
+    *,
+    out: Path,
+    task: str | None = None,
+    release: str | None = None,
+    registry: Path | None = None,
+    page: Page = Page(),
 ) -> None:
     """Draw the published partners as a grid of algorithms and disability settings.
 
@@ -144,6 +160,7 @@ def population(
         task: Only this task.
         release: Only this release, such as v0.
         registry: Registry to read instead of the installed one.
+        page: Its width, and whether title and caption are left out.
 
     Example:
         assistax-zoo plot population --out population.png
@@ -151,12 +168,12 @@ def population(
     from evaluation.plots.figures import population_figure
 
     entries = load_registry(registry).select(task=task, role="human", release=release)
-    population_figure(entries, out)
+    population_figure(entries, out, **page.given())
     print(out)
 
 
-def _draw(folders: Sequence[Path], kind: str, out: Path) -> None:
+def _draw(folders: Sequence[Path], kind: str, out: Path, page: Page) -> None:
     from evaluation.plots.figures import evaluation_figure
 
-    evaluation_figure(folders, kind, out)
+    evaluation_figure(folders, kind, out, **page.given())
     print(out)

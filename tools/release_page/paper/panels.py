@@ -9,8 +9,8 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from evaluation.plots import style
 
-_WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 0.55  # inches of a panel
-_LEFT, _TOP, _BOTTOM = 0.65, 0.85, 0.81
+_WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 1.1  # inches of a panel, and between them: names of lines, ticks
+_LEFT, _TOP, _BOTTOM = 0.65, 0.65, 0.81
 
 
 def training_panels(
@@ -39,14 +39,6 @@ def training_panels(
         _draw_task(axes, curves.filter(task=task), bounds.get(task, {}), colours)
         axes.set_title(task, fontsize=10, color=style.INK, loc="left")
     figure.axes[0].set_ylabel("return of an episode", fontsize=9)
-    handles = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
-    shown = [handles[name] for name in colours]
-    place = {
-        "loc": "lower left",
-        "bbox_to_anchor": (_LEFT / width, 1 - 0.62 / height),
-        "ncols": len(shown),
-    }
-    figure.legend(handles=shown, fontsize=8, frameon=False, borderaxespad=0, **place)
     return figure
 
 
@@ -57,11 +49,15 @@ def _draw_task(
     axes.tick_params(labelsize=8)
     axes.grid(color=style.GRID, linewidth=0.6)
     axes.set_axisbelow(True)
+    ends = {}
     for name in curves["algorithm"].unique(maintain_order=True):
         table = curves.filter(algorithm=name)
+        ends[style.spelled(name)] = table["steps"][-1], table["iqm"][-1]
         style.band(axes, table, "steps", "iqm", colours[name], name)
         if name in bounds:
             axes.axhline(bounds[name], color=colours[name], linewidth=0.9, linestyle=":")
     axes.set_xlabel("environment steps of one member", fontsize=9)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    spelled = {style.spelled(name): colour for name, colour in colours.items()}
+    style.label_ends(axes, ends, spelled)

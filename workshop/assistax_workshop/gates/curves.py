@@ -37,22 +37,26 @@ def draw_curves(curves: Path, out: Path) -> None:
         "Mean over seeds (IQM) with its pointwise 95% bootstrap band; actions are drawn, as in "
         "training. Bands end where the picture does."
     )
-    height = ROW * len(GENTLE_TASKS) + 0.8
+    height = ROW * len(GENTLE_TASKS) + 1.0
     title = f"Training of the gentle tasks, {SETTING}"
     figure = style.titled_figure(title, caption, WIDTH, height)
     grid = figure.subplots(len(GENTLE_TASKS), len(COLUMNS), squeeze=False)
-    figure.subplots_adjust(0.06, 0.6 / height, 0.985, 1 - 0.7 / height, 0.26, 0.5)
+    figure.subplots_adjust(0.06, 0.8 / height, 0.955, 1 - 0.7 / height, 0.45, 0.5)
     for task, row in zip(GENTLE_TASKS, grid, strict=True):
         for algorithm in ALGORITHMS:
             path = curves / f"{task.replace('_', '-')}-{algorithm}.parquet"
             if path.is_file():
                 _draw(list(row), tables.read_parquet(path), algorithm)
         for axes, heading in zip(row, COLUMNS, strict=True):
-            axes.set_title(heading, fontsize=8)
+            axes.set_title(heading, fontsize=9)
             _fit(axes)
         row[0].set_ylabel(task, fontsize=9, weight="bold")
-        if row[0].lines:
-            row[0].legend(fontsize=7, frameon=False)
+        for axes in row:
+            ends = {str(line.get_label()): line.get_xydata()[-1] for line in axes.lines}
+            colours = {str(line.get_label()): str(line.get_color()) for line in axes.lines}
+            style.label_ends(axes, ends, colours)
+    for axes in grid[-1]:
+        axes.set_xlabel("environment steps of one member", fontsize=8)
     style.save_figure(figure, out, dpi=110)
 
 
@@ -61,7 +65,7 @@ def _draw(row: list[Axes], table: pl.DataFrame, algorithm: str) -> None:
     own = table.filter(pl.col("disability") == SETTING)
     for axes, values in zip(row, COLUMNS.values(), strict=True):
         curve = learning_curves(own.with_columns(values.alias("return")))
-        style.band(axes, curve, "steps", "iqm", colour, algorithm.upper())
+        style.band(axes, curve, "steps", "iqm", colour, style.spelled(algorithm))
         axes.tick_params(labelsize=7)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         style.bare(axes, ("left", "bottom"))
