@@ -48,9 +48,10 @@ class ImaginedPartners(FrozenPartners):
         """Check that the real ones can act in the environment."""
         self.real.check(env, num_envs)
 
-    def humans(self, num_envs: int, preferences: Sequence[str] = ()) -> EnvParams:
+    def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
         """Return the humans [N] of a member's simulations."""
-        return _named(self.real.humans(num_envs, preferences), jnp.zeros(num_envs, jnp.int32))
+        humans = self.real.humans(num_envs, preferences, member)
+        return _named(humans, jnp.zeros(num_envs, jnp.int32))
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return the humans [N] of episodes that begin from `keys` [N]."""
