@@ -43,4 +43,7 @@ REGISTERED: dict[str, Registered] = {
         felt=True,
         older=(2,),
     ),
+    "gentle_feeding": Registered(
+        "gentle_feeding:GentleFeeding", 1, "feed", "spoon", wishes=("wait", "depth"), felt=True
+    ),
 }
