@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 
 NECK = (-0.01, 0.0, 0.09)  # where the head turns
-SKULL, SKULL_SIZE = (-0.005, 0.0, 0.225), 0.085
-JAW = (0.0, 0.0, 0.145)  # its hinge, as high as the lower lip: the lip swings down, not back
-UPPER_LIP, LOWER_LIP = 0.161, 0.145  # height; with the jaw closed they touch
+SKULL, SKULL_SIZE = (-0.003, 0.0, 0.205), 0.08
+JAW = (0.0, 0.0, 0.131)  # its hinge, as high as the lower lip: the lip swings down, not back
+UPPER_LIP, LOWER_LIP = 0.147, 0.131  # height; with the jaw closed they touch
 LIPS_OUT, LIP_SIZE, LIP_HALF = 0.085, 0.008, 0.02
-CHIN_HEIGHT, CHIN_OUT, CHIN_SIZE = 0.118, 0.07, 0.016
-THROAT, THROAT_SIZE = (0.005, 0.0, 0.145), 0.022  # the bowl touches it some 5 cm behind the lips
+CHIN_HEIGHT, CHIN_OUT, CHIN_SIZE = 0.106, 0.068, 0.015
+THROAT, THROAT_SIZE = (0.005, 0.0, 0.131), 0.022  # the bowl touches it some 5 cm behind the lips
 # Where the bowl should pass between the lips, in the middle of an opening of 0.3 rad.
-MOUTH = (LIPS_OUT, 0.0, 0.141)
+MOUTH = (LIPS_OUT, 0.0, 0.127)
 # The hands lie in the lap: what the arms' joints would be.
 RESTING = {
     "right_upper_arm": {"right_shoulder1": 0.0, "right_shoulder2": -0.6},
@@ -35,6 +35,7 @@ JAW_SPRING, JAW_SHUT, JAW_DAMPING, JAW_TORQUE = 0.8, -0.25, 0.06, 1.0
 LEAN = "abdomen_y"
 LEAN_TORQUE = -280.0  # N m: 6 cm forward at the mouth, against the trunk's springs
 ROBOT = (0.66, -0.32, 0.60)  # base: at the right, in front of the knees
+STOOD = (0.35, -0.9, 0.6)  # where it stands in the scene of scratch
 FACING = 2.618  # rad: towards the mouth
 SEAT = (LEAN, "neck_pitch", "neck_yaw", "neck_roll", "jaw")
 # What a disability's range is of.
@@ -53,8 +54,7 @@ def give_mouth(scene: mujoco.MjSpec) -> None:
     _give_seat(scene)
     base = scene.body("robot_link0").frame
     base.pos, base.alt.euler = ROBOT, [0.0, 0.0, FACING]
-    stand = scene.body("stand").geoms[0]
-    stand.fromto = [*ROBOT[:2], 0.0, *ROBOT]
+    scene.body("stand").pos = np.subtract(ROBOT, STOOD)
 
 
 def _rest_arms(scene: mujoco.MjSpec) -> None:

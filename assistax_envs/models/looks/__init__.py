@@ -35,7 +35,8 @@ def palettes() -> list[dict[str, list[float]]]:
 
 def dress(scene: mujoco.MjSpec, furniture: str) -> None:
     """Put what pictures show onto a scene, and hide what it stands for. In place."""
-    for name in ("room", "panda", "person", FURNITURE[furniture]):
+    head = "mouth" if scene.body("human_jaw") else "head"
+    for name in ("room", "panda", "person", FURNITURE[furniture], head):
         parts = look(name)
         for material, (red, green, blue, shine) in parts.get("materials", {}).items():
             scene.add_material(
