@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN
-from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations, rotate
+from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations
 from assistax_envs.tasks.gentle_base import (
     COSTS,
     Liking,
@@ -81,7 +81,7 @@ class GentleFeeding:
     """Pay for each stage of a bite as it is liked, progress along its way; a spill takes it back."""
 
     name = "gentle_feeding"
-    target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 1.0)}
+    target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
 
     def __init__(
         self,
@@ -126,10 +126,9 @@ class GentleFeeding:
         )
 
     def targets(self, task_state: FeedState, readings: MouthReadings) -> dict[str, jax.Array]:
-        """See `Task.targets`: where the bowl should come in the mouth."""
-        inside = jnp.broadcast_to(jnp.array([-INSIDE, 0.0, 0.0]), readings.mouth_position.shape)
-        at = readings.mouth_position + rotate(readings.mouth_orientation, inside)
-        return {"mouth": at[:, None]}
+        """See `Task.targets`: the way into the mouth."""
+        way = [readings.mouth_position + out * readings.forward for out in (GONE, -INSIDE)]
+        return {"mouth": jnp.stack(way, axis=1)}
 
     def transition(
         self, task_state: FeedState, readings: MouthReadings
