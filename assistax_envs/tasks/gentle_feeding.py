@@ -28,7 +28,7 @@ from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 from assistax_envs.tasks.mouth import MouthReadings, MouthSensors
 
 # m before the lips, and the robot's joints there, rad: the bowl level on the mouth's axis. Episodes
-# start anywhere between, the last quarter of them with the bowl in an open mouth.
+# start anywhere on the way in, and on the way back until it is 10 cm away.
 WAY_OUT = (0.25, 0.2, 0.15, 0.1, 0.05, 0.0, -0.03)
 WAY = (
     (-0.126, -1.162, -0.238, -2.590, -0.086, 1.948, 0.517),
@@ -51,6 +51,7 @@ SHALLOW, DEEP = 0.01, 0.03  # m behind the lips, where the bowl is in the mouth
 INSIDE = 0.02  # m: what the robot takes for the depth
 ASIDE = 0.01  # m from the mouth's axis
 STILL = 0.05  # m/s
+SMOOTH = 0.1  # share of a step's velocity in the smoothed one: over 0.2 s
 LEVEL, SPILT = 0.966, 0.866  # cosines of 15 and 30 degrees
 SERVE, BITE = 15, 10  # steps: 0.3 s still in the mouth, 0.2 s between the lips
 SOFTEST, HARDEST = 0.5, 5.0  # N of either lip on the bowl
@@ -69,8 +70,9 @@ class FeedState:
 
     bites: jax.Array  # int32
     stage: jax.Array  # int32: WAITING to FULL
-    held: jax.Array  # int32, steps in a row that a stage's condition held
+    held: jax.Array  # int32, steps that a stage's condition held, less those that it did not
     shut: jax.Array  # bool: the mouth was closed since the last bite
+    drift: jax.Array  # [3] m/s, the bowl's smoothed velocity
     left: jax.Array  # m of this stage's way a step ago; NaN before its first step
     earned: jax.Array  # what this bite has paid: a spill takes it back
     violated: jax.Array  # bool, some contact was above its limit
@@ -90,7 +92,7 @@ class GentleFeeding:
         told: tuple[str, ...] = ("human",),
     ) -> None:
         self.rules = RULES[NEWEST]
-        terms = {"progress": 20.0, "open": 20.0, "serve": 20.0, "take": 10.0, "leave": 20.0}
+        terms = {"progress": 100.0, "open": 20.0, "serve": 20.0, "take": 10.0, "leave": 20.0}
         terms |= {"hold": 5.0, "level": 0.1, "spill": 10.0}
         # Who leans forward to eat bends its trunk.
         self.weights = terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
@@ -103,22 +105,27 @@ class GentleFeeding:
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
         pose_key, likes_key, start_key = jax.random.split(key, 3)
-        place = jax.random.uniform(start_key, maxval=len(WAY) - 1.0)
+        place = jax.random.uniform(start_key, maxval=1.5 * (len(WAY) - 1))
+        back = place > len(WAY) - 1
+        place = jnp.where(back, 2 * (len(WAY) - 1) - place, place)
         rows, way = jnp.arange(len(WAY)), jnp.asarray(WAY, jnp.float32)
         out = jnp.interp(place, rows, jnp.asarray(WAY_OUT, jnp.float32))
         arm = jnp.stack([jnp.interp(place, rows, joint) for joint in way.T])
         pose = self.pose.draw(pose_key)
         # Who is near has less room.
         noise = (pose - self.pose.angle)[self._robot] * jnp.maximum(out, 0.0) / WAY_OUT[0]
-        inside = out < BEFORE
         pose = pose.at[self._robot].set(arm + noise)
-        pose = pose.at[self._jaw].set(jnp.where(inside, OPENED, 0.0))
+        inward = jnp.where(out < BEFORE, ENTERING, WAITING)
+        outward = jnp.where(out < -SHALLOW, TAKING, jnp.where(out < GONE, LEAVING, WAITING))
+        stage = jnp.where(back, outward, inward).astype(jnp.int32)
+        pose = pose.at[self._jaw].set(jnp.where(stage == WAITING, 0.0, OPENED))
         zero = jnp.zeros((), jnp.int32)
         return pose, FeedState(
             bites=zero,
-            stage=jnp.where(inside, ENTERING, WAITING).astype(jnp.int32),
+            stage=stage,
             held=zero,
             shut=jnp.ones((), bool),
+            drift=jnp.zeros(3, jnp.float32),
             left=jnp.full((), jnp.nan, jnp.float32),
             earned=jnp.zeros((), jnp.float32),
             violated=jnp.zeros((), bool),
@@ -139,7 +146,8 @@ class GentleFeeding:
         """
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
-        speed = jnp.linalg.norm(r.tool_velocity, axis=-1)
+        drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
+        speed = jnp.linalg.norm(drift, axis=-1)
         shut = s.shut | (r.jaw < SHUT)
         held, done = self._done(s, r, out, aside, speed, shut)
         spilt = (r.level < SPILT) & (s.stage < LEAVING)
@@ -154,12 +162,12 @@ class GentleFeeding:
             "take": passed[TAKING].astype(jnp.float32),
             "leave": passed[LEAVING].astype(jnp.float32),
         }
+        pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
         earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
         needed = jnp.where(s.stage == ENTERING, SERVE, BITE)
         terms = (
             pay
             | {
-                "progress": jnp.where(first | (s.stage == FULL), 0.0, s.left - left),
                 "hold": (held - s.held) / needed,
                 "level": -jnp.clip((1.0 - r.level) / (1.0 - SPILT), 0.0, 1.0),
                 "spill": spilt * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
@@ -172,6 +180,7 @@ class GentleFeeding:
             stage=stage,
             held=jnp.where(changed, 0, held),
             shut=jnp.where(passed[LEAVING] | spilt, False, shut),
+            drift=drift,
             left=jnp.where(changed, jnp.nan, left),
             earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
             violated=violated,
@@ -197,7 +206,7 @@ class GentleFeeding:
         served = there & (r.jaw > HALF) & (speed < STILL)
         taken = (r.bite > SOFTEST) & (r.bite < HARDEST) & (out < 0.0) & (r.jaw < HALF)
         holds = jnp.where(s.stage == ENTERING, served, (s.stage == TAKING) & taken)
-        held = jnp.where(holds, s.held + 1, 0)
+        held = jnp.where(holds, s.held + 1, jnp.maximum(s.held - 1, 0))
         done = jnp.stack([opened, held >= SERVE, held >= BITE, out > GONE, jnp.zeros_like(shut)])
         return held, done[s.stage, jnp.arange(out.shape[0])]
 
