@@ -28,7 +28,7 @@ from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
-ELBOW = "human_right_elbow"  # what a disability's range is of, but for the tasks at the mouth
+ELBOW = "human_right_elbow"  # what a disability's range is of, where the seat is an arm
 
 
 @jax.tree_util.register_dataclass
@@ -96,7 +96,7 @@ class Env:
         self._seat_angles = np.array([joint.qposadr[0] for joint in seat])
         self._spared = SPARED if scene in SCENES else 0.0
         # What a disability's range is of, and its rest angle: where the scene starts it.
-        stiff = [self.model.joint(name) for name in STIFF_JOINTS.get(scene, (ELBOW,))]
+        stiff = [self.model.joint(name) for name in _stiff(scene)]
         self._stiff = np.array([joint.id for joint in stiff])
         self._rest = np.array(
             [self._task.pose.angle[joint.qposadr[0]] for joint in stiff], np.float32
@@ -149,8 +149,8 @@ class Env:
 
         Args:
             state: [N] simulations.
-            action: "robot" [N, 7] and "human" [N, 3], at the mouth [N, 5], in [-1, 1] (clipped): shares of the torque
-                limits.
+            action: "robot" [N, 7] and "human" [N, 3], at the mouth [N, 5], in [-1, 1] (clipped):
+                shares of the torque limits.
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
@@ -309,6 +309,11 @@ def make(
     if isinstance(task, str) and task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     return Env(task, backend, weights, version, **options)
+
+
+def _stiff(scene: str) -> tuple[str, ...]:
+    """Return the joints that a disability's range is of."""
+    return STIFF_JOINTS if REGISTERED[scene].seat == "mouth" else (ELBOW,)
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:

@@ -39,7 +39,7 @@ STOOD = (0.35, -0.9, 0.6)  # where it stands in the scene of scratch
 FACING = 2.618  # rad: towards the mouth
 SEAT = (LEAN, "neck_pitch", "neck_yaw", "neck_roll", "jaw")
 # What a disability's range is of.
-STIFF_JOINTS = {"gentle_feeding": ("human_neck_pitch", "human_neck_yaw", "human_neck_roll", "human_jaw")}
+STIFF_JOINTS = ("human_neck_pitch", "human_neck_yaw", "human_neck_roll", "human_jaw")
 LIPS = ("upper_lip", "lower_lip")
 FACE = ("human_head", "human_upper_lip", "human_lower_lip", "human_chin", "human_throat")
 

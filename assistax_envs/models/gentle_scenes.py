@@ -14,7 +14,6 @@ SCENES: dict[str, str] = {  # gentle task -> the paper's task whose scene it sta
     "gentle_lift": "arm_assist",
     "gentle_feeding": "scratch",
 }
-CARE = ("gentle_feeding",)  # of these, those at the mouth: see `care_scenes`
 # Of the robot's torque limits: what a collaborative robot is run at beside a person.
 ROBOT_SHARE = 0.3
 HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques

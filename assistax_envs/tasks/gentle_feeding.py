@@ -163,12 +163,11 @@ class GentleFeeding:
             "leave": passed[LEAVING].astype(jnp.float32),
         }
         pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
+        pay["hold"] = (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE)
         earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
-        needed = jnp.where(s.stage == ENTERING, SERVE, BITE)
         terms = (
             pay
             | {
-                "hold": (held - s.held) / needed,
                 "level": -jnp.clip((1.0 - r.level) / (1.0 - SPILT), 0.0, 1.0),
                 "spill": spilt * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
             }
