@@ -24,15 +24,18 @@ RESTING = {
     "left_lower_arm": {"left_elbow": 0.0},
 }
 # Joint -> its axis, where from and to it turns, stiffness and damping, and the torque of the seat.
-# Springs hold the posture: a torque is a place to go to. Neck: half of a healthy one's range.
+# Springs hold the posture: a torque is a place to go to. Dampers make that slow: a policy's noise
+# moves the mouth by a millimetre or two, and not by the centimetre that a spoon may be off. Neck:
+# half of a healthy one's range.
 NECK_JOINTS = {
-    "neck_pitch": ((0, 1, 0), (-0.5, 0.6), 6.0, 1.2, 6.0),
-    "neck_yaw": ((0, 0, 1), (-0.8, 0.8), 3.0, 0.6, 3.0),
-    "neck_roll": ((1, 0, 0), (-0.5, 0.5), 6.0, 1.2, 4.0),
+    "neck_pitch": ((0, 1, 0), (-0.5, 0.6), 12.0, 5.0, 4.0),
+    "neck_yaw": ((0, 0, 1), (-0.8, 0.8), 3.0, 1.5, 1.8),
+    "neck_roll": ((1, 0, 0), (-0.5, 0.5), 12.0, 5.0, 4.0),
 }
 OPEN = 0.5  # rad: the lips are 42 mm apart
-JAW_SPRING, JAW_SHUT, JAW_DAMPING, JAW_TORQUE = 0.8, -0.25, 0.06, 1.0
+JAW_SPRING, JAW_SHUT, JAW_DAMPING, JAW_TORQUE = 0.8, -0.25, 0.2, 0.8
 LEAN = "abdomen_y"
+LEAN_DAMPING = 200.0  # N m s/rad, before the trunk of gentle scenes is three times as damped
 LEAN_TORQUE = -280.0  # N m: 6 cm forward at the mouth, against the trunk's springs
 ROBOT = (0.66, -0.32, 0.60)  # base: at the right, in front of the knees
 STOOD = (0.35, -0.9, 0.6)  # where it stands in the scene of scratch
@@ -134,6 +137,7 @@ def _bar(body: mujoco.MjsBody, name: str, pos: np.ndarray, size: float, mass: fl
 
 def _give_seat(scene: mujoco.MjSpec) -> None:
     """Let the human's seat drive trunk, neck and jaw, and let it feel them."""
+    scene.joint(f"human_{LEAN}").damping = [LEAN_DAMPING, 0, 0]
     torques = {LEAN: LEAN_TORQUE, "jaw": JAW_TORQUE}
     torques |= {name: row[-1] for name, row in NECK_JOINTS.items()}
     for name in SEAT:

@@ -60,7 +60,8 @@ ASKED, MEAL = 3, 6  # bites that are success, and that are paid
 OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
 WIDE = 0.006  # m, how the pay for a depth falls off
 WHATEVER = 0.2  # share of the pay that no liking changes
-OPENED = 0.4  # rad, the jaw of a start in the mouth
+OPENED = 0.4  # rad, the jaw of a start in the mouth, and what a mouth opens to for a spoon
+JAW_WAY = 0.2  # m of a stage's way that a radian of the jaw counts for
 
 
 @jax.tree_util.register_dataclass
@@ -154,7 +155,7 @@ class GentleFeeding:
         passed = [done & (s.stage == stage) & ~spilt for stage in range(FULL)]
         stage, bites = self._next(s, done, spilt)
         changed = stage != s.stage
-        left = _left(s.stage, r.bowl, out, aside)
+        left = _left(s.stage, r, out, aside)
         first = jnp.isnan(s.left)
         pay = {
             "open": passed[WAITING] * _well(bump(jnp.maximum(out, 0.0), s.likes.wait) ** 2),
@@ -238,11 +239,19 @@ class GentleFeeding:
         return with_preference(obs, state.likes.observed(self.name), self._told)
 
 
-def _left(stage: jax.Array, bowl: jax.Array, out: jax.Array, aside: jax.Array) -> jax.Array:
-    """Return what is left of each stage's way [N], m."""
-    inside = jnp.linalg.norm(bowl + jnp.array([INSIDE, 0.0, 0.0])[None], axis=-1)
-    far = jnp.maximum(jnp.linalg.norm(bowl, axis=-1), OUTSIDE) + aside
-    ways = jnp.stack([far, inside, inside, jnp.maximum(GONE - out, 0.0), jnp.zeros_like(out)])
+def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) -> jax.Array:
+    """Return what is left of each stage's way [N], m; a mouth that shuts too early counts too."""
+    inside = jnp.linalg.norm(r.bowl + jnp.array([INSIDE, 0.0, 0.0])[None], axis=-1)
+    far = jnp.maximum(jnp.linalg.norm(r.bowl, axis=-1), OUTSIDE) + aside
+    ways = jnp.stack(
+        [
+            far,
+            inside + JAW_WAY * jnp.maximum(OPENED - r.jaw, 0.0),
+            inside + JAW_WAY * jnp.maximum(r.jaw - SHUT, 0.0),
+            jnp.maximum(GONE - out, 0.0),
+            jnp.zeros_like(out),
+        ]
+    )
     return ways[stage, jnp.arange(out.shape[0])]
 
 

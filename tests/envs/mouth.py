@@ -20,7 +20,7 @@ SIMULATIONS, STEPS, TIMES = 72, 400, (60, 140, 230, 399)
 # Columns of a human's observation of gentle feeding.
 OUT, JAW, STAGES, SHUT = 30, 36, slice(37, 42), 42
 WIDE, NARROW = 0.42, 0.05  # rad
-SPRING, HOLDS = 0.8, 0.19  # N m/rad, N m: what the jaw's spring takes, as in `care_scenes`
+SPRING, HOLDS, TORQUE = 0.8, 0.19, 0.8  # N m/rad, N m: the jaw's, as in `care_scenes`
 
 
 def eats(obs: jax.Array) -> jax.Array:
@@ -30,7 +30,7 @@ def eats(obs: jax.Array) -> jax.Array:
     waits = (stage == WAITING) & ((obs[:, SHUT] < 0.5) | (out > 0.12))
     wanted = jnp.where(waits | (stage == TAKING), NARROW, WIDE)
     torque = HOLDS + SPRING * wanted + 2.0 * (wanted - jaw)
-    return jnp.zeros((obs.shape[0], 5)).at[:, 4].set(jnp.clip(torque, -0.2, 1.0))
+    return jnp.zeros((obs.shape[0], 5)).at[:, 4].set(jnp.clip(torque / TORQUE, -0.2, 1.0))
 
 
 def meal(
