@@ -288,8 +288,8 @@ def test_three_bites_are_success_and_six_are_all_that_is_paid() -> None:
     before = table.total
     table.eat()
     assert table.total == pytest.approx(before, abs=1e-3)
-    # A bite pays 20 + 20 + 10 + 20, two holds of 5, and its way: 8 cm and 2 in, 10 cm out.
-    assert before == pytest.approx(MEAL * (80.0 + 100.0 * 0.2), rel=0.05)
+    # A bite pays 20 + 20 + 10 + 20 and two holds of 5. This spoon jumps: no way is seen.
+    assert before == pytest.approx(MEAL * 80.0, rel=1e-3)
 
 
 # Who is needed.
