@@ -28,7 +28,6 @@ from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
-ELBOW = "human_right_elbow"  # what a disability's range is of, where the seat is an arm
 
 
 @jax.tree_util.register_dataclass
@@ -96,11 +95,9 @@ class Env:
         self._seat_angles = np.array([joint.qposadr[0] for joint in seat])
         self._spared = SPARED if scene in SCENES else 0.0
         # What a disability's range is of, and its rest angle: where the scene starts it.
-        stiff = [self.model.joint(name) for name in _stiff(scene)]
+        stiff = [self.model.joint(name) for name in STIFF_JOINTS[REGISTERED[scene].seat]]
         self._stiff = np.array([joint.id for joint in stiff])
-        self._rest = np.array(
-            [self._task.pose.angle[joint.qposadr[0]] for joint in stiff], np.float32
-        )
+        self._rest = self._task.pose.angle[[joint.qposadr[0] for joint in stiff]]
         self.term_names: tuple[str, ...] = tuple(self._task.weights)
         self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
         shapes = jax.eval_shape(
@@ -309,11 +306,6 @@ def make(
     if isinstance(task, str) and task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     return Env(task, backend, weights, version, **options)
-
-
-def _stiff(scene: str) -> tuple[str, ...]:
-    """Return the joints that a disability's range is of."""
-    return STIFF_JOINTS if REGISTERED[scene].seat == "mouth" else (ELBOW,)
 
 
 def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:

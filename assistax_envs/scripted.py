@@ -157,8 +157,8 @@ def bring(chain: Chain, obs: jax.Array) -> jax.Array:
 
 
 def feed(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle feeding: wait before the mouth, into it when it is open, and back once it was shut."""
-    forward, bowl = obs[:, 27:30], obs[:, 30:33] / 10.0  # the mouth's axis; the bowl in its frame
+    """Gentle feeding: wait before the mouth, into it while it is open, and back after a bite."""
+    forward = obs[:, 27:30]  # the mouth's axis
     waits, enters, takes = (obs[:, 37 + stage : 38 + stage] for stage in range(3))
     goes_in = takes + enters * (obs[:, 36:37] > 0.5)
     where = jnp.where(goes_in > 0.5, -0.02, jnp.where(waits + enters > 0.5, 0.08, 0.12))

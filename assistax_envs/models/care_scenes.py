@@ -41,8 +41,11 @@ ROBOT = (0.66, -0.32, 0.60)  # base: at the right, in front of the knees
 STOOD = (0.35, -0.9, 0.6)  # where it stands in the scene of scratch
 FACING = 2.618  # rad: towards the mouth
 SEAT = (LEAN, "neck_pitch", "neck_yaw", "neck_roll", "jaw")
-# What a disability's range is of.
-STIFF_JOINTS = ("human_neck_pitch", "human_neck_yaw", "human_neck_roll", "human_jaw")
+# By seat, what a disability's range is of.
+STIFF_JOINTS = {
+    "arm": ("human_right_elbow",),
+    "mouth": ("human_neck_pitch", "human_neck_yaw", "human_neck_roll", "human_jaw"),
+}
 LIPS = ("upper_lip", "lower_lip")
 FACE = ("human_head", "human_upper_lip", "human_lower_lip", "human_chin", "human_throat")
 

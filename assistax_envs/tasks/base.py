@@ -76,7 +76,7 @@ class Measures:
 
 
 def human_joints(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the human's joints that a scene has: `HUMAN_JOINTS`, but for the tasks at the mouth."""
+    """Return the human's joints in a scene: `HUMAN_JOINTS`, but for the tasks at the mouth."""
     names = (model.joint(i).name for i in range(model.njnt))
     return tuple(name for name in names if name.startswith("human_"))
 

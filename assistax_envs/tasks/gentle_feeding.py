@@ -81,7 +81,7 @@ class FeedState:
 
 
 class GentleFeeding:
-    """Pay for each stage of a bite as it is liked, progress along its way; a spill takes it back."""
+    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
 
     name = "gentle_feeding"
     target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
@@ -210,9 +210,7 @@ class GentleFeeding:
         done = jnp.stack([opened, held >= SERVE, held >= BITE, out > GONE, jnp.zeros_like(shut)])
         return held, done[s.stage, jnp.arange(out.shape[0])]
 
-    def _next(
-        self, s: FeedState, done: jax.Array, spilt: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+    def _next(self, s: FeedState, done: jax.Array, spilt: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the stage and the bites after this step [N]."""
         bites = s.bites + (done & (s.stage == LEAVING))
         again = jnp.where(bites >= MEAL, FULL, WAITING)

@@ -347,9 +347,9 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
     )
     np.testing.assert_array_equal(first["robot"], other["robot"])
     count = len(WISHES[task])
-    for seat in ("human", "global"):
-        assert (first[seat] != other[seat]).sum(axis=1).tolist() == [count] * 2
-        np.testing.assert_array_equal(first[seat][:, :-count], other[seat][:, :-count])
+    for who in ("human", "global"):
+        assert (first[who] != other[who]).sum(axis=1).tolist() == [count] * 2
+        np.testing.assert_array_equal(first[who][:, :-count], other[who][:, :-count])
     middle = reset(keys, disability_params(["d1"] * 2, ["p5"] * 2)).obs["human"]
     np.testing.assert_allclose(middle[:, -count:], 0.0, atol=1e-6)
 
@@ -424,9 +424,7 @@ def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
         nearest = np.minimum(nearest, np.asarray(_gap(state)))
     assert not bool(state.nonfinite.any())
     assert np.median(nearest) < 0.6 * np.median(gap)
-    idle = play(
-        task, "native", begun, constant_actions(8, 150, 0.0, 0.0, seat(task))
-    )
+    idle = play(task, "native", begun, constant_actions(8, 150, 0.0, 0.0, seat(task)))
     assert np.median(nearest) < 0.6 * np.median([np.asarray(_gap(state)) for state in idle])
 
 

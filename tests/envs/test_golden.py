@@ -77,7 +77,9 @@ def test_behaviour_changes_only_with_the_version(task: str, version: int, backen
     now = trajectory(task, backend, version)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)
-    seen, pinned = (np.array(trajectory["global"])[:2, :, ANGLES[seat(task)]] for trajectory in (now, golden))
+    seen, pinned = (
+        np.array(trajectory["global"])[:2, :, ANGLES[seat(task)]] for trajectory in (now, golden)
+    )
     np.testing.assert_allclose(seen, pinned, atol=FIRST_ANGLES)
 
 
