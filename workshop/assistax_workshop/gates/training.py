@@ -179,7 +179,7 @@ def _humans(
         return
     if condition.humans == "passive":
         sizes = env.observation_size["human"], env.action_size["human"]
-        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]), disability)
+        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0,) * sizes[1]]), disability)
         return
     humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
     [stack] = humans.stacks
