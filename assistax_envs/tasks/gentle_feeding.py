@@ -46,15 +46,16 @@ BEFORE = 0.02  # m before the lips, from where on a spoon waits, and does not en
 FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
 SLOWLY = 0.1  # m/s, likewise
 HALF = 0.25  # rad of the jaw: open for a bowl
+CLOSING = 0.35  # rad: above it nobody has closed on a bowl that lies as low as it may
 SHUT = 0.12  # rad: below it the mouth was closed between two bites
 SHALLOW, DEEP = 0.01, 0.03  # m behind the lips, where the bowl is in the mouth
 INSIDE = 0.02  # m: what the robot takes for the depth
 ASIDE = 0.01  # m from the mouth's axis
 STILL = 0.05  # m/s
-SMOOTH = 0.1  # share of a step's velocity in the smoothed one: over 0.2 s
+SMOOTH = 0.1  # share of a step's velocity or force in the smoothed one: over 0.2 s
 LEVEL, SPILT = 0.966, 0.866  # cosines of 15 and 30 degrees
 SERVE, BITE = 15, 10  # steps: 0.3 s still in the mouth, 0.2 s between the lips
-SOFTEST, HARDEST = 0.5, 5.0  # N of either lip on the bowl
+SOFTEST, HARDEST = 0.5, 5.0  # N of either lip on the bowl, smoothed over 0.2 s
 GONE = 0.08  # m before the lips
 ASKED, MEAL = 3, 6  # bites that are success, and that are paid
 OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
@@ -74,6 +75,7 @@ class FeedState:
     held: jax.Array  # int32, steps that a stage's condition held, less those that it did not
     shut: jax.Array  # bool: the mouth was closed since the last bite
     drift: jax.Array  # [3] m/s, the bowl's smoothed velocity
+    bitten: jax.Array  # N, the smoothed force of a lip on it
     left: jax.Array  # m of this stage's way a step ago; NaN before its first step
     earned: jax.Array  # what this bite has paid: a spill takes it back
     violated: jax.Array  # bool, some contact was above its limit
@@ -127,6 +129,7 @@ class GentleFeeding:
             held=zero,
             shut=jnp.ones((), bool),
             drift=jnp.zeros(3, jnp.float32),
+            bitten=jnp.zeros((), jnp.float32),
             left=jnp.full((), jnp.nan, jnp.float32),
             earned=jnp.zeros((), jnp.float32),
             violated=jnp.zeros((), bool),
@@ -148,9 +151,9 @@ class GentleFeeding:
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
         drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
-        speed = jnp.linalg.norm(drift, axis=-1)
+        speed, bitten = jnp.linalg.norm(drift, axis=-1), s.bitten + SMOOTH * (r.bite - s.bitten)
         shut = s.shut | (r.jaw < SHUT)
-        held, done = self._done(s, r, out, aside, speed, shut)
+        held, done = self._done(s, r, out, aside, speed, bitten, shut)
         spilt = (r.level < SPILT) & (s.stage < LEAVING)
         passed = [done & (s.stage == stage) & ~spilt for stage in range(FULL)]
         stage, bites = self._next(s, done, spilt)
@@ -181,6 +184,7 @@ class GentleFeeding:
             held=jnp.where(changed, 0, held),
             shut=jnp.where(passed[LEAVING] | spilt, False, shut),
             drift=drift,
+            bitten=bitten,
             left=jnp.where(changed, jnp.nan, left),
             earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
             violated=violated,
@@ -197,6 +201,7 @@ class GentleFeeding:
         out: jax.Array,
         aside: jax.Array,
         speed: jax.Array,
+        bitten: jax.Array,
         shut: jax.Array,
     ) -> tuple[jax.Array, jax.Array]:
         """Return the steps [N] that the stage's condition held, and whether the stage is done."""
@@ -204,7 +209,7 @@ class GentleFeeding:
         opened = shut & before & (r.jaw > HALF)
         there = (out < -SHALLOW) & (out > -DEEP) & (aside < ASIDE) & (r.level > LEVEL)
         served = there & (r.jaw > HALF) & (speed < STILL)
-        taken = (r.bite > SOFTEST) & (r.bite < HARDEST) & (out < 0.0) & (r.jaw < HALF)
+        taken = (bitten > SOFTEST) & (bitten < HARDEST) & (out < 0.0) & (r.jaw < CLOSING)
         holds = jnp.where(s.stage == ENTERING, served, (s.stage == TAKING) & taken)
         held = jnp.where(holds, s.held + 1, jnp.maximum(s.held - 1, 0))
         done = jnp.stack([opened, held >= SERVE, held >= BITE, out > GONE, jnp.zeros_like(shut)])
@@ -230,7 +235,7 @@ class GentleFeeding:
             state.held[:, None] / SERVE,
             state.bites[:, None] / MEAL,
             r.force[:, None] / 10.0,
-            r.bite[:, None] / HARDEST,
+            state.bitten[:, None] / HARDEST,
             speed[:, None] * 10.0,
         )
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))

@@ -170,7 +170,7 @@ class Table:
         self.play(self.likes.wait, 0.0)
         self.play(self.likes.wait, 0.4)
         self.play(-self.likes.depth, 0.4, steps=SERVE)
-        self.play(-self.likes.depth, 0.15, bite=2.0, steps=10)
+        self.play(-self.likes.depth, 0.15, bite=2.0, steps=15)
         self.play(0.09, 0.15)
         self.play(0.09, 0.0)
 
@@ -182,7 +182,7 @@ def test_a_bite_goes_through_its_stages_and_pays_each_once() -> None:
     assert table.play(0.08, 0.4, steps=50)["open"] == 0.0
     assert table.play(-0.02, 0.4, steps=SERVE)["serve"] == pytest.approx(20.0)
     assert table.stage == TAKING
-    assert table.play(-0.02, 0.15, bite=2.0, steps=10)["take"] == pytest.approx(10.0)
+    assert table.play(-0.02, 0.15, bite=2.0, steps=15)["take"] == pytest.approx(10.0)
     assert table.stage == LEAVING and int(table.state.bites[0]) == 0
     assert table.play(0.09, 0.1)["leave"] == pytest.approx(20.0)
     assert table.stage == WAITING and int(table.state.bites[0]) == 1
@@ -212,7 +212,7 @@ def test_a_spoon_that_is_not_well_in_the_mouth_is_not_served(wrong: dict[str, fl
     assert table.stage == ENTERING
 
 
-@pytest.mark.parametrize("bite", [0.2, 8.0])
+@pytest.mark.parametrize("bite", [0.2, 80.0])
 def test_lips_that_barely_touch_or_bite_hard_take_nothing(bite: float) -> None:
     table = Table()
     table.play(0.08, 0.0)
