@@ -212,7 +212,7 @@ def test_a_spoon_that_is_not_well_in_the_mouth_is_not_served(wrong: dict[str, fl
     assert table.stage == ENTERING
 
 
-@pytest.mark.parametrize("bite", [0.2, 80.0])
+@pytest.mark.parametrize("bite", [0.2, 20.0])
 def test_lips_that_barely_touch_or_bite_hard_take_nothing(bite: float) -> None:
     table = Table()
     table.play(0.08, 0.0)
