@@ -40,7 +40,7 @@ from assistax_envs.tasks.gentle_base import (
     liking,
     world_force,
 )
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
 from tests.envs.conftest import (
     compiled,
     constant_actions,
@@ -411,7 +411,7 @@ def test_a_preference_is_drawn_by_its_own_key() -> None:
 # Scripts.
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", [*PAPER_TASKS, *GENTLE_TASKS])
 def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
     """In three seconds, with an idle human: far nearer than a robot that does nothing."""
     env = environment(task, "native")

@@ -288,8 +288,8 @@ def test_three_bites_are_success_and_six_are_all_that_is_paid() -> None:
     before = table.total
     table.eat()
     assert table.total == pytest.approx(before, abs=1e-3)
-    # A bite pays 20 + 20 + 10 + 20 and two holds of 5. This spoon jumps: no way is seen.
-    assert before == pytest.approx(MEAL * 80.0, rel=1e-3)
+    # A bite pays 20 + 20 + 10 + 20, two holds of 5, and 10 cm back. Else this spoon jumps.
+    assert before == pytest.approx(MEAL * 90.0, rel=1e-3)
 
 
 # Who is needed.
@@ -306,6 +306,17 @@ def test_a_scripted_pair_eats_and_an_idle_human_does_not() -> None:
     _, idle = meal(env, 32, 1000, human=lambda obs: jnp.zeros((obs.shape[0], 5)))
     assert not bool(idle.measures.success.any())
     assert int(idle.task.bites.max()) <= 1  # of starts with the spoon in the mouth
+
+
+def test_the_script_waits_before_a_mouth_that_stays_shut() -> None:
+    """It is still 8 cm away after six seconds, wherever on the way in it began."""
+    _, idle = meal(
+        environment(TASK, "fused"), 16, 300, human=lambda obs: jnp.zeros((obs.shape[0], 5))
+    )
+    waits = np.asarray(idle.task.stage[-1]) == WAITING
+    bowl = np.asarray(idle.obs["robot"][-1][:, 30:33]) / 10.0
+    assert waits.sum() >= 4
+    np.testing.assert_allclose(bowl[waits], [[0.08, 0.0, 0.0]] * waits.sum(), atol=0.01)
 
 
 def test_episodes_start_anywhere_along_the_act() -> None:
