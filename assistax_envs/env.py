@@ -11,6 +11,7 @@ import numpy as np
 
 from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.models import build_model
+from assistax_envs.models.care_scenes import STIFF_JOINTS
 from assistax_envs.models.gentle_scenes import SCENES, SPARED
 from assistax_envs.physics import (
     GIVES_CONTACT_FRAMES,
@@ -21,14 +22,13 @@ from assistax_envs.physics import (
 )
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
-from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, ROBOT_JOINTS
+from assistax_envs.tasks.base import ROBOT_JOINTS, human_actuators, human_joints
 from assistax_envs.tremor import TremorFilter
 from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
 LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
-ELBOW = "human_right_elbow"
 
 
 @jax.tree_util.register_dataclass
@@ -46,7 +46,7 @@ class EnvState:
     truncated: jax.Array  # [N] bool: this step was the episode's last
     step: jax.Array  # [N] int32 control steps since reset
     nonfinite: jax.Array  # [N] bool: physics diverged; frozen, earns 0 until the horizon
-    tremor: jax.Array  # [N, 3, 2] filter state
+    tremor: jax.Array  # [N, 3, 2] filter state; 5 at the mouth
     params: EnvParams
     key: jax.Array  # [N] of the episode's noise
 
@@ -82,21 +82,23 @@ class Env:
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
+        driven = human_actuators(self.model)
         self._actuators = {
             "robot": np.array([self.model.actuator(name).id for name in ROBOT_JOINTS]),
-            "human": np.array([self.model.actuator(name).id for name in HUMAN_ACTUATORS]),
+            "human": np.array([self.model.actuator(name).id for name in driven]),
         }
         self._joints = {
             role: np.array([self.model.joint(name).qposadr[0] for name in names])
-            for role, names in (("robot", ROBOT_JOINTS), ("human", HUMAN_JOINTS))
+            for role, names in (("robot", ROBOT_JOINTS), ("human", human_joints(self.model)))
         }
-        arm = [self.model.joint(name) for name in HUMAN_ACTUATORS]
-        self._arm = np.array([joint.id for joint in arm])
-        self._arm_angles = np.array([joint.qposadr[0] for joint in arm])
+        seat = [self.model.joint(name) for name in driven]
+        self._seat = np.array([joint.id for joint in seat])
+        self._seat_angles = np.array([joint.qposadr[0] for joint in seat])
         self._spared = SPARED if scene in SCENES else 0.0
-        self._elbow = self.model.joint(ELBOW).id
-        # The elbow's rest angle is where its scene starts it.
-        self._elbow_rest = float(self._task.pose.angle[self.model.joint(ELBOW).qposadr[0]])
+        # What a disability's range is of, and its rest angle: where the scene starts it.
+        stiff = [self.model.joint(name) for name in STIFF_JOINTS[REGISTERED[scene].seat]]
+        self._stiff = np.array([joint.id for joint in stiff])
+        self._rest = self._task.pose.angle[[joint.qposadr[0] for joint in stiff]]
         self.term_names: tuple[str, ...] = tuple(self._task.weights)
         self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
         shapes = jax.eval_shape(
@@ -145,8 +147,8 @@ class Env:
 
         Args:
             state: [N] simulations.
-            action: "robot" [N, 7] and "human" [N, 3] in [-1, 1] (clipped): shares of the torque
-                limits.
+            action: "robot" [N, 7] and "human" [N, 3], at the mouth [N, 5], in [-1, 1] (clipped):
+                shares of the torque limits.
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
@@ -191,7 +193,7 @@ class Env:
             return measures
         if not self.stops:
             return dataclasses.replace(measures, together=None, speed=None, face=None)
-        angles, ends = physics.qpos[:, self._arm_angles], ranges[:, self._arm]
+        angles, ends = physics.qpos[:, self._seat_angles], ranges[:, self._seat]
         at_end = (angles < ends[..., 0] + AT_END) | (angles > ends[..., 1] - AT_END)
         return dataclasses.replace(measures, at_end=at_end.any(axis=1) & (measures.force > 0.0))
 
@@ -258,13 +260,14 @@ class Env:
         return 1.0 - (1.0 - self._spared) * (1.0 - share) if self._spared else share
 
     def _joint_range(self, params: EnvParams) -> jax.Array:
-        """Return joint limits [N, njnt, 2], the elbow's drawn in about its rest angle."""
+        """Return joint limits [N, njnt, 2], those of stiff joints drawn in about their rest."""
         full, left = jnp.asarray(self.model.jnt_range, jnp.float32), self._left(params.elbow_range)
-        elbow = self._elbow_rest + left[:, None] * (full[self._elbow] - self._elbow_rest)[None]
+        rest = self._rest[:, None]
+        stiff = rest[None] + left[:, None, None] * (full[self._stiff] - rest)[None]
         return (
             jnp.broadcast_to(full, (params.elbow_range.shape[0], *full.shape))
-            .at[:, self._elbow]
-            .set(elbow)
+            .at[:, self._stiff]
+            .set(stiff)
         )
 
     def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:

@@ -16,6 +16,7 @@ MEANINGS = {
     "next": "next to wipe",
     "section": "where to hold the arm",
     "waist": "where the arm goes",
+    "mouth": "where the spoon goes",
 }  # of targets' names
 SMALLEST = 100  # pixels: what is lower has no room for words
 MOST_WITH_TERMS, MOST_WITH_NAMES = 0.42, 1 / 3  # of a picture's height, for words

@@ -19,6 +19,8 @@ class Preference:
     speed: float  # m/s, of the tool over its skin
     distance: float  # m, of the hook from its arm once that lies
     place: float  # m, how far across the waist its arm should lie
+    wait: float = 0.08  # m, how far before the lips a spoon should wait
+    depth: float = 0.02  # m, how far behind the lips its bowl should come
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -30,18 +32,32 @@ FORCES = (2.0, 4.0, 8.0)  # N
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
 DISTANCES = (0.1, 0.25, 0.6)  # m
 PLACES = (0.1, 0.2, 0.3)  # m
+WAITS = (0.04, 0.08, 0.16)  # m
+DEPTHS = (0.012, 0.02, 0.028)  # m
 # What of it matters in a task, and is observed there.
 WISHES: dict[str, tuple[str, ...]] = {
     name: task.wishes for name, task in REGISTERED.items() if task.wishes
 }
-VALUES = {"force": FORCES, "speed": SPEEDS, "distance": DISTANCES, "place": PLACES}
+VALUES = {
+    "force": FORCES,
+    "speed": SPEEDS,
+    "distance": DISTANCES,
+    "place": PLACES,
+    "wait": WAITS,
+    "depth": DEPTHS,
+}
 
 # Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the
 # slowest. Two Latin squares, orthogonal to each other: of force, speed, distance and place any two
-# values meet once.
+# values meet once. A spoon's wait and depth are a force and a speed of the mouth: no task has both.
 PREFERENCES: dict[str, Preference] = {
     f"p{1 + 3 * i + j}": Preference(
-        force, speed, DISTANCES[(i + j + 2) % 3], PLACES[(i + 2 * j + 1) % 3]
+        force,
+        speed,
+        DISTANCES[(i + j + 2) % 3],
+        PLACES[(i + 2 * j + 1) % 3],
+        wait=WAITS[i],
+        depth=DEPTHS[j],
     )
     for i, force in enumerate(FORCES)
     for j, speed in enumerate(SPEEDS)

@@ -15,6 +15,9 @@ class Registered:
     # What of a human's preference matters here, and is observed; none: humans have no preferences.
     wishes: tuple[str, ...] = ()
     felt: bool = False  # whether all touches are felt: backends must give the frames of contacts
+    seat: str = (
+        "arm"  # what of the human its seat moves: the right arm, or head, jaw and trunk: "mouth"
+    )
     older: tuple[int, ...] = ()  # versions that can still be played; the class takes `version`
 
 
@@ -42,5 +45,14 @@ REGISTERED: dict[str, Registered] = {
         wishes=("distance", "place"),
         felt=True,
         older=(2,),
+    ),
+    "gentle_feeding": Registered(
+        "gentle_feeding:GentleFeeding",
+        1,
+        "feed",
+        "spoon",
+        wishes=("wait", "depth"),
+        felt=True,
+        seat="mouth",
     ),
 }

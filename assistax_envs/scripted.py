@@ -68,17 +68,23 @@ class Chain:
         shaft: jax.Array,
         turn: float = TURN,
         damping: float = 1e-4,
+        upright: bool = False,
     ) -> jax.Array:
         """Return actions [N, 7] that move and turn the tool.
 
         At `velocity` [N, 3] m/s, its shaft towards `shaft` [N, 3] with weight `turn`; 0 leaves the
-        shaft to itself. With more `damping`, m^2, a stretched arm gives up rather than swings.
+        shaft to itself. With more `damping`, m^2, a stretched arm gives up rather than swings. Who
+        keeps the tool `upright` turns its x axis up.
         """
         tool, orientation = obs[:, 14:17], obs[:, 17:21]
         now = rotate(orientation, jnp.broadcast_to(-DOWN, tool.shape))
         linear, angular = self.jacobian(obs[:, :7], tool)
         both = jnp.concatenate([linear, turn * angular], axis=1)
-        wanted = jnp.concatenate([velocity, turn * 1.5 * jnp.cross(now, shaft)], axis=1)
+        spin = jnp.cross(now, shaft)
+        if upright:
+            out_of_bowl = rotate(orientation, jnp.broadcast_to(jnp.eye(3)[0], tool.shape))
+            spin = spin + jnp.cross(out_of_bowl, jnp.broadcast_to(-DOWN, tool.shape))
+        wanted = jnp.concatenate([velocity, turn * 1.5 * spin], axis=1)
         square = both @ jnp.swapaxes(both, 1, 2) + damping * jnp.eye(6)[None]
         rate = jnp.einsum("nij,ni->nj", both, jnp.linalg.solve(square, wanted[..., None])[..., 0])
         share = rate * self._share[None]
@@ -148,6 +154,17 @@ def bring(chain: Chain, obs: jax.Array) -> jax.Array:
     near = jnp.linalg.norm(under, axis=-1, keepdims=True) < 0.07
     velocity = jnp.where(near, carry, capped(3.0 * under, 0.25))
     return chain.drive(obs, jnp.where(left < 0.05, 0.15 * DOWN, velocity), _down(obs), damping=1e-3)
+
+
+def feed(chain: Chain, obs: jax.Array) -> jax.Array:
+    """Gentle feeding: wait before the mouth, into it while it is open, and back after a bite."""
+    forward = obs[:, 27:30]  # the mouth's axis
+    waits, enters, takes = (obs[:, 37 + stage : 38 + stage] for stage in range(3))
+    goes_in = takes + enters * (obs[:, 36:37] > 0.5)
+    where = jnp.where(goes_in > 0.5, -0.02, jnp.where(waits + enters > 0.5, 0.08, 0.12))
+    target = obs[:, 24:27] + where * forward
+    velocity = capped(4.0 * (target - obs[:, 14:17]), 0.15)
+    return chain.drive(obs, velocity, -forward, turn=0.1, damping=1e-3, upright=True)
 
 
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {

@@ -19,7 +19,13 @@ PLAYABLE: dict[str, tuple[int, ...]] = {
 
 TASKS: tuple[str, ...] = tuple(REGISTERED)
 PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
-GENTLE_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.felt)
+GENTLE_TASKS: tuple[str, ...] = tuple(
+    name for name, task in REGISTERED.items() if task.felt and task.seat == "arm"
+)
+# The gentle tasks at the mouth. Nobody has published partners for them yet.
+CARE_TASKS: tuple[str, ...] = tuple(
+    name for name, task in REGISTERED.items() if task.seat == "mouth"
+)
 
 
 def playable_version(task: str, version: int | None = None) -> int:

@@ -11,6 +11,7 @@ from importlib import resources
 import mujoco
 import numpy as np
 
+from assistax_envs.models.care_scenes import give_mouth, touch_mouth
 from assistax_envs.models.gentle_scenes import SCENES, soften
 from assistax_envs.models.looks import dress
 from assistax_envs.registered import REGISTERED
@@ -42,9 +43,14 @@ def _scene(task: str) -> mujoco.MjSpec:
     with resources.as_file(resources.files("assistax_envs.models")) as folder:
         scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
         tool = mujoco.MjSpec.from_file(str(folder / f"{REGISTERED[task].tool}.xml"))
+        at_mouth = REGISTERED[task].seat == "mouth"
+        if at_mouth:
+            give_mouth(scene)
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
         for joint, angle in REST.get(base, {}).items():
             scene.joint(f"human_{joint}").springref = angle
+        if at_mouth:
+            touch_mouth(scene)
         if task in SCENES:
             soften(scene, task)
             return scene

@@ -10,7 +10,7 @@ import math
 from statistics import NormalDist
 
 from assistax_envs.registered import REGISTERED
-from assistax_envs.versions import TASKS
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 
 _NORMAL = NormalDist()
 
@@ -180,14 +180,15 @@ _NEAR = tuple(
     dataclasses.replace(number, low=-0.1, high=0.1) if number.name.startswith("belief") else number
     for number in _INTENTION
 )
+ARM_TASKS = (*PAPER_TASKS, *GENTLE_TASKS)  # persons move an arm, and no mouth yet
 _LIFT = (*_BODY, *_CONTROL, *_NEAR, *_CARRIED, *_REACTION)
 # Task -> its parameters, in the order of a row.
 PARAMETERS: dict[str, tuple[Parameter, ...]] = {
-    task: _LIFT if task in ("gentle_lift", "arm_assist") else _SKIN for task in TASKS
+    task: _LIFT if task in ("gentle_lift", "arm_assist") else _SKIN for task in ARM_TASKS
 }
 WIDTH = len(_SKIN)  # numbers of a row
 FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
-SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in TASKS}
+SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in ARM_TASKS}
 
 
 def index(task: str) -> dict[str, int]:

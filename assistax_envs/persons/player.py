@@ -1,5 +1,6 @@
 """Persons as players of the human's seat, in the form of a policy."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -83,7 +84,7 @@ def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
     place, n = index(task), len(rows)
     column = {name: jnp.asarray(rows[:, where]) for name, where in place.items()}
     one = jnp.ones(n, jnp.float32)
-    names = ("force", "speed", "distance", "place")
+    names = (field.name for field in dataclasses.fields(Liking))
     likes = Liking(*(column.get(f"liked_{name}", one) for name in names))
     return EnvParams(
         strength=one,

@@ -45,8 +45,8 @@ class Readings:
 
     robot_position: jax.Array  # [N, 7] joint angles, rad
     robot_velocity: jax.Array  # [N, 7] rad/s
-    human_position: jax.Array  # [N, 9] joint angles, rad
-    human_velocity: jax.Array  # [N, 9] rad/s
+    human_position: jax.Array  # [N, J] joint angles, rad: 9, but at the mouth 7
+    human_velocity: jax.Array  # [N, J] rad/s
     tool_position: jax.Array  # [N, 3] end-effector, m
     tool_orientation: jax.Array  # [N, 4] quaternion (w, x, y, z)
     tool_velocity: jax.Array  # [N, 3] m/s
@@ -76,19 +76,35 @@ class Measures:
     face: jax.Array | None = None  # [N] m, from the tool to the head
 
 
-# Fields of `Readings`: the sensors that they are read from, and a row's shape.
-_SENSORS: dict[str, tuple[list[str], tuple[int, ...]]] = {
-    "robot_position": ([f"{joint}_position" for joint in ROBOT_JOINTS], (7,)),
-    "robot_velocity": ([f"{joint}_velocity" for joint in ROBOT_JOINTS], (7,)),
-    "human_position": ([f"{joint}_position" for joint in HUMAN_JOINTS], (9,)),
-    "human_velocity": ([f"{joint}_velocity" for joint in HUMAN_JOINTS], (9,)),
-    "tool_position": (["robot_end_effector_position"], (3,)),
-    "tool_orientation": (["robot_end_effector_orientation"], (4,)),
-    "tool_velocity": (["robot_end_effector_velocity"], (3,)),
-    "tool_force": ([f"force-{geom}" for geom in TOUCHABLE], (3, 3)),
-    "arm_position": ([f"human_{segment}_position" for segment in ARM_SEGMENTS], (2, 3)),
-    "arm_orientation": ([f"human_{segment}_orientation" for segment in ARM_SEGMENTS], (2, 4)),
-}
+def human_joints(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the human's joints in a scene: `HUMAN_JOINTS`, but for the tasks at the mouth."""
+    names = (model.joint(i).name for i in range(model.njnt))
+    return tuple(name for name in names if name.startswith("human_"))
+
+
+def human_actuators(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return what the human's seat of a scene drives: `HUMAN_ACTUATORS`, but likewise."""
+    names = (model.actuator(i).name for i in range(model.nu))
+    return tuple(name for name in names if name.startswith("human_"))
+
+
+def _read_from(model: mujoco.MjModel) -> dict[str, tuple[list[str], tuple[int, ...]]]:
+    """Return, by field of `Readings`, the sensors that it is read from, and a row's shape."""
+    human = human_joints(model)
+    names = (model.sensor(i).name for i in range(model.nsensor))
+    forces = [name for name in names if name.startswith("force-")]
+    return {
+        "robot_position": ([f"{joint}_position" for joint in ROBOT_JOINTS], (7,)),
+        "robot_velocity": ([f"{joint}_velocity" for joint in ROBOT_JOINTS], (7,)),
+        "human_position": ([f"{joint}_position" for joint in human], (len(human),)),
+        "human_velocity": ([f"{joint}_velocity" for joint in human], (len(human),)),
+        "tool_position": (["robot_end_effector_position"], (3,)),
+        "tool_orientation": (["robot_end_effector_orientation"], (4,)),
+        "tool_velocity": (["robot_end_effector_velocity"], (3,)),
+        "tool_force": (forces, (len(forces), 3)),
+        "arm_position": ([f"human_{segment}_position" for segment in ARM_SEGMENTS], (2, 3)),
+        "arm_orientation": ([f"human_{segment}_orientation" for segment in ARM_SEGMENTS], (2, 4)),
+    }
 
 
 class Sensors:
@@ -100,12 +116,14 @@ class Sensors:
             numbers = np.arange(math.prod(shape) // len(names))
             return np.concatenate([model.sensor(name).adr[0] + numbers for name in names])
 
-        self._columns = {field: columns(*sensors) for field, sensors in _SENSORS.items()}
+        fields = _read_from(model)
+        self._columns = {field: columns(*sensors) for field, sensors in fields.items()}
+        self._shapes = {field: shape for field, (_, shape) in fields.items()}
 
     def read(self, values: jax.Array) -> Readings:
         """Split `values` [N, nsensordata] into readings."""
         fields = {
-            field: values[:, columns].reshape(values.shape[0], *_SENSORS[field][1])
+            field: values[:, columns].reshape(values.shape[0], *self._shapes[field])
             for field, columns in self._columns.items()
         }
         return Readings(**fields | {"tool_force": fields["tool_force"].sum(axis=1)})
@@ -205,15 +223,18 @@ def rotate(quaternion: jax.Array, vector: jax.Array) -> jax.Array:
     return vector + w * t + jnp.cross(u, t)
 
 
-def observations(readings: Readings, *goal: jax.Array) -> dict[str, jax.Array]:
+def observations(
+    readings: Readings, *goal: jax.Array, body: tuple[jax.Array, ...] | None = None
+) -> dict[str, jax.Array]:
     """Lay out Table 4: own proprioception first, then tool, force, arm and `goal`.
 
-    "global" is the whole table.
+    "global" is the whole table. Tasks at the mouth say in `body` where that is: no arm.
     """
     tool = (readings.tool_position, readings.tool_orientation, readings.tool_force)
     robot = (readings.robot_position, readings.robot_velocity)
     human = (readings.human_position, readings.human_velocity)
-    arm = (readings.arm_position[:, 1], readings.arm_position[:, 0])  # lower, then upper
+    lower_and_upper = (readings.arm_position[:, 1], readings.arm_position[:, 0])
+    arm = lower_and_upper if body is None else body
     return {
         "robot": jnp.concatenate([*robot, *tool, *arm, *goal], axis=-1),
         "human": jnp.concatenate([*human, *tool, *arm, *goal], axis=-1),

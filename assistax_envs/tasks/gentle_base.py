@@ -13,7 +13,7 @@ import numpy as np
 
 from assistax_envs.physics.base import felt_sensors
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
-from assistax_envs.tasks.base import HUMAN_JOINTS, Measures, Pose, Readings, Sensors, rotate
+from assistax_envs.tasks.base import Measures, Pose, Readings, Sensors, human_joints, rotate
 from assistax_envs.tasks.gentle_rules import Rules
 
 STEP = 0.02  # s, one control step
@@ -31,6 +31,8 @@ class Liking:
     speed: jax.Array  # m/s
     distance: jax.Array  # m
     place: jax.Array  # m
+    wait: jax.Array  # m
+    depth: jax.Array  # m
 
     def observed(self, task: str) -> jax.Array:
         """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""
@@ -81,8 +83,9 @@ class TouchSensors(Sensors):
         self._limits = np.array([rules.limits[part] for part in parts], np.float32)
         self._every_substep, self._peaks = rules.every_substep, model.nsensordata
         self._on_arm = np.array([sensor.name.startswith("force-") for sensor in touches])
-        trunk = [i for i, name in enumerate(HUMAN_JOINTS) if "abdomen" in name]
-        rest = pose.angle[[model.joint(HUMAN_JOINTS[i]).qposadr[0] for i in trunk]]
+        joints = human_joints(model)
+        trunk = [i for i, name in enumerate(joints) if "abdomen" in name]
+        rest = pose.angle[[model.joint(joints[i]).qposadr[0] for i in trunk]]
         self._trunk, self._rest = np.array(trunk), rest
         self._head = _Head(model)
 
@@ -119,7 +122,7 @@ class _Head:
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)  # all joints at zero
-        joints = [model.joint(name).id for name in HUMAN_JOINTS if "abdomen" in name]
+        joints = [model.joint(name).id for name in human_joints(model) if "abdomen" in name]
         geom = model.geom("human_head")
         self._anchor, self._axis = data.xanchor[joints], data.xaxis[joints]
         self._centre, self._radius = data.geom_xpos[geom.id].copy(), float(geom.size[0])

@@ -18,6 +18,11 @@ BEARABLE: dict[str, float] = {
     "human_right_hand": 140.0,
     "right_thigh": 220.0,
     "left_thigh": 220.0,
+    # No standard has lips, chin and throat: the face's.
+    "human_upper_lip": 65.0,
+    "human_lower_lip": 65.0,
+    "human_chin": 65.0,
+    "human_throat": 65.0,
 }
 # The people here are frail, and nobody has measured what frail people bear: half of it is a choice.
 FRAIL = 0.5

@@ -68,7 +68,7 @@ def zsc_dots(
     for label, fill in labels:
         axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
     for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
-        below = {"color": style.MUTED, "linewidth": 0.9, "zorder": 1.5}  # the dots
+        below: Any = {"color": style.MUTED, "linewidth": 0.9, "zorder": 1.5}  # the dots
         axes.axhline(value, linestyle=dashes, gid=name, **below)
     axes.set_ylim(*_limits(summaries, references))
     axes.grid(axis="y", color=style.GRID, linewidth=0.6)
@@ -167,8 +167,8 @@ def _label_falls(
     for name, share in zip(best_last, shares, strict=True):
         table = profiles[name]
         place = float(table["threshold"][int((table["share"] >= share).sum()) - 1])
-        font = {"fontsize": style.END, "color": colours[name], "bbox": behind}
-        offset = {"textcoords": "offset points", "va": "center"}
+        font: Any = {"fontsize": style.END, "color": colours[name], "bbox": behind}
+        offset: Any = {"textcoords": "offset points", "va": "center"}
         axes.annotate(style.spelled(name), (place, share), (7.0, 0.0), **offset, **font)
 
 
@@ -216,7 +216,10 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     ends: dict[str, tuple[float, float]] = {}
     for (task, backend, device), rows in sorted(measured.group_by("task", "backend", "device")):
         rows, name = rows.sort("batch"), f"{backend},\n{device}"
-        marks = {"marker": style.MARKERS[tasks.index(task) % len(style.MARKERS)], "markersize": 5}
+        marks: Any = {
+            "marker": style.MARKERS[tasks.index(task) % len(style.MARKERS)],
+            "markersize": 5,
+        }
         x, y = rows["batch"], rows["env_steps_per_second"]
         axes.plot(x, y, color=colours[name], markerfacecolor="none", clip_on=False, **marks)
         ends[name] = max(ends.get(name, (0.0, 0.0)), (x[-1], y[-1]))

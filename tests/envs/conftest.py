@@ -11,6 +11,7 @@ import pytest
 import assistax_envs
 from assistax_envs import Env, EnvState
 from assistax_envs.physics import GIVES_CONTACT_FRAMES
+from assistax_envs.registered import REGISTERED
 from assistax_envs.versions import GENTLE_TASKS
 
 BACKENDS = ("fused", "native", "mjx")
@@ -38,13 +39,18 @@ native_and_mjx = pytest.mark.parametrize(
 
 def backends(task: str, among: tuple[str, ...] = BACKENDS) -> list[str]:
     """Return the backends that play a task."""
-    gives = GIVES_CONTACT_FRAMES if task in GENTLE_TASKS else BACKENDS
+    gives = GIVES_CONTACT_FRAMES if REGISTERED[task].felt else BACKENDS
     return [backend for backend in among if backend in gives]
 
 
 @functools.cache
 def environment(task: str, backend: str) -> Env:
     return assistax_envs.make(task, backend)
+
+
+def seat(task: str) -> int:
+    """Return how many torques the human of a task has."""
+    return 5 if REGISTERED[task].seat == "mouth" else 3
 
 
 @functools.cache
@@ -58,22 +64,24 @@ def start(task: str, backend: str, settings: list[str], seed: int = 0) -> EnvSta
     return compiled(task, backend)[0](keys, assistax_envs.disability_params(settings))
 
 
-def random_actions(size: int, steps: int, seed: int = 0) -> list[dict[str, jax.Array]]:
-    """Uniform actions from NumPy, the same on every platform."""
+def random_actions(
+    size: int, steps: int, seed: int = 0, human: int = 3
+) -> list[dict[str, jax.Array]]:
+    """Uniform actions from NumPy, the same on every platform; `human` joints in the seat."""
     rng = np.random.default_rng(seed)
     return [
         {
             role: jnp.asarray(rng.uniform(-1.0, 1.0, (size, width)), jnp.float32)
-            for role, width in (("robot", 7), ("human", 3))
+            for role, width in (("robot", 7), ("human", human))
         }
         for _ in range(steps)
     ]
 
 
 def constant_actions(
-    size: int, steps: int, robot: float, human: float
+    size: int, steps: int, robot: float, human: float, joints: int = 3
 ) -> list[dict[str, jax.Array]]:
-    action = {"robot": jnp.full((size, 7), robot), "human": jnp.full((size, 3), human)}
+    action = {"robot": jnp.full((size, 7), robot), "human": jnp.full((size, joints), human)}
     return [action] * steps
 
 

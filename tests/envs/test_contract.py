@@ -9,7 +9,8 @@ import pytest
 
 import assistax_envs
 from assistax_envs import TASKS, select
-from assistax_envs.versions import GENTLE_TASKS
+from assistax_envs.registered import REGISTERED
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS
 from tests.envs.conftest import (
     BACKENDS,
     QUICK_TASKS,
@@ -18,6 +19,7 @@ from tests.envs.conftest import (
     environment,
     play,
     random_actions,
+    seat,
     start,
 )
 
@@ -28,6 +30,7 @@ WIDTHS = {
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
     "gentle_scratch": {"robot": 46, "human": 53, "global": 67},
     "gentle_bath": {"robot": 64, "human": 70, "global": 84},
+    "gentle_feeding": {"robot": 48, "human": 50, "global": 64},
     "gentle_lift": {"robot": 40, "human": 47, "global": 61},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
@@ -55,9 +58,9 @@ each_task_and_backend = each_pair()
 def test_shapes_and_types(task: str, backend: str) -> None:
     env = environment(task, backend)
     state = start(task, backend, SETTINGS)
-    after = play(task, backend, state, random_actions(4, 1))[0]
+    after = play(task, backend, state, random_actions(4, 1, human=seat(task)))[0]
     assert env.observation_size == WIDTHS[task]
-    assert env.action_size == {"robot": 7, "human": 3}
+    assert env.action_size == {"robot": 7, "human": seat(task)}
     for moment in (state, after):
         assert {name: obs.shape for name, obs in moment.obs.items()} == {
             n: (4, w) for n, w in WIDTHS[task].items()
@@ -78,16 +81,18 @@ def test_a_whole_episode_stays_finite_and_ends_by_time(
 ) -> None:
     env = environment(task, backend)
     rows = {
-        "random": random_actions(4, 1000, seed=1),
-        "full": constant_actions(4, 1000, 1.0, 1.0),
-        "opposed": constant_actions(4, 1000, -1.0, 1.0),
+        "random": random_actions(4, 1000, seed=1, human=seat(task)),
+        "full": constant_actions(4, 1000, 1.0, 1.0, seat(task)),
+        "opposed": constant_actions(4, 1000, -1.0, 1.0, seat(task)),
     }[actions]
     states = play(task, backend, start(task, backend, SETTINGS), rows)
     for state in states[::50] + states[-1:]:
         assert all(bool(jnp.all(jnp.isfinite(obs))) for obs in state.obs.values())
         np.testing.assert_allclose(sum(state.terms.values()), state.reward, atol=1e-6)
     assert not bool(jnp.any(states[-1].nonfinite))
-    assert not any(bool(jnp.any(state.terminated)) for state in states[::50])
+    for state in states[::50]:  # no end before its time but a protective stop's
+        stopped = state.measures.violated if env.stops else jnp.zeros(4, bool)
+        np.testing.assert_array_equal(state.terminated, stopped)
     assert [bool(jnp.all(state.truncated)) for state in (states[-2], states[-1])] == [False, True]
     assert int(states[-1].step[0]) == env.episode_length
 
@@ -103,13 +108,13 @@ def test_resets_are_the_same_bits_on_every_backend(task: str, backend: str) -> N
 
 @each_task_and_backend
 def test_backends_agree_over_the_first_steps(task: str, backend: str) -> None:
-    actions = random_actions(4, 20, seed=2)
+    actions = random_actions(4, 20, seed=2, human=seat(task))
     native, other = (
         play(task, name, start(task, name, SETTINGS, seed=3), actions)
         for name in ("native", backend)
     )
     elsewhere = play(task, "native", start(task, "native", SETTINGS, seed=4), actions)
-    paid = task not in GENTLE_TASKS  # whose rewards, for a point or a stroke, come in lumps
+    paid = not REGISTERED[task].felt  # whose rewards, for a point or a stroke, come in lumps
     assert _agree(native, other, paid)
     assert not _agree(native, elsewhere, paid)  # the bounds tell another start apart
 
@@ -119,7 +124,7 @@ def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alo
     task: str, backend: str
 ) -> None:
     state = start(task, backend, SETTINGS)
-    actions = random_actions(4, 5)
+    actions = random_actions(4, 5, human=seat(task))
     calm = play(task, backend, state, actions)[-1]
     qvel = state.physics.qvel.at[1].set(jnp.nan)
     sick = dataclasses.replace(state, physics=dataclasses.replace(state.physics, qvel=qvel))
@@ -213,7 +218,7 @@ def test_select_takes_whole_simulations() -> None:
                 f"{task} needs to know which way a contact pushes, and backend '{backend}' does "
                 "not say; use fused or native",
             )
-            for task in GENTLE_TASKS
+            for task in (*GENTLE_TASKS, *CARE_TASKS)
             for backend in ("mjx", "mjx-warp")
         ),
         (

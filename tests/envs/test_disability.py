@@ -67,9 +67,9 @@ def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: fl
     # The range of joints is an input of the engine too.
     ranges = np.asarray(env._joint_range(assistax_envs.disability_params(["d1", "d7"])))
     assert (ranges[0] == np.asarray(env.model.jnt_range, np.float32)).all()
-    wide, narrow = np.diff(ranges[:, env._elbow])[:, 0]  # the joint that a setting narrows
+    wide, narrow = np.diff(ranges[:, env._stiff[0]])[:, 0]  # the joint that a setting narrows
     assert narrow == pytest.approx(left * wide)
-    others = np.arange(env.model.njnt) != env._elbow
+    others = np.arange(env.model.njnt) != env._stiff[0]
     assert (ranges[1, others] == ranges[0, others]).all()
 
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter
+from assistax_envs.persons.parameters import ARM_TASKS, PARAMETERS, WIDTH, Parameter
 from assistax_envs.persons.player import draw_persons
 from assistax_envs.persons.rows import (
     BEYOND,
@@ -22,7 +22,6 @@ from assistax_envs.persons.rows import (
     persons,
     side,
 )
-from assistax_envs.versions import TASKS
 
 # SHA-256 of the rows of all persons of a task, little-endian float32.
 TABLES = {
@@ -35,7 +34,7 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", ARM_TASKS)
 def test_every_number_of_every_person_lies_in_its_range(task: str) -> None:
     table = persons(task)
     assert table.shape == (COUNT, WIDTH) and WIDTH == len(PARAMETERS[task]) == 25
@@ -69,7 +68,7 @@ def test_a_parameter_knows_its_range_and_its_distribution() -> None:
         Parameter("nothing", "1", 1.0, 1.0, "", "")
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", ARM_TASKS)
 def test_persons_are_the_same_to_the_bit(task: str) -> None:
     assert hashlib.sha256(persons(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
 

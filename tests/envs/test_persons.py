@@ -12,7 +12,7 @@ from assistax_envs.persons import muscles, reaction
 from assistax_envs.persons.body import JOINTS
 from assistax_envs.persons.controller import Controller, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, index, left
+from assistax_envs.persons.parameters import ARM_TASKS, PARAMETERS, WIDTH, index, left
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import (
     INNER,
@@ -20,7 +20,6 @@ from assistax_envs.persons.rows import (
 )
 from assistax_envs.persons.senses import columns, sense
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
-from assistax_envs.versions import TASKS
 from tests.envs.conftest import constant_actions, each_of, environment, one_gentle_task, play, start
 
 BATCH = 48
@@ -78,7 +77,7 @@ def watched(
     return minds, np.stack(actions)
 
 
-@each_of(TASKS)
+@each_of(ARM_TASKS)
 def test_senses_read_what_the_human_observes(task: str) -> None:
     env = environment(task, "fused")
     assert list(columns(task).values())[-1].stop == env.observation_size["human"]

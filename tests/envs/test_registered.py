@@ -15,7 +15,7 @@ from assistax_envs.registered import REGISTERED
 from assistax_envs.scripted import SCRIPTS
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.scratch import Scratch
-from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "workshop", "board")
@@ -24,7 +24,8 @@ PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", 
 def test_every_table_of_tasks_is_the_registered_one() -> None:
     tables = (TASKS, VERSIONS, TASK_CLASSES, SCRIPTS)
     assert all(tuple(table) == tuple(REGISTERED) for table in tables)
-    assert (*PAPER_TASKS, *GENTLE_TASKS) == TASKS and tuple(WISHES) == GENTLE_TASKS
+    assert (*PAPER_TASKS, *GENTLE_TASKS, *CARE_TASKS) == TASKS
+    assert tuple(WISHES) == (*GENTLE_TASKS, *CARE_TASKS)
 
 
 @pytest.mark.parametrize("task", REGISTERED)
@@ -51,7 +52,7 @@ def membership_tests(source: str) -> list[int]:
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.Compare)
         for right in node.comparators
-        if isinstance(right, ast.Name) and right.id in ("GENTLE_TASKS", "PAPER_TASKS")
+        if isinstance(right, ast.Name) and right.id in ("CARE_TASKS", "GENTLE_TASKS", "PAPER_TASKS")
     ]
 
 

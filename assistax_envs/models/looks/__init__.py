@@ -35,23 +35,28 @@ def palettes() -> list[dict[str, list[float]]]:
 
 def dress(scene: mujoco.MjSpec, furniture: str) -> None:
     """Put what pictures show onto a scene, and hide what it stands for. In place."""
-    for name in ("room", "panda", "person", FURNITURE[furniture]):
+    cameras: dict[str, Any] = {}
+    head = "mouth" if scene.body("human_jaw") else "head"
+    for name in ("room", "panda", "person", FURNITURE[furniture], head):
         parts = look(name)
         for material, (red, green, blue, shine) in parts.get("materials", {}).items():
             scene.add_material(
                 name=material, rgba=[red, green, blue, 1.0], specular=shine, shininess=shine
             )
         for body, given in parts.get("bodies", {}).items():
+            if name != head and body in look(head).get("replaces", ()):
+                continue
             for geom in scene.body(body).geoms:
                 geom.group = 1 if geom.name.startswith("look-") else HIDDEN
             for index, shape in enumerate(parts["shapes"][given["shapes"]]):
                 _add(scene, body, given, shape, f"look-{name}-{body}-{index}")
-        for camera, (position, target, fovy) in parts.get("cameras", {}).items():
-            if scene.camera(camera):
-                scene.delete(scene.camera(camera))
-            scene.worldbody.add_camera(
-                name=camera, pos=position, quat=_towards(position, target), fovy=fovy
-            )
+        cameras |= parts.get("cameras", {})
+    for camera, (position, target, fovy) in cameras.items():
+        if scene.camera(camera):
+            scene.delete(scene.camera(camera))
+        scene.worldbody.add_camera(
+            name=camera, pos=position, quat=_towards(position, target), fovy=fovy
+        )
 
 
 def _add(

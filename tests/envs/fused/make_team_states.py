@@ -49,7 +49,7 @@ def visited(robot: PolicyEntry) -> dict[str, np.ndarray]:
     _, seen = jax.jit(lambda state: jax.lax.scan(step, state, jnp.arange(STEPS)))(start)
     qpos, qvel, ctrl = (np.concatenate(np.asarray(x)[list(TIMES)]) for x in seen)
     # The engine's input too.
-    elbow = np.tile(np.asarray(env._joint_range(params))[:, env._elbow], (len(TIMES), 1))
+    elbow = np.tile(np.asarray(env._joint_range(params))[:, env._stiff[0]], (len(TIMES), 1))
     return {"qpos": qpos, "qvel": qvel, "ctrl": ctrl, "elbow": elbow}
 
 

@@ -15,9 +15,11 @@ from assistax_envs.models.gentle_scenes import SCENES
 from assistax_envs.physics.base import values_width
 from assistax_envs.physics.fused import generate
 from assistax_envs.physics.fused.runtime import cache, cpu
+from assistax_envs.versions import CARE_TASKS
 
 ELBOW = "human_right_elbow"
 DEEP = 0.025  # m; the thinnest two capsules that meet have their axes 0.041 apart
+BETWEEN_LIPS = 0.006  # m; a lip and a spoon have them 0.012 apart
 scene = functools.cache(build_model)
 
 
@@ -28,6 +30,12 @@ def converged(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.tolerance, model.opt.ls_tolerance = 1e-12, 1e-6
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
+
+
+def deep(model: mujoco.MjModel) -> float:
+    """Return the depth, in m, beyond which a contact's direction is anybody's guess."""
+    names = {model.joint(i).name for i in range(model.njnt)}
+    return BETWEEN_LIPS if "human_jaw" in names else DEEP
 
 
 class States:
@@ -57,7 +65,7 @@ def random_states(model: mujoco.MjModel, n: int, seed: int, beyond: float = 0.01
         rng.normal(size=(n, model.nv)),
         rng.uniform(-1, 1, (n, model.nu)),
     )
-    return states[np.array([deepest(model, qpos) < DEEP for qpos in states.qpos])]
+    return states[np.array([deepest(model, qpos) < deep(model) for qpos in states.qpos])]
 
 
 def deepest(model: mujoco.MjModel, qpos: np.ndarray) -> float:
@@ -108,7 +116,7 @@ def _touching(model, data, pair: int, rng: np.random.Generator) -> np.ndarray | 
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
     touches = any(set(contact.geom) == set(geoms) for contact in data.contact)
-    return best if touches and deepest(model, best) < DEEP else None
+    return best if touches and deepest(model, best) < deep(model) else None
 
 
 def resting_states(task: str, n: int) -> States:
@@ -129,12 +137,15 @@ def team_states(task: str) -> tuple[States, np.ndarray]:
 
     Of a gentle task's scene, the states of the paper's task from whose scene it is made.
     """
-    base = SCENES.get(task, task)
+    base, model = SCENES.get(task, task), scene(task)
     with np.load(Path(__file__).with_name("team_states.npz")) as file:
         arrays = {k.removeprefix(f"{base}_"): v for k, v in file.items() if k.startswith(base)}
-    model = scene(task)
+    if task in CARE_TASKS:  # of a scripted pair
+        with np.load(Path(__file__).with_name("mouth_states.npz")) as file:
+            arrays = dict(file)
     ranges = np.tile(model.jnt_range.astype(np.float32), (len(arrays["qpos"]), 1, 1))
-    ranges[:, model.joint(ELBOW).id] = arrays["elbow"]
+    if "elbow" in arrays:
+        ranges[:, model.joint(ELBOW).id] = arrays["elbow"]
     order = np.random.default_rng(0).permutation(len(ranges))
     return States(*(arrays[name] for name in ("qpos", "qvel", "ctrl")))[order], ranges[order]
 

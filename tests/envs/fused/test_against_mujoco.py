@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from assistax_envs.versions import GENTLE_TASKS
+from assistax_envs.registered import REGISTERED
 from tests.envs.fused.scenes import (
     TASKS,
     States,
@@ -102,7 +102,7 @@ def test_sensors(task: str) -> None:
         felt = np.repeat(contact, model.sensor_dim)
         np.testing.assert_allclose(got[:, ~felt], want[:, ~felt], atol=3e-6)
         got, want = got[:, felt], want[:, felt]
-        if task in GENTLE_TASKS:  # force, normal, tangent
+        if REGISTERED[task].felt:  # force, normal, tangent
             got, want = (x.reshape(len(x), -1, 3, 3) for x in (got, want))
             pushes = np.linalg.norm(want[:, :, 0], axis=-1) > 0.1  # N; MuJoCo frames 0 N as well
             assert pushes.any()

@@ -36,6 +36,7 @@ GOLDEN = {
     "gentle_scratch": "59514bf83e5831b0",
     "gentle_bath": "37683527b54034a9",
     "gentle_lift": "20901736454a8e61",
+    "gentle_feeding": "b9827dcc729e5a3c",
 }
 
 

@@ -42,6 +42,7 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "gentle_scratch": {**GENTLE, "entropy_coef": 3e-3},
     "gentle_bath": {**GENTLE, "entropy_coef": 3e-3},
     "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
+    "gentle_feeding": {**GENTLE, "entropy_coef": 3e-3},
 }
 
 
@@ -178,7 +179,7 @@ def _humans(
         return
     if condition.humans == "passive":
         sizes = env.observation_size["human"], env.action_size["human"]
-        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0, 0.0, 0.0)]), disability)
+        yield folder / name, seeds, _frozen(held_roster(*sizes, [(0.0,) * sizes[1]]), disability)
         return
     humans = read_teams([str(folder / "teams")], load_registry(), env.task).humans
     [stack] = humans.stacks

@@ -1,0 +1,262 @@
+"""Gentle feeding: a spoon waits before the mouth, comes in level, is closed upon, and leaves.
+
+Neither can do it alone: the robot cannot open the mouth, and the human cannot reach the spoon. How
+far away it waits, and how deep it comes, is for the human to like and for the robot to find out:
+the mouth opens when the human wants it to.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.models.care_scenes import OPEN
+from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations
+from assistax_envs.tasks.gentle_base import (
+    COSTS,
+    Liking,
+    bump,
+    costs,
+    touch_measures,
+    wishes,
+    with_preference,
+)
+from assistax_envs.tasks.gentle_rules import NEWEST, RULES
+from assistax_envs.tasks.mouth import MouthReadings, MouthSensors
+
+# m before the lips, and the robot's joints there, rad: the bowl level on the mouth's axis. Episodes
+# start anywhere on the way in, and on the way back until it is 10 cm away.
+WAY_OUT = (0.25, 0.2, 0.15, 0.1, 0.05, 0.0, -0.03)
+WAY = (
+    (-0.126, -1.162, -0.238, -2.590, -0.086, 1.948, 0.517),
+    (-0.082, -1.046, -0.182, -2.562, -0.056, 2.039, 0.582),
+    (-0.047, -0.919, -0.129, -2.515, -0.031, 2.120, 0.641),
+    (-0.023, -0.785, -0.081, -2.450, -0.012, 2.188, 0.694),
+    (-0.007, -0.649, -0.034, -2.366, -0.001, 2.241, 0.745),
+    (0.001, -0.512, 0.009, -2.266, -0.001, 2.278, 0.797),
+    (0.006, -0.430, 0.033, -2.199, -0.008, 2.292, 0.829),
+)
+START = {joint: (angle, -0.08, 0.08) for joint, angle in zip(ROBOT_JOINTS, WAY[0], strict=True)}
+START |= {f"human_neck_{way}": (0.0, -0.05, 0.05) for way in ("pitch", "yaw", "roll")}
+WAITING, ENTERING, TAKING, LEAVING, FULL = range(5)  # stages of a bite, and after the meal
+BEFORE = 0.02  # m before the lips, from where on a spoon waits, and does not enter yet
+FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
+SLOWLY = 0.1  # m/s, likewise
+HALF = 0.25  # rad of the jaw: open for a bowl
+CLOSING = 0.35  # rad: above it nobody has closed on a bowl that lies as low as it may
+SHUT = 0.12  # rad: below it the mouth was closed between two bites
+SHALLOW, DEEP = 0.01, 0.03  # m behind the lips, where the bowl is in the mouth
+INSIDE = 0.02  # m: what the robot takes for the depth
+ASIDE = 0.01  # m from the mouth's axis
+STILL = 0.05  # m/s
+SMOOTH = 0.1  # share of a step's velocity or force in the smoothed one: over 0.2 s
+LEVEL, SPILT = 0.966, 0.866  # cosines of 15 and 30 degrees
+SERVE, BITE = 15, 10  # steps: 0.3 s still in the mouth, 0.2 s between the lips
+SOFTEST, HARDEST = 0.5, 5.0  # N of either lip on the bowl, smoothed over 0.2 s
+GONE = 0.08  # m before the lips
+ASKED, MEAL = 3, 6  # bites that are success, and that are paid
+OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
+WIDE = 0.006  # m, how the pay for a depth falls off
+WHATEVER = 0.2  # share of the pay that no liking changes
+OPENED = 0.4  # rad, the jaw of a start in the mouth, and what a mouth opens to for a spoon
+JAW_WAY = 0.2  # m of a stage's way that a radian of the jaw counts for
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FeedState:
+    """How far the meal and its present bite are."""
+
+    bites: jax.Array  # int32
+    stage: jax.Array  # int32: WAITING to FULL
+    held: jax.Array  # int32, steps that a stage's condition held, less those that it did not
+    shut: jax.Array  # bool: the mouth was closed since the last bite
+    drift: jax.Array  # [3] m/s, the bowl's smoothed velocity
+    bitten: jax.Array  # N, the smoothed force of a lip on it
+    left: jax.Array  # m of this stage's way a step ago; NaN before its first step
+    earned: jax.Array  # what this bite has paid: a spill takes it back
+    violated: jax.Array  # bool, some contact was above its limit
+    likes: Liking
+
+
+class GentleFeeding:
+    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
+
+    name = "gentle_feeding"
+    target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        weights: dict[str, float] | None = None,
+        told: tuple[str, ...] = ("human",),
+    ) -> None:
+        self.rules = RULES[NEWEST]
+        terms = {"progress": 100.0, "open": 20.0, "serve": 20.0, "take": 10.0, "leave": 20.0}
+        terms |= {"hold": 5.0, "level": 0.1, "spill": 10.0}
+        # Who leans forward to eat bends its trunk.
+        self.weights = terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
+        self.pose = Pose(model, START)
+        self.sensors = MouthSensors(model, self.pose, self.rules)
+        self._told = told
+        self._robot = np.array([model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
+        self._jaw = int(model.joint("human_jaw").qposadr[0])
+
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
+        """Draw the start pose [nq] and, where it is not given, the preference."""
+        pose_key, likes_key, start_key = jax.random.split(key, 3)
+        place = jax.random.uniform(start_key, maxval=1.5 * (len(WAY) - 1))
+        back = place > len(WAY) - 1
+        place = jnp.where(back, 2 * (len(WAY) - 1) - place, place)
+        rows, way = jnp.arange(len(WAY)), jnp.asarray(WAY, jnp.float32)
+        out = jnp.interp(place, rows, jnp.asarray(WAY_OUT, jnp.float32))
+        arm = jnp.stack([jnp.interp(place, rows, joint) for joint in way.T])
+        pose = self.pose.draw(pose_key)
+        # Who is near has less room.
+        noise = (pose - self.pose.angle)[self._robot] * jnp.maximum(out, 0.0) / WAY_OUT[0]
+        pose = pose.at[self._robot].set(arm + noise)
+        inward = jnp.where(out < BEFORE, ENTERING, WAITING)
+        outward = jnp.where(out < -SHALLOW, TAKING, jnp.where(out < GONE, LEAVING, WAITING))
+        stage = jnp.where(back, outward, inward).astype(jnp.int32)
+        pose = pose.at[self._jaw].set(jnp.where(stage == WAITING, 0.0, OPENED))
+        zero = jnp.zeros((), jnp.int32)
+        return pose, FeedState(
+            bites=zero,
+            stage=stage,
+            held=zero,
+            shut=jnp.ones((), bool),
+            drift=jnp.zeros(3, jnp.float32),
+            bitten=jnp.zeros((), jnp.float32),
+            left=jnp.full((), jnp.nan, jnp.float32),
+            earned=jnp.zeros((), jnp.float32),
+            violated=jnp.zeros((), bool),
+            likes=wishes(params, likes_key),
+        )
+
+    def targets(self, task_state: FeedState, readings: MouthReadings) -> dict[str, jax.Array]:
+        """See `Task.targets`: the way into the mouth."""
+        way = [readings.mouth_position + out * readings.forward for out in (GONE, -INSIDE)]
+        return {"mouth": jnp.stack(way, axis=1)}
+
+    def transition(
+        self, task_state: FeedState, readings: MouthReadings
+    ) -> tuple[FeedState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """See `Task.transition`; the goal holds after three bites.
+
+        If none of the episode's contacts was hard.
+        """
+        s, r = task_state, readings
+        out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
+        drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
+        speed, bitten = jnp.linalg.norm(drift, axis=-1), s.bitten + SMOOTH * (r.bite - s.bitten)
+        shut = s.shut | (r.jaw < SHUT)
+        held, done = self._done(s, r, out, aside, speed, bitten, shut)
+        spilt = (r.level < SPILT) & (s.stage < LEAVING)
+        passed = [done & (s.stage == stage) & ~spilt for stage in range(FULL)]
+        stage, bites = self._next(s, done, spilt)
+        changed = stage != s.stage
+        left = _left(s.stage, r, out, aside)
+        first = jnp.isnan(s.left)
+        pay = {
+            "open": passed[WAITING] * _well(bump(jnp.maximum(out, 0.0), s.likes.wait) ** 2),
+            "serve": passed[ENTERING] * _well(jnp.exp(-(((out + s.likes.depth) / WIDE) ** 2))),
+            "take": passed[TAKING].astype(jnp.float32),
+            "leave": passed[LEAVING].astype(jnp.float32),
+        }
+        pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
+        pay["hold"] = (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE)
+        earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
+        terms = (
+            pay
+            | {
+                "level": -jnp.clip((1.0 - r.level) / (1.0 - SPILT), 0.0, 1.0),
+                "spill": spilt * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
+            }
+            | costs(r)
+        )
+        violated = s.violated | r.hurt
+        state = FeedState(
+            bites=bites,
+            stage=stage,
+            held=jnp.where(changed, 0, held),
+            shut=jnp.where(passed[LEAVING] | spilt, False, shut),
+            drift=drift,
+            bitten=bitten,
+            left=jnp.where(changed, jnp.nan, left),
+            earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
+            violated=violated,
+            likes=s.likes,
+        )
+        obs = self._observed(state, r, speed)
+        success = (bites >= ASKED) & ~violated
+        return state, obs, terms, touch_measures(r, jnp.abs(out) + aside, success, violated)
+
+    def _done(
+        self,
+        s: FeedState,
+        r: MouthReadings,
+        out: jax.Array,
+        aside: jax.Array,
+        speed: jax.Array,
+        bitten: jax.Array,
+        shut: jax.Array,
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the steps [N] that the stage's condition held, and whether the stage is done."""
+        before = (out > BEFORE) & (out < FARTHEST) & (aside < BESIDE) & (speed < SLOWLY)
+        opened = shut & before & (r.jaw > HALF)
+        there = (out < -SHALLOW) & (out > -DEEP) & (aside < ASIDE) & (r.level > LEVEL)
+        served = there & (r.jaw > HALF) & (speed < STILL)
+        taken = (bitten > SOFTEST) & (bitten < HARDEST) & (out < 0.0) & (r.jaw < CLOSING)
+        holds = jnp.where(s.stage == ENTERING, served, (s.stage == TAKING) & taken)
+        held = jnp.where(holds, s.held + 1, jnp.maximum(s.held - 1, 0))
+        done = jnp.stack([opened, held >= SERVE, held >= BITE, out > GONE, jnp.zeros_like(shut)])
+        return held, done[s.stage, jnp.arange(out.shape[0])]
+
+    def _next(self, s: FeedState, done: jax.Array, spilt: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the stage and the bites after this step [N]."""
+        bites = s.bites + (done & (s.stage == LEAVING))
+        again = jnp.where(bites >= MEAL, FULL, WAITING)
+        stage = jnp.where(done, jnp.where(s.stage == LEAVING, again, s.stage + 1), s.stage)
+        return jnp.where(spilt, WAITING, stage).astype(jnp.int32), bites.astype(jnp.int32)
+
+    def _observed(
+        self, state: FeedState, r: MouthReadings, speed: jax.Array
+    ) -> dict[str, jax.Array]:
+        """Return what the seats observe after a step."""
+        goal = (
+            r.bowl * 10.0,
+            r.up,
+            r.jaw[:, None] / OPEN,
+            jax.nn.one_hot(state.stage, FULL + 1),
+            state.shut[:, None].astype(jnp.float32),
+            state.held[:, None] / SERVE,
+            state.bites[:, None] / MEAL,
+            r.force[:, None] / 10.0,
+            state.bitten[:, None] / HARDEST,
+            speed[:, None] * 10.0,
+        )
+        obs = observations(r, *goal, body=(r.mouth_position, r.forward))
+        return with_preference(obs, state.likes.observed(self.name), self._told)
+
+
+def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) -> jax.Array:
+    """Return what is left of each stage's way [N], m; a mouth that shuts too early counts too."""
+    inside = jnp.linalg.norm(r.bowl + jnp.array([INSIDE, 0.0, 0.0])[None], axis=-1)
+    far = jnp.maximum(jnp.linalg.norm(r.bowl, axis=-1), OUTSIDE) + aside
+    ways = jnp.stack(
+        [
+            far,
+            inside + JAW_WAY * jnp.maximum(OPENED - r.jaw, 0.0),
+            inside + JAW_WAY * jnp.maximum(r.jaw - SHUT, 0.0),
+            jnp.maximum(GONE - out, 0.0),
+            jnp.zeros_like(out),
+        ]
+    )
+    return ways[stage, jnp.arange(out.shape[0])]
+
+
+def _well(liked: jax.Array) -> jax.Array:
+    return WHATEVER + (1.0 - WHATEVER) * liked

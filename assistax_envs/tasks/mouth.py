@@ -1,0 +1,72 @@
+"""Readings of a scene of care at the mouth: where it is, how far open, what the lips close on."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.models.care_scenes import LIPS, MOUTH, SKULL, SKULL_SIZE
+from assistax_envs.physics.base import felt_sensors
+from assistax_envs.tasks.base import Pose, human_joints, rotate
+from assistax_envs.tasks.gentle_base import TouchReadings, TouchSensors
+from assistax_envs.tasks.gentle_rules import Rules
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class MouthReadings(TouchReadings):
+    """Readings of the mouth; its axis points out of it."""
+
+    mouth_position: jax.Array  # [N, 3] m, between the lips
+    mouth_orientation: jax.Array  # [N, 4] of the head, x forward, z up
+    forward: jax.Array  # [N, 3] the mouth's axis
+    bowl: jax.Array  # [N, 3] m, the tool in the mouth's frame: how far out, to the left, above
+    up: jax.Array  # [N, 3] the way out of the bowl, in the world
+    level: jax.Array  # [N] cosine of the bowl's tilt
+    jaw: jax.Array  # [N] rad
+    bite: jax.Array  # [N] N, the greater of the two lips' forces on the tool
+
+
+class MouthSensors(TouchSensors):
+    """Reads such a scene."""
+
+    def __init__(self, model: mujoco.MjModel, pose: Pose, rules: Rules) -> None:
+        super().__init__(model, pose, rules)
+        first = {
+            field: int(model.sensor(f"human_mouth_{field}").adr[0])
+            for field in ("position", "orientation")
+        }
+        self._position = first["position"] + np.arange(3)
+        self._turn = first["orientation"] + np.arange(4)
+        names = [model.sensor(index).name for index in felt_sensors(model)]
+        lips = np.stack([self._touch[names.index(f"force-{lip}")] for lip in LIPS])
+        self._lips = lips[:, :3]  # forces come before frames
+        self._jaw = human_joints(model).index("human_jaw")
+
+    def read(self, values: jax.Array) -> MouthReadings:
+        """Split `values` [N, nsensordata] into readings; quaternions have w >= 0."""
+        base = super().read(values)
+        mouth, turn = values[:, self._position], values[:, self._turn]
+
+        def axis(quaternion: jax.Array, which: int) -> jax.Array:
+            return rotate(quaternion, jnp.broadcast_to(jnp.eye(3)[which], mouth.shape))
+
+        up = axis(base.tool_orientation, 0)
+        conjugate = turn * jnp.array([1.0, -1.0, -1.0, -1.0])[None]
+        skull = jnp.broadcast_to(jnp.array(np.subtract(SKULL, MOUTH), jnp.float32), mouth.shape)
+        centre = mouth + rotate(turn, skull)
+        fields = {f.name: getattr(base, f.name) for f in dataclasses.fields(TouchReadings)}
+        fields["face"] = jnp.linalg.norm(base.tool_position - centre, axis=-1) - SKULL_SIZE
+        return MouthReadings(
+            **fields,
+            mouth_position=mouth,
+            mouth_orientation=turn,
+            forward=axis(turn, 0),
+            bowl=rotate(conjugate, base.tool_position - mouth),
+            up=up,
+            level=up[:, 2],
+            jaw=base.human_position[:, self._jaw],
+            bite=jnp.linalg.norm(values[:, self._lips], axis=-1).max(axis=1),
+        )
