@@ -101,12 +101,10 @@ class Env:
         self._rest = self._task.pose.angle[[joint.qposadr[0] for joint in stiff]]
         self.term_names: tuple[str, ...] = tuple(self._task.weights)
         self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
-        shapes = jax.eval_shape(
-            self.reset, jax.random.split(jax.random.key(0), 1), disability_params(["d1"])
-        )
-        self.observation_size: dict[str, int] = {
-            name: obs.shape[-1] for name, obs in shapes.obs.items()
-        }
+        keys = jax.random.split(jax.random.key(0), 1)
+        shapes = jax.eval_shape(self.reset, keys, disability_params(["d1"]))
+        sizes = {name: obs.shape[-1] for name, obs in shapes.obs.items()}
+        self.observation_size: dict[str, int] = sizes
         _check_terms(self._task, shapes.terms)
 
     def reset(self, keys: jax.Array, params: EnvParams) -> EnvState:

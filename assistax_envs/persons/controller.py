@@ -176,8 +176,7 @@ class Controller:
         """Look for the posture that helps: first, and now and then in some tasks.
 
         In training only a few simulations begin an episode at any step, and searching for everybody
-        took 80% of a step of gentle scratch. So those who are due are searched for, `SEARCHED` at a
-        time: always as many, so that no posture depends on the size of a batch.
+        took 80% of a step of gentle scratch. Always `SEARCHED` at a time: sizes change no bit.
         """
         again = self.postures.help.again
         due = mind.age % again == 0 if again else mind.age == 0
