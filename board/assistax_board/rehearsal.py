@@ -28,7 +28,7 @@ from assistax_board.service import Service
 from assistax_board.store.backup import back_up
 from assistax_board.submitting import verify_revealed
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
-from assistax_envs.versions import GENTLE_TASKS
+from assistax_envs.preferences import preferences_of
 
 SEASON = "rehearsal"
 LIMIT_SECONDS = 1800.0  # for any one thing to happen
@@ -68,7 +68,7 @@ def rehearse(stage: Stage) -> Iterator[str]:
 
     count = train_hidden(stage)
     yield f"trained {count} hidden teams from a secret plan: {stage.private}"
-    if stage.task in GENTLE_TASKS:
+    if preferences_of(stage.task):
         add_persons(stage.private, stage.task, PERSONS)
         yield f"drew {PERSONS} hidden persons from a secret, beside them"
     service = open_service(stage.data, registry=stage.registry, backend=stage.backend)

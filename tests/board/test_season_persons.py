@@ -21,6 +21,8 @@ from assistax_board.rules.release_pack import add_persons, hidden_partners, pack
 from assistax_board.rules.scoring import GENTLE_COLUMNS, Work, decode_table, encode_table
 from assistax_board.service import Service
 from assistax_board.store import schema
+
+# What `submit --check` runs of a robot: no public name reaches it without a server.
 from assistax_board.submitting import _try_work
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.persons.rows import COUNT, drawn

@@ -82,6 +82,7 @@ def test_a_trunk_leans_by_six_centimetres_and_a_neck_turns_half_as_far_as_a_heal
 
 def test_a_disability_narrows_the_mouth_and_the_neck() -> None:
     env = environment(TASK, "native")
+    # The ranges that impairments leave.
     full, narrow = np.asarray(env._joint_range(disability_params(["d1", "d7"])))
     jaw = env.model.joint("human_jaw").id
     assert full[jaw].tolist() == [0.0, OPEN]
@@ -97,6 +98,7 @@ def test_where_bowl_mouth_and_face_are_is_what_mujoco_says() -> None:
         data.qpos[:] = rng.uniform(low, high)
         mujoco.mj_forward(model, data)
         values = jnp.asarray(data.sensordata[None], jnp.float32)
+        # Sensors of values that are made by hand.
         read = env._sensors.read(values)
         assert isinstance(read, MouthReadings)
         mouth, tool = data.site("human_mouth"), data.site("robot_end_effector")
@@ -118,11 +120,13 @@ class Table:
 
     def __init__(self, preference: str = "p5") -> None:
         self.env = environment(TASK, "native")
+        # The task itself, whose terms are compared.
         self.task: Any = self.env._task
         params = disability_params(["d1"], [preference])
         begun = compiled(TASK, "native")[0](jax.random.split(jax.random.key(0), 1), params)
         self.likes = PREFERENCES[preference]
         ranges = self.env._joint_range(params)
+        # Readings as the environment makes them, of a state that is set by hand.
         self._read = self.env._sensors.read(self.env._physics.forward(begun.physics, ranges))
         zero = jnp.zeros(1, jnp.int32)
         self.state: FeedState = dataclasses.replace(

@@ -77,6 +77,7 @@ def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
     action = script_of(task, model, 3, numbers)(obs)
     chain = Chain(model)
     linear, _ = chain.jacobian(obs[:, :7], obs[:, 14:17])
+    # The share of the chain that the script moves by; no public name has it.
     velocity = jnp.einsum("nij,nj->ni", linear, action / chain._share[None])
     unit = velocity / jnp.linalg.norm(velocity, axis=1, keepdims=True)
     assert float((unit * obs[:, NORMAL[task]]).sum(axis=1).min()) > 0.99

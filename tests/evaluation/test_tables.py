@@ -104,7 +104,7 @@ def test_two_descriptions_of_one_partner_are_refused():
         ),
         (
             lambda t: t.with_columns(pl.lit("left").alias("side")),
-            "side holds 'left'; allowed are 'train', 'test'",
+            "side holds 'left'; allowed are 'train', 'validation', 'test'",
         ),
         (
             lambda t: t.with_columns(pl.lit(None, pl.String).alias("partner")),

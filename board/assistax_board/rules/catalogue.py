@@ -73,12 +73,12 @@ class ZooCatalogue:
 
         from assistax_envs.persons.rows import PROGRAM_VERSION
         from assistax_envs.preferences import preferences_of
-        from assistax_envs.versions import GENTLE_TASKS, engine
+        from assistax_envs.versions import engine
         from evaluation.play.jobs import EVALUATOR_VERSION
 
         wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
         optional: dict[str, Any] = {"preferences": list(wishes)} if wishes else {}
-        if task in GENTLE_TASKS:
+        if preferences_of(task):
             optional["persons"] = PROGRAM_VERSION  # whom a season may hide
         return optional | {
             "task": task,
