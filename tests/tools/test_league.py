@@ -12,6 +12,7 @@ from evaluation.record.record import Record
 from tests import untrained
 from tools.league.__main__ import run
 from tools.league.rows import named, rows
+from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
@@ -133,6 +134,26 @@ seeds = 4
     assert pl.read_csv(out / "contrasts.csv")["method"].to_list() == ["gru"]
     assert pl.read_csv(out / "rows.csv")["device_minutes_in_all"].null_count() == 0
     assert pl.read_csv(out / "scratch-validation.csv").height == 2 * 4 * 2
+
+
+@pytest.mark.slow
+def test_a_told_best_response_of_a_gentle_task(
+    tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Robots observe what the human likes, so another environment trains and plays them."""
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
+    monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
+    split = create_split(task="gentle_scratch", rule="three-sides")
+    words = ["row", "told-best-response", "gentle_scratch", "--split", split.id, "--seeds", "1"]
+    fused = ["fused" if word == "native" else word for word in TINY]
+    assert run([*words, "--out", str(tmp_path / "league"), *fused]) == 0
+    record = json.loads(capfd.readouterr().out)
+    assert record["robots"] == 2 and record["total_steps"] == 2 * 480
+    row = tmp_path / "league" / "gentle_scratch" / "told-best-response"
+    assert len(_partners(row)) == 2 and set(_partners(row)) < set(split.test)
+    [seen] = {read_policy_file(path)[0].observation_size for path in record["robot_files"].values()}
+    own = load_registry().policy(f"{split.train[0]}/robot").spec.observation_size
+    assert seen > own
 
 
 def _partners(folder: Path) -> list[str]:
