@@ -1,5 +1,6 @@
 """Scripts of the gentle tasks: by the numbers of version 3, and as they were before."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,6 +64,16 @@ def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     np.testing.assert_array_equal(
         script_of(task, model, 3)(obs), script_of(task, model, 3, own)(obs)
     )
+
+
+@pytest.mark.parametrize("task", RANGES)
+def test_a_search_tries_numbers_side_by_side(task: str) -> None:
+    model, obs = build_model(task), _seen(task, 16)
+    ends = {name: jnp.array(between, jnp.float32) for name, between in RANGES[task].items()}
+    both = jax.vmap(lambda numbers: script_of(task, model, 3, numbers)(obs))(ends)
+    for place in range(2):
+        one = {name: float(values[place]) for name, values in ends.items()}
+        np.testing.assert_allclose(both[place], script_of(task, model, 3, one)(obs), atol=1e-4)
 
 
 @pytest.mark.parametrize("task", NORMAL)
