@@ -66,8 +66,8 @@ class Chain:
         obs: jax.Array,
         velocity: jax.Array,
         shaft: jax.Array,
-        turn: float = TURN,
-        damping: float = 1e-4,
+        turn: float | jax.Array = TURN,
+        damping: float | jax.Array = 1e-4,
         upright: bool = False,
     ) -> jax.Array:
         """Return actions [N, 7] that move and turn the tool.
@@ -172,7 +172,7 @@ SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
 }
 
 
-def capped(vector: jax.Array, most: float) -> jax.Array:
+def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:
     """Return vectors [N, 3], none longer than `most`."""
     length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
     return vector * jnp.minimum(1.0, most / jnp.maximum(length, 1e-9))

@@ -1,5 +1,6 @@
 """Scripts of the gentle tasks: by the numbers of version 3, and as they were before."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -65,6 +66,16 @@ def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     )
 
 
+@pytest.mark.parametrize("task", RANGES)
+def test_a_search_tries_numbers_side_by_side(task: str) -> None:
+    model, obs = build_model(task), _seen(task, 16)
+    ends = {name: jnp.array(between, jnp.float32) for name, between in RANGES[task].items()}
+    both = jax.vmap(lambda numbers: script_of(task, model, 3, numbers)(obs))(ends)
+    for place in range(2):
+        one = {name: float(values[place]) for name, values in ends.items()}
+        np.testing.assert_allclose(both[place], script_of(task, model, 3, one)(obs), atol=1e-4)
+
+
 @pytest.mark.parametrize("task", NORMAL)
 def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
     """Along the skin's normal, whatever else it was about to do."""
@@ -75,12 +86,11 @@ def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
     angles = jnp.array([0.0, 0.4, 0.0, -1.5, 0.0, 1.8, 0.0])
     obs = obs.at[:, :7].set(angles).at[:, 14:17].set(_tool(model, angles))
     action = script_of(task, model, 3, numbers)(obs)
-    chain = Chain(model)
-    linear, _ = chain.jacobian(obs[:, :7], obs[:, 14:17])
-    # The share of the chain that the script moves by; no public name has it.
-    velocity = jnp.einsum("nij,nj->ni", linear, action / chain._share[None])
-    unit = velocity / jnp.linalg.norm(velocity, axis=1, keepdims=True)
-    assert float((unit * obs[:, NORMAL[task]]).sum(axis=1).min()) > 0.99
+    normal = obs[:, NORMAL[task]]
+    lifted = Chain(model).drive(obs, 0.1 * normal, normal, turn=0.0, damping=1e-5)
+    np.testing.assert_allclose(action, lifted, atol=1e-5)
+    lighter = script_of(task, model, 3, numbers | {"stop": 50.0})(obs)
+    assert float(jnp.abs(lighter - lifted).max()) > 1e-2
 
 
 def _tool(model, angles) -> np.ndarray:
