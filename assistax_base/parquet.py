@@ -57,6 +57,11 @@ def read_parquet(path: Path) -> pl.DataFrame:
     return table
 
 
+def read_metadata(path: Path) -> dict[str, str]:
+    """Return what a Parquet file says of itself, by key; see `check_readable` first."""
+    return pl.read_parquet_metadata(path.absolute())  # read_parquet says why absolute
+
+
 def write_parquet(table: pl.DataFrame, path: Path, **options: Any) -> None:
     """Write a table, whole or not at all; `options` are those of Polars' method of this name."""
     with atomic_path(path) as temporary:

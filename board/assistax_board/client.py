@@ -49,6 +49,9 @@ class Client:
                 response = self._http.request(method, path, headers=headers, **options)
                 # Too many readers at one address: who only looks can look later.
                 later = response.status_code == 429 and method == "GET"
+                # A server that stops ends what is under way so; its own errors are JSON.
+                is_text = response.headers.get("content-type", "").startswith("text/plain")
+                later |= response.status_code == 500 and is_text
                 if response.status_code not in _AGAIN and not later:
                     return _checked(response)
                 error = f"it answered {response.status_code}"

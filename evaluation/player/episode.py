@@ -16,7 +16,7 @@ import polars as pl
 from assistax_base.bounded_reading import parse_json
 from assistax_base.errors import printable, shorten
 from assistax_base.files import METADATA_KEY
-from assistax_base.parquet import check_readable, check_size, read_parquet
+from assistax_base.parquet import check_readable, check_size, read_metadata, read_parquet
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.env import EPISODE_LENGTH
 from assistax_envs.overlay import LEVELS, MEANINGS
@@ -158,7 +158,7 @@ class _UnplayableError(Exception):
 
 def _about(path: Path) -> dict[str, Any]:
     """Return who plays what, from the file's metadata."""
-    text = pl.read_parquet_metadata(path.absolute()).get(METADATA_KEY, "")
+    text = read_metadata(path).get(METADATA_KEY, "")
     try:
         about = parse_json(text if len(text) <= LARGEST_ABOUT else "")
         robot, person = (str(about[role]["policy"]) for role in ("robot", "human"))

@@ -165,6 +165,7 @@ def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
             image=_embedded(league_chart(table, league.context.task)),
             rows=table.rows(named=True),
             contrasts=contrasts,
+            episodes=(),
             run=None,
             identity=None,
             hashes=hashes | files,

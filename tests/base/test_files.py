@@ -51,7 +51,7 @@ def test_a_disk_that_is_full_names_the_file(tmp_path: Path) -> None:
 
 
 def test_a_device_is_not_replaced() -> None:
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="not a regular file"):
         atomic_write(Path(os.devnull), b"")
     assert not Path(os.devnull).is_file()
 

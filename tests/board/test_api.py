@@ -5,7 +5,9 @@ import json
 import logging
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import httpx2
 import pytest
 from starlette.testclient import TestClient
 
@@ -13,6 +15,7 @@ from assistax_board.api.guards import MAX_BODY
 from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.commands import submitting as commands
+from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
@@ -296,3 +299,15 @@ def test_the_command_prints_limits_and_hands_nothing_in(
     commands.submit(task=TASK, limits=True, json=True)
     assert json.loads(capsys.readouterr().out) == client.limits()
     assert service.queries.submissions() == []
+
+
+def test_a_client_asks_again_where_a_stopping_server_cut_it_off() -> None:
+    """uvicorn's own 500 is text: the request names itself, so the next server may take it."""
+    text = httpx2.Response(500, text="Internal Server Error")
+    ours = httpx2.Response(500, json={"error": {"code": "unexpected", "message": "broke"}})
+    answers = [text, httpx2.Response(200, json={"id": "a"}), ours]
+    transport = SimpleNamespace(request=lambda *_, **__: answers.pop(0))
+    client = Client("", transport=transport)
+    assert client.submit(b"robot 1.0") == {"id": "a"}
+    with pytest.raises(Problem, match="broke"):
+        client.about()

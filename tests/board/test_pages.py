@@ -178,16 +178,16 @@ def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None
 def test_a_submission_tells_its_place_in_the_queue(
     client: TestClient, addresses: list[str]
 ) -> None:
-    text = client.get(addresses[11]).text
+    text = client.get(addresses[12]).text
     assert "number 1 in the queue" in text
     assert "data-live" in text
 
 
 def test_a_receipt_can_be_downloaded(client: TestClient, addresses: list[str]) -> None:
-    answer = client.get(f"{addresses[10]}/receipt.json")
+    answer = client.get(f"{addresses[11]}/receipt.json")
     assert answer.headers["content-disposition"].startswith("attachment")
     assert set(answer.json()) == {"content", "signature"}
-    assert client.get(f"{addresses[11]}/receipt.json").status_code == 404
+    assert client.get(f"{addresses[12]}/receipt.json").status_code == 404
 
 
 def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:

@@ -283,7 +283,7 @@ def test_train_stays_a_command_of_its_own(capsys):
     assert run(["train", "population", "--out", "x"]) == 2
     assert capsys.readouterr().err.endswith("try: assistax-zoo train population --help\n")
     assert run(["train", "--help"]) == 0
-    assert "population  Train and publish what is missing of a plan" in " ".join(
+    assert "population  Train and publish the missing teams of a plan" in " ".join(
         capsys.readouterr().out.split(" │")
     )
     assert run(["train", "population", "--help"]) == 0

@@ -154,7 +154,7 @@ def test_unknown_ids_name_the_nearest(registry: Registry) -> None:
             lambda d: d["releases"]["v0"]["splits"].update(scratch="scratch/half-s0-v0-00000000"),
             "is not among",
         ),
-        (lambda d: d["splits"].append(d["splits"][0]), "stands twice"),
+        (lambda d: d["splits"].append(d["splits"][0]), "occurs twice"),
         (
             lambda d: d["releases"]["v0"].update(splits={"bed_bath": d["splits"][0]["id"]}),
             "a split of",

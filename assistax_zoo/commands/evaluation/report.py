@@ -15,7 +15,6 @@ from assistax_zoo.shell.console import (
     progress,
     stdout_is_data,
 )
-from evaluation.record.columns import SIDES
 
 RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that its page plays
 
@@ -53,6 +52,8 @@ def compare(
         )
     a, b = folders
     comparison = compare_results(a, b, seed=seed)
+    from evaluation.record.columns import SIDES
+
     sides = [(side, getattr(comparison, side)) for side in SIDES]
     answer(
         json,

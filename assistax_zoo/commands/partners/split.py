@@ -7,7 +7,6 @@ from assistax_base.errors import ZooError, counted
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
-from evaluation.record.columns import SIDES
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
 from zoo.splitting.create import create_split, partner_teams
@@ -208,4 +207,6 @@ def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
 def _brief(split: Split) -> dict[str, Any]:
     exclude = {"train", "validation", "test", "preferences"}
     content = split.model_dump(mode="json", exclude=exclude, exclude_none=True)
-    return content | {f"n_{side}": len(getattr(split, side)) for side in SIDES}
+    return content | {
+        f"n_{side}": len(getattr(split, side)) for side in ("train", "validation", "test")
+    }

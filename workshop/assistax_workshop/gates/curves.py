@@ -52,7 +52,10 @@ def draw_curves(curves: Path, out: Path) -> None:
             _fit(axes)
         row[0].set_ylabel(task, fontsize=9, weight="bold")
         for axes in row:
-            ends = {str(line.get_label()): line.get_xydata()[-1] for line in axes.lines}
+            ends = {
+                str(line.get_label()): (line.get_xdata()[-1], line.get_ydata()[-1])
+                for line in axes.lines
+            }
             colours = {str(line.get_label()): str(line.get_color()) for line in axes.lines}
             style.label_ends(axes, ends, colours)
     for axes in grid[-1]:
