@@ -391,7 +391,7 @@ def test_lines_are_the_saved_tables():
     )
     axes = axes_by_label(learning_curves(curves, title="t", caption="n"))["lines"]
     assert len(axes.collections) == 1
-    assert axes.get_legend().get_texts()[0].get_text() == "d1"
+    assert [(text.get_text(), text.xy) for text in axes.texts] == [("d1", (1e6, 5.0))]
 
 
 LONG = "IQM of the training return over seeds and its 95% interval. " * 4
