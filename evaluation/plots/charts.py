@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
 from assistax_base.errors import counted
 from evaluation.cast.met_partners import UNKNOWN
@@ -162,12 +162,11 @@ def _label_falls(
 ) -> None:
     """Write each profile's name where it falls through a share of its own: all end at 0."""
     shares = np.linspace(0.85, 0.15, len(profiles)) if len(profiles) > 1 else [0.5]
-    behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
     best_last = sorted(profiles, key=lambda name: -profiles[name]["share"].sum())
     for name, share in zip(best_last, shares, strict=True):
         table = profiles[name]
         place = float(table["threshold"][int((table["share"] >= share).sum()) - 1])
-        font: Any = {"fontsize": style.END, "color": colours[name], "bbox": behind}
+        font: Any = {"fontsize": style.END, "color": colours[name], "bbox": style.BEHIND}
         offset: Any = {"textcoords": "offset points", "va": "center"}
         axes.annotate(style.spelled(name), (place, share), (7.0, 0.0), **offset, **font)
 
@@ -209,7 +208,8 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     title = "Open loop: environment steps per second"
     tasks = sorted(set(measured["task"]))
     kinds = sorted(set(measured.select("backend", "device").rows()))
-    palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
+    pale = style.ALGORITHMS["isac"]  # well seen in a strip, as a thin line it is not
+    palette = [c for c in dict.fromkeys((*style.ALGORITHMS.values(), *style.OTHERS)) if c != pale]
     colours = {f"{b},\n{d}": palette[i % len(palette)] for i, (b, d) in enumerate(kinds)}
     room = style.room_for(colours)
     figure, axes = _lines(title, caption, "simulations in the batch", width, 0.25, room)
@@ -229,7 +229,7 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     axes.set_yscale("log")
     axes.set_ylabel("environment steps / s", fontsize=9)
     _whole_decades(axes, measured["env_steps_per_second"])
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.tick_params(axis="x", labelsize=7)
     axes.yaxis.set_major_formatter(EngFormatter(sep=""))
     style.label_ends(axes, ends, colours)

@@ -35,6 +35,7 @@ UNKNOWN = "#c8c8c8"  # a policy from outside the zoo
 COLOUR_MAP = "viridis"
 WORDS = "words"  # the id of texts around a figure, which a bare one lacks
 END = 7.5  # points of the letters of a line's name at its end
+BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}  # of a name
 _CAPTION_LINE, _MARGIN = 0.14, 0.04  # inches
 # One colour for an algorithm in all figures and reports; an ego has its algorithm's. Algorithms and
 # settings stand side by side in strips: all of these were chosen together, by a search for the
@@ -124,6 +125,7 @@ def label_ends(
             fontsize=END,
             color=colours[name],
             annotation_clip=False,
+            bbox=BEHIND,
         )
 
 

@@ -391,7 +391,7 @@ def test_lines_are_the_saved_tables():
     )
     axes = axes_by_label(learning_curves(curves, title="t", caption="n"))["lines"]
     assert len(axes.collections) == 1
-    assert "d1" in [text.get_text() for text in axes.texts]  # named at the line's end
+    assert [(text.get_text(), text.xy) for text in axes.texts] == [("d1", (1e6, 5.0))]
 
 
 LONG = "IQM of the training return over seeds and its 95% interval. " * 4
@@ -478,6 +478,28 @@ def test_speeds_lie_inside_their_axes_and_names_inside_the_figure():
     width, _ = figure.get_size_inches() * figure.dpi
     assert all(box.x0 > 0 and box.x1 < width for box in (legend, *words))
     assert legend.y1 < figure.texts[0].get_window_extent(renderer).y0  # below the title
+
+
+@pytest.mark.parametrize("width", [4.5, 7.0])
+def test_a_matrix_is_as_wide_as_is_asked_and_a_bare_one_has_no_title(tmp_path: Path, width: float):
+    pairs, order, figures = saved(teams(80), clusters=3)
+    figure = crossplay_heatmap(arrange(pairs, order), figures, width=width)
+    assert figure.get_size_inches()[0] == width
+    words = [text.get_text() for text in figure.texts]
+    for bare, name in ((False, "whole.svg"), (True, "bare.svg")):
+        content = style.save_figure(figure, tmp_path / name, bare=bare).get_size_inches()
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert content[0] == width and f'width="{width * 72:g}pt"' in text
+        assert ">IPPO</text>" in text or ">IPPO<" in text  # letters, not outlines of letters
+        assert all((word.split("\n")[0][:20] in text) != bare for word in words)
+
+
+def test_a_width_that_does_not_hold_the_figure_is_refused():
+    pairs, order, figures = saved(teams(8))
+    with pytest.raises(ValueError, match=r"width is 1 inches; allowed for this figure are \d"):
+        crossplay_heatmap(arrange(pairs, order), figures, width=1.0)
+    with pytest.raises(ValueError, match="width is 1 inches"):
+        zsc_dots(evaluations(), width=1.0)
 
 
 def test_saved_matrix_survives_its_files(tmp_path: Path):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 
 from assistax_envs.versions import GENTLE_TASKS
@@ -52,15 +53,17 @@ def draw_curves(curves: Path, out: Path) -> None:
             _fit(axes)
         row[0].set_ylabel(task, fontsize=9, weight="bold")
         for axes in row:
-            ends = {
-                str(line.get_label()): (line.get_xdata()[-1], line.get_ydata()[-1])
-                for line in axes.lines
-            }
+            ends = {str(line.get_label()): _end(line) for line in axes.lines}
             colours = {str(line.get_label()): str(line.get_color()) for line in axes.lines}
             style.label_ends(axes, ends, colours)
     for axes in grid[-1]:
         axes.set_xlabel("environment steps of one member", fontsize=8)
     style.save_figure(figure, out, dpi=110)
+
+
+def _end(line: Line2D) -> tuple[float, float]:
+    x, y = np.asarray(line.get_xydata(), float)[-1]
+    return float(x), float(y)
 
 
 def _draw(row: list[Axes], table: pl.DataFrame, algorithm: str) -> None:
