@@ -437,6 +437,4 @@ def test_devices_that_are_not_here_are_told_in_one_line(
     [line] = [line for line in done.stderr.splitlines() if not line.startswith("WARNING")]
     assert done.returncode == 1
     assert line.startswith(f"error: JAX has no device of JAX_PLATFORMS={platform}")
-    assert line.endswith(
-        "; unset JAX_PLATFORMS to use the devices of this machine, or set it to cpu"
-    )
+    assert line.endswith("; unset JAX_PLATFORMS to use this machine's devices, or set it to cpu")

@@ -157,12 +157,12 @@ def test_readme_and_start_run_in_the_core_alone(
     done = []
     for words in printed:
         if words not in done:  # README's are start's first
-            more = ("--steps", "50") if words[0] == "render" else ()
+            more = ("--steps", "50") if words[0] == "watch" else ()
             call(env, clone, str(core / "assistax-zoo"), *words, *more)
             done.append(words)
     answers = call(env, clone, str(core / "python"), "-c", example)
     assert answers.startswith("Estimate(mean=251.")
-    for name in ("ego.html", "mine.html", "episode.gif", "crossplay.png"):
+    for name in ("ego.html", "mine.html", "watch.html", "crossplay.png"):
         assert (tmp_path / "work" / name).stat().st_size > 500
 
 

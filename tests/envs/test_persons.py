@@ -338,5 +338,5 @@ def test_a_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
 def test_persons_help_and_can_be_told_apart_from_idle_ones() -> None:
     rows = persons("gentle_scratch")[:24]
     figures = {human: earned(episodes("gentle_scratch", rows, "script", human)) for human in HUMANS}
-    assert figures["person"]["return"] > 10.0 > figures["idle"]["return"]
+    assert figures["person"]["return"] > 100.0 > 5.0 * figures["idle"]["return"]
     assert figures["person"]["success"] > figures["idle"]["success"]

@@ -6,6 +6,8 @@ after another takes an advisory lock.
 """
 
 import contextlib
+import sqlite3
+import time
 import weakref
 from collections.abc import Generator
 from pathlib import Path
@@ -98,10 +100,23 @@ def alembic_config(url: sa.URL) -> Any:
 def _prepare_sqlite(connection: Any, _: Any) -> None:
     connection.isolation_level = None  # the driver must not begin transactions on its own
     cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")  # readers do not wait for the writer
+    _write_ahead(cursor)  # readers do not wait for the writer
     cursor.execute("PRAGMA synchronous=FULL")  # what was answered survives a power cut
     cursor.execute("PRAGMA foreign_keys=ON")
     cursor.close()
+
+
+def _write_ahead(cursor: Any) -> None:
+    """Choose the journal: SQLite waits for nobody there, and two servers may begin at once."""
+    end = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:
+            cursor.execute("PRAGMA journal_mode=WAL")
+            return
+        except sqlite3.OperationalError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.05)
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:
