@@ -30,7 +30,7 @@ def complete_release(registry_path: Path | str, release: str, default: bool = Tr
 
 def completed(data: RegistryFile, release: str, default: bool = True) -> RegistryFile:
     """Return the registry with the release's default splits; see `complete_release`."""
-    newest = max(data.release, *((release,) if default else ()), key=release_number)
+    newest = max(data.release, release if default else data.release, key=release_number)
     return _with_default_splits(data.model_copy(update={"release": newest}), release)
 
 
