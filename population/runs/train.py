@@ -326,7 +326,7 @@ def _provenance(
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}
-    told = {"told": True} if config.told else {}
+    told = {"told": config.told} if config.told else {}
     return (
         likes
         | told
