@@ -106,6 +106,10 @@ class Head:
         self._spring = np.array(model.jnt_stiffness[ids], np.float32).reshape(-1)
         rest = [model.qpos_spring[joint.qposadr[0]] for joint in joints]
         self._rest = np.array(rest, np.float32)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        dofs = [joint.dofadr[0] for joint in joints]
+        self._weight = np.array(data.qfrc_bias[dofs], np.float32)  # N m that hold head and jaw
         self._place, self._spared = index(task), SPARED[task]
 
     def initial(self, n: int) -> Mind:
@@ -328,6 +332,7 @@ class Head:
         share = 1.0 if self._muscle else LATE
         error = (1.0 - share) * (goal - now) + share * (goal - late[:, :JOINTS])
         torque = spring * (goal - jnp.asarray(self._rest)[None] + HELD * loud[:, None] * error)
+        torque = torque + jnp.asarray(self._weight)[None]
         activation = mind.activation
         if self._muscle:  # a muscle follows its command late
             constant = MUSCLE[0] + (MUSCLE[1] - MUSCLE[0]) * jnp.clip(
