@@ -3,8 +3,8 @@
 The same person as `controller`'s, with another body: its row has numbers of neck and jaw in place
 of an arm's. It opens for a spoon that waits where it likes, or shows the teeth that are to be
 brushed; it turns away from what comes too near too soon, goes too deep, presses too hard or rubs
-too fast, and leans towards what is too far or too light. Shapes: N simulations; joints are those of the seat:
-trunk, pitch, yaw and roll of the neck, jaw.
+too fast, and leans towards what is too far or too light. Shapes: N simulations; joints are those of
+the seat: trunk, pitch, yaw and roll of the neck, jaw.
 """
 
 import dataclasses
