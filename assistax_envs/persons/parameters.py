@@ -195,8 +195,8 @@ _OF_MOUTH = {
         "bite_onset", "N", 0.5, 4.0, "design", "of a touch, from where on the bite reflex acts"
     ),
     "stiffness": Parameter(
-        "stiffness", "1", 0.3, 2.0, "design: in half of the scene's springs",
-        "of the correction of neck and jaw",
+        "stiffness", "1", 0.3, 2.0, "design: 1 is half of the scene's springs",
+        "with which trunk, neck and jaw hold where they should be",
     ),
     "gravity": Parameter(
         "wander", "rad", 0.0, 0.08, "design", "how far the head wanders about where it should be"

@@ -25,7 +25,7 @@ from population.networks.members import member_map
 from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec, Role
-from population.networks.unrolled import unroll_critic, unroll_policy
+from population.networks.unrolled import unroll_both, unroll_critic
 from population.trainers import experience, gae, normaliser
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
@@ -298,14 +298,15 @@ class PPO(Trainer):
             actor = self.actor(role, member, networks)
             critic = self._critic_params(role, networks["critic"])
             actor_carry, critic_carry = carries[role]
-            policy = self.policies[role]
+            policy, valuer = self.policies[role], self.critics[role]
             if self.config.latent:
                 gaussian = policy.given(actor, part.obs, self.method.latent(networks, part))
+                _, value = unroll_critic(valuer, critic, critic_carry, part.critic_obs, part.first)
             else:
-                _, gaussian = unroll_policy(policy, actor, actor_carry, part.obs, part.first)
-            _, value = unroll_critic(
-                self.critics[role], critic, critic_carry, part.critic_obs, part.first
-            )
+                params, seen = (actor, critic), (part.obs, part.critic_obs)
+                gaussian, value = unroll_both(
+                    policy, valuer, params, carries[role], seen, part.first
+                )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
             own_loss, own = self.method.loss(networks, policy, actor, part, actor_carry)
             loss = loss + (role_loss + hyper["aux_coef"] * own_loss) / len(samples)

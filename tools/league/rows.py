@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from evaluation.ego_training import ROWS as TRAINED
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIXED,
@@ -12,13 +11,23 @@ from evaluation.figures.league import (
     PPO,
     RESPONSE,
     TOLD,
+    TOLD_MEMORY,
+    TOLD_PARTNER,
     TOLD_RESPONSE,
     ordered,
 )
+from population.config import Told
+from population.hyperparameters import METHODS
 
 # With whom robots train: the training side; the test side; one partner of the test side each; or
 # nobody, because the best published robot is taken, or the best of each four of another row.
 Source = Literal["train", "test", "each", "published", "best-of"]
+
+# What a method changes of the recipe that all rows of a task share.
+OWN: Mapping[str, Mapping[str, Any]] = {
+    # The student's part is the end of a run, where an annealed rate is next to nothing.
+    "rma": {"anneal_lr": False},
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +38,7 @@ class Row:
     source: Source
     algorithm: str = PPO
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    told: bool = False  # whether robots observe what the human likes
+    told: Told = False
 
     @property
     def of(self) -> str:
@@ -42,11 +51,13 @@ def rows() -> dict[str, Row]:
 
     Zero, random and script stand in every row's folder as references.
     """
-    methods = [Row(name, "train", *made) for name, made in TRAINED.items()]
+    methods = [Row(name, "train", name, OWN.get(name, {})) for name in (PPO, "sac", *METHODS)]
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),
         Row(TOLD, "train", told=True),
+        Row(TOLD_MEMORY, "train", "gru", told=True),
+        Row(TOLD_PARTNER, "train", told="partner"),
         Row(MIRROR, "test"),
         Row(RESPONSE, "each"),
         Row(TOLD_RESPONSE, "each", told=True),
