@@ -39,7 +39,7 @@ COLUMNS: dict[str, dict[str, slice]] = {
 }  # fmt: skip
 TOUCH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
 WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
-RIPE = 0.35  # of the logarithm of a spoon's distance, within which it waits as it is liked
+RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as it is liked
 SOON = 0.25  # s that a spoon has to wait at the liked place, beside the slow start
 DEEP = 1.6  # times the liked depth, from where on a bowl is too deep
 UNIT = 2.0  # N, of a spoon on the lips
@@ -210,7 +210,9 @@ class Head:
             unit, liked, speed = UNIT * one, 0.0 * one, one
             out = tool[:, 0]
             early = (place == WAITING) & (mind.willing < SOON + numbers["slow_start"])
-            waits = jnp.where(early, jnp.maximum(out, 1e-3) / numbers["liked_wait"], one)
+            # Squared: who has to wait 1.4 times as near or as far as it likes shows that.
+            waits = (jnp.maximum(out, 1e-3) / numbers["liked_wait"]) ** 2
+            waits = jnp.where(early, waits, one)
             deep = jnp.maximum(-out, 1e-4) / numbers["liked_depth"]
             near = jnp.where(out < 0.0, jnp.minimum(one, reaction.LIGHT * DEEP / deep), waits)
             near = jnp.where(place >= LEAVING, one, near)

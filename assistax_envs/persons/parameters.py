@@ -216,7 +216,7 @@ _OF_MOUTH = {
     ),
 }  # fmt: skip
 _FED = (
-    Parameter("liked_wait", "m", 0.04, 0.16, _PLACE, "of the spoon before the lips", 0.08, 0.5),
+    Parameter("liked_wait", "m", 0.04, 0.16, _PLACE, "of the spoon before the lips", 0.08, 0.8),
     Parameter("liked_depth", "m", 0.012, 0.028, _PLACE, "of the bowl behind the lips", 0.02, 0.3),
     Parameter(
         "tolerance", "1", 1.5, 5.0, "design: 5 N on average, in forces of 2 N",

@@ -20,6 +20,7 @@ from assistax_zoo.shell.main import run
 from population.config import TrainConfig, make_members
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
 from population.runs.folder import RunFolder
 from tests.envs.conftest import one_gentle_task
 from tests.evaluation.episode_tables import Team, episode_table, teams
@@ -207,9 +208,10 @@ def test_a_human_is_held_in_every_posture_of_its_seat(torques: int, count: int) 
     roster = audits.held_roster(4, torques)
     assert len(roster.ids) == count
     [stack] = roster.stacks
-    policy, seen = Policy(stack.spec), np.ones((count, 1, 4), np.float32)
+    assert isinstance(stack, PolicyStack)
+    policy, seen = Policy(stack.spec), jnp.ones((count, 1, 4))
     carry = policy.initial_carry((count, 1))
-    _, acted = jax.vmap(policy.act)(stack.params, carry, seen, np.zeros((count, 1), bool))
+    _, acted = jax.vmap(policy.act)(stack.params, carry, seen, jnp.zeros((count, 1), bool))
     assert len({tuple(row) for row in np.asarray(acted)[:, 0].tolist()}) == count
 
 
