@@ -17,7 +17,7 @@ from population.networks.spec import ROLES
 if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
-WHO, HIDDEN, IMAGINED = "partner", "hidden", "imagined"  # names of these observations
+WHO, HIDDEN = "partner", "hidden"  # names of these observations
 _SETTING = ("strength", "elbow_range", "tremor")
 
 
@@ -76,9 +76,8 @@ class ToldNumbers(_Shown):
 class WithHidden(_Shown):
     """An environment that also shows who the partner is and what is hidden of it.
 
-    "partner" [N, 1] is its place among the partners; "imagined" [N, 1] is 1 where a model acts in
-    its place. "hidden" [N, W] is what it wishes, what its body can do and, of persons, their 25
-    numbers, standardised.
+    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
+    body can do and, of persons, their 25 numbers, standardised.
 
     Args:
         env: The environment.
@@ -92,7 +91,7 @@ class WithHidden(_Shown):
         self._wishes = len(WISHES.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
-        self.observation_size |= {WHO: 1, IMAGINED: 1, HIDDEN: width}
+        self.observation_size |= {WHO: 1, HIDDEN: width}
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)
@@ -101,9 +100,7 @@ class WithHidden(_Shown):
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])
-        shown = {WHO: who, IMAGINED: self._partners.imagined(len(who))}
-        shown = {name: value[:, None].astype(jnp.float32) for name, value in shown.items()}
-        shown[HIDDEN] = jnp.concatenate(parts, axis=-1)
+        shown = {WHO: who[:, None].astype(jnp.float32), HIDDEN: jnp.concatenate(parts, axis=-1)}
         return dataclasses.replace(state, obs={**state.obs, **shown})
 
 

@@ -12,11 +12,9 @@ from jaxtyping import Float
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
 from assistax_envs.persons.parameters import WIDTH
-from assistax_envs.tasks.base import HUMAN_ACTUATORS
+from assistax_envs.registered import REGISTERED
 from population.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
-
-ACTIONS = len(HUMAN_ACTUATORS)
 
 
 class FamiliesPlayer:
@@ -128,7 +126,7 @@ class DrawnPersons(FrozenPartners):
         members: int,
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
-        """Return new minds and actions [N, 3] of obs [N, O]."""
+        """Return new minds and actions [N, A] of obs [N, O]."""
         return self.player.act({"row": params[humans.person]}, carry, obs, first)
 
     def _of(self, places: jax.Array) -> EnvParams:
@@ -148,8 +146,9 @@ class IdlePersons(DrawnPersons):
         members: int,
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
-        """Return the carries and no torques [N, 3]."""
-        return carry, jnp.zeros((obs.shape[0], ACTIONS), obs.dtype)
+        """Return the carries and no torques [N, A]."""
+        actions = 5 if REGISTERED[self.player.controller.task].seat == "mouth" else 3
+        return carry, jnp.zeros((obs.shape[0], actions), obs.dtype)
 
 
 class OnePersonEach(DrawnPersons):
