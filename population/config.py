@@ -17,6 +17,8 @@ from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 MIXED = "mixed"
 
 Precision = Literal["float32", "float16"]
+# What robots observe that no robot may: nothing, what the human likes, or all numbers of a person.
+Told = bool | Literal["partner"]
 
 
 @validated
@@ -55,7 +57,7 @@ class TrainConfig:
     preferences: Many[str] = ()
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
     env_version: PositiveInt | None = None  # of the environment; the newest if not given
-    told: bool = False  # whether robots observe what the human likes, which no robot may
+    told: Told = False
 
     def __post_init__(self) -> None:
         if self.told and not (self.partners and self.task in WISHES):

@@ -18,6 +18,7 @@ from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
+from population.config import Told
 from population.networks.seat import Seat
 from population.networks.stack import stack_policies
 from population.networks.tensors import flatten, row_sha256
@@ -192,7 +193,13 @@ def _from_files(
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         version = registry.env_version(same[0]) if same else claimed_version(metadata)
         member = _of_file(name, Path(name), met, version)
-        yield dataclasses.replace(member, told=metadata.get("told") is True), spec, params
+        yield dataclasses.replace(member, told=_told(metadata)), spec, params
+
+
+def _told(metadata: Mapping[str, Any]) -> Told:
+    """Return what a file says that its robot observes and no robot may."""
+    told = metadata.get("told")
+    return "partner" if told == "partner" else told is True
 
 
 def _with_folders_as_spelled(pattern: str) -> str:

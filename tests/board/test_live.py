@@ -372,6 +372,20 @@ def test_a_live_robot_plays_one_job_after_another(tmp_path: Path) -> None:
     assert take(service).submission == id
 
 
+def test_an_upgrade_lets_a_live_robot_begin_anew(tmp_path: Path) -> None:
+    """What was played before is of another version, and no worker of that one comes any more."""
+    service = new_service(tmp_path)
+    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    places_of(service).take(id, "lab")
+    work = take(service)
+    service.give_back(work.job, work.lease)
+    upgraded = new_service(tmp_path, version=2)
+    assert upgraded.adopt_version() == 1
+    work = take(upgraded, version=2)
+    assert (work.submission, work.chunk) == (id, 0)
+    assert upgraded.adopt_version() == 0
+
+
 def test_several_workers_do_not_show(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()

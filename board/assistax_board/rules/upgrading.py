@@ -36,9 +36,10 @@ def adopt_version(service: "Service") -> int:
             stale = sa.select(schema.submissions).where(
                 SUBMISSION.task == task,
                 SUBMISSION.state.in_(("queued", "running", "scored")),
-                SUBMISSION.kind.in_(("file", "reference")),
-                (SUBMISSION.kind == "file")
-                | SUBMISSION.season.is_(None),  # a season's references play panel B alone
+                # A live robot that was scored is away: nobody can score it anew.
+                (SUBMISSION.kind != "live") | (SUBMISSION.state != "scored"),
+                # A season's references play panel B alone.
+                (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
                 SUBMISSION.id.not_in(planned),
             )
             for row in connection.execute(stale).mappings().all():
