@@ -7,6 +7,7 @@ not, and the reward of both depends on it.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 from assistax_envs.registered import REGISTERED
 
@@ -21,6 +22,7 @@ class Preference:
     place: float  # m, how far across the waist its arm should lie
     wait: float = 0.08  # m, how far before the lips a spoon should wait
     depth: float = 0.02  # m, how far behind the lips its bowl should come
+    press: float = 1.0  # N, of a brush on its teeth
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -34,6 +36,10 @@ DISTANCES = (0.1, 0.25, 0.6)  # m
 PLACES = (0.1, 0.2, 0.3)  # m
 WAITS = (0.04, 0.08, 0.16)  # m
 DEPTHS = (0.012, 0.02, 0.028)  # m
+PRESSES = (0.5, 1.0, 2.0)  # N
+# What robots are told that no robot may observe, for rows to compare with: nothing, what the human
+# likes, or all numbers of a person.
+Told = bool | Literal["partner"]
 # What of it matters in a task, and is observed there.
 WISHES: dict[str, tuple[str, ...]] = {
     name: task.wishes for name, task in REGISTERED.items() if task.wishes
@@ -45,11 +51,13 @@ VALUES = {
     "place": PLACES,
     "wait": WAITS,
     "depth": DEPTHS,
+    "press": PRESSES,
 }
 
 # Speed runs fastest: p2 is the lightest touch at the middle speed, p4 the middle touch at the
 # slowest. Two Latin squares, orthogonal to each other: of force, speed, distance and place any two
-# values meet once. A spoon's wait and depth are a force and a speed of the mouth: no task has both.
+# values meet once. A spoon's wait and depth are a force and a speed of the mouth, and a brush
+# presses less: no task has two of these.
 PREFERENCES: dict[str, Preference] = {
     f"p{1 + 3 * i + j}": Preference(
         force,
@@ -58,6 +66,7 @@ PREFERENCES: dict[str, Preference] = {
         PLACES[(i + 2 * j + 1) % 3],
         wait=WAITS[i],
         depth=DEPTHS[j],
+        press=PRESSES[i],
     )
     for i, force in enumerate(FORCES)
     for j, speed in enumerate(SPEEDS)

@@ -55,4 +55,13 @@ REGISTERED: dict[str, Registered] = {
         felt=True,
         seat="mouth",
     ),
+    "gentle_brushing": Registered(
+        "gentle_brushing:GentleBrushing",
+        1,
+        "brush",
+        "brush",
+        wishes=("press", "speed"),
+        felt=True,
+        seat="mouth",
+    ),
 }

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.files import atomic_write
+from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
-from population.hyperparameters import METHODS, TrainerConfig, robot_preset
+from population.hyperparameters import TrainerConfig, robot_preset
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
 from zoo.ids import PERSONS
@@ -22,11 +23,6 @@ if TYPE_CHECKING:
     from population.runs.train import Progress
     from population.trainers.frozen_partners import FrozenPartners
 
-# The rows of a league that `train-ego` trains, by name: the algorithm, and what differs from its
-# preset.
-ROWS: dict[str, tuple[str, dict[str, Any]]] = {
-    algorithm: (algorithm, {}) for algorithm in ("ppo", "sac", *METHODS)
-}
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
 
@@ -76,7 +72,7 @@ def prepare(
     preferences: Sequence[str] = (),
     checkpoint_every: int | None = None,
     updates_per_call: int | None = None,
-    told: bool = False,
+    told: Told = False,
 ) -> EgoTraining:
     """Return what is to be trained with the partners of a split's training half.
 
@@ -98,7 +94,7 @@ def prepare(
             the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched at once; default the algorithm's.
-        told: Whether robots observe what the human likes: a row to compare with.
+        told: What robots observe, for rows to compare with; "partner": all numbers of a person.
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.
@@ -231,12 +227,28 @@ def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -
 
 def load_persons(registry: Registry, split: Split) -> "FrozenPartners":
     """Return the persons of a split's training side, of whom each episode draws one."""
-    from assistax_envs.persons import PersonPlayer
     from population.trainers.drawn_persons import DrawnPersons
 
-    entries = registry.known(f"{team}/human" for team in split.train)
-    [stack] = load_stacks(registry, entries)  # the training side is of one family
-    return DrawnPersons(PersonPlayer(split.task), stack.params["row"], split.id)
+    return DrawnPersons(*_player_and_rows(registry, split), split.id)
+
+
+def each_person(registry: Registry, split: Split) -> "FrozenPartners":
+    """Return the persons of a split's training side, the first of them for the first member."""
+    from population.trainers.drawn_persons import OnePersonEach
+
+    return OnePersonEach(*_player_and_rows(registry, split), split.id)
+
+
+def _player_and_rows(registry: Registry, split: Split) -> tuple[Any, Any]:
+    """Return who acts for the persons of a split's training side, and their rows."""
+    from assistax_envs.persons import PersonPlayer
+    from population.trainers.drawn_persons import FamiliesPlayer
+
+    stacks = load_stacks(registry, registry.known(f"{team}/human" for team in split.train))
+    players = [PersonPlayer(split.task, stack.spec.family) for stack in stacks]
+    if len(players) == 1:
+        return players[0], stacks[0].params["row"]
+    return FamiliesPlayer(players), FamiliesPlayer.rows([stack.params["row"] for stack in stacks])
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
@@ -264,5 +276,5 @@ def ego_metadata(
         "split": training.split.id,
         "training": {"run": folder.resolve().name, **trained},
         **training.met.claim,
-        **({"told": True} if training.config.told else {}),
+        **({"told": training.config.told} if training.config.told else {}),
     }

@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from assistax_base.validated import Many, validated
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.preferences import WISHES, check_preferences
+from assistax_envs.preferences import WISHES, Told, check_preferences
 from assistax_envs.versions import TASKS
 from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 
@@ -55,7 +55,7 @@ class TrainConfig:
     preferences: Many[str] = ()
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
     env_version: PositiveInt | None = None  # of the environment; the newest if not given
-    told: bool = False  # whether robots observe what the human likes, which no robot may
+    told: Told = False
 
     def __post_init__(self) -> None:
         if self.told and not (self.partners and self.task in WISHES):

@@ -43,14 +43,14 @@ def _scene(task: str) -> mujoco.MjSpec:
     with resources.as_file(resources.files("assistax_envs.models")) as folder:
         scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
         tool = mujoco.MjSpec.from_file(str(folder / f"{REGISTERED[task].tool}.xml"))
-        at_mouth = REGISTERED[task].seat == "mouth"
+        at_mouth, teeth = REGISTERED[task].seat == "mouth", REGISTERED[task].tool == "brush"
         if at_mouth:
-            give_mouth(scene)
+            give_mouth(scene, teeth)
         scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
         for joint, angle in REST.get(base, {}).items():
             scene.joint(f"human_{joint}").springref = angle
         if at_mouth:
-            touch_mouth(scene)
+            touch_mouth(scene, teeth)
         if task in SCENES:
             soften(scene, task)
             return scene

@@ -47,16 +47,28 @@ STIFF_JOINTS = {
     "mouth": ("human_neck_pitch", "human_neck_yaw", "human_neck_roll", "human_jaw"),
 }
 LIPS = ("upper_lip", "lower_lip")
+# Rows of teeth by name: the side's ends in the plane of the teeth, x forward and y to the left.
+# Lips and cheeks of who has its teeth brushed give way: the brush does not touch them.
+ROWS = {
+    "right": ((0.054, -0.026), (0.075, -0.018)),
+    "front": ((0.078, -0.013), (0.078, 0.013)),
+    "left": ((0.075, 0.018), (0.054, 0.026)),
+}
+TOOTH_SIZE = 0.0045
+UPPER_TEETH, LOWER_TEETH = 0.145, 0.133  # height; with the jaw closed they are 3 mm apart
+TEETH = tuple(f"{jaw}_{side}_teeth" for jaw in ("upper", "lower") for side in ROWS)
 FACE = ("human_head", "human_upper_lip", "human_lower_lip", "human_chin", "human_throat")
 
 
-def give_mouth(scene: mujoco.MjSpec) -> None:
+def give_mouth(scene: mujoco.MjSpec, teeth: bool) -> None:
     """Give the person of the wheelchair's scene a head that turns and a mouth that opens.
 
-    In place, before a tool is attached.
+    In place, before a tool is attached; its teeth only where they are brushed.
     """
     _rest_arms(scene)
     _give_head(scene)
+    if teeth:
+        _give_teeth(scene)
     _give_seat(scene)
     base = scene.body("robot_link0").frame
     base.pos, base.alt.euler = ROBOT, [0.0, 0.0, FACING]
@@ -121,6 +133,20 @@ def _give_head(scene: mujoco.MjSpec) -> None:
         )  # fmt: skip
 
 
+def _give_teeth(scene: mujoco.MjSpec) -> None:
+    for body, jaw, height, origin in (
+        ("human_head", "upper", UPPER_TEETH, NECK),
+        ("human_jaw", "lower", LOWER_TEETH, JAW),
+    ):
+        for side, ends in ROWS.items():
+            places = [np.subtract((*end, height), origin) for end in ends]
+            scene.body(body).add_geom(
+                name=f"human_{jaw}_{side}_teeth", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=0.0,
+                size=[TOOTH_SIZE, 0, 0], fromto=np.concatenate(places), contype=0, conaffinity=0,
+                group=1, rgba=[0.93, 0.92, 0.86, 1],
+            )  # fmt: skip
+
+
 def _add(body: mujoco.MjsBody, name: str, pos: np.ndarray, size: float, mass: float = 0.0) -> None:
     body.add_geom(
         name=f"human_{name}", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=pos, size=[size, 0, 0],
@@ -160,23 +186,26 @@ def _give_seat(scene: mujoco.MjSpec) -> None:
             )  # fmt: skip
 
 
-def touch_mouth(scene: mujoco.MjSpec) -> None:
-    """Let the tool, attached, touch the face; what lips and bowl feel of each other is a bite."""
+def touch_mouth(scene: mujoco.MjSpec, teeth: bool) -> None:
+    """Let the tool, attached, touch the face; what teeth or lips feel of it is what it is for."""
     for sensor in list(scene.sensors):
         if sensor.name.startswith("force-"):
             scene.delete(sensor)
-    for lip in LIPS:
+    felt = TEETH if teeth else LIPS
+    for part in felt:
         scene.add_sensor(
-            name=f"force-{lip}", type=mujoco.mjtSensor.mjSENS_CONTACT,
+            name=f"force-{part}", type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="robot_tool",
-            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=f"human_{lip}",
+            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=f"human_{part}",
             intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 2, 1],
         )  # fmt: skip
     like = scene.pairs[0]
     known = {(pair.geomname1, pair.geomname2) for pair in scene.pairs}
+    brushed = ("human_head", *(f"human_{part}" for part in TEETH), "human_chin", "human_throat")
+    face = brushed if teeth else FACE
     for robot, parts in {
-        "robot_tool": FACE,
-        "robot_shaft": FACE[:4],
+        "robot_tool": face,
+        "robot_shaft": face[:-1],
         "robot_hand": ("human_head", "human_chin"),
     }.items():
         for part in parts:

@@ -13,6 +13,7 @@ SCENES: dict[str, str] = {  # gentle task -> the paper's task whose scene it sta
     "gentle_bath": "bed_bath",
     "gentle_lift": "arm_assist",
     "gentle_feeding": "scratch",
+    "gentle_brushing": "scratch",
 }
 # Of the robot's torque limits: what a collaborative robot is run at beside a person.
 ROBOT_SHARE = 0.3
@@ -21,6 +22,7 @@ HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques
     "gentle_bath": 0.5,
     "gentle_lift": 0.12,  # holds the forearm where it was brought to, and cannot bring it there
     "gentle_feeding": 1.0,  # of the torques of a trunk, a neck and a jaw that hold their posture
+    "gentle_brushing": 1.0,
 }
 # Of a disability these humans, who are weak already, are spared this share: a setting's 0.4 leaves
 # them 0.7 of their torques, or of the elbow's range. With 0.4 of the torques who lies on a bed

@@ -180,15 +180,76 @@ _NEAR = tuple(
     dataclasses.replace(number, low=-0.1, high=0.1) if number.name.startswith("belief") else number
     for number in _INTENTION
 )
-ARM_TASKS = (*PAPER_TASKS, *GENTLE_TASKS)  # persons move an arm, and no mouth yet
 _LIFT = (*_BODY, *_CONTROL, *_NEAR, *_CARRIED, *_REACTION)
+# Of the tasks at the mouth: what takes the place of numbers of an arm.
+_OF_MOUTH = {
+    "range": Parameter(
+        "range", "1", 0.4, 1.0, "d1 to d9 of the paper",
+        "share of the neck's and jaw's range, half of what is missing spared",
+    ),
+    "spasticity": Parameter(
+        "bite_reflex", "N m", 0.02, 0.2, "design: 2 N between the lips at most",
+        "torque of the jaw for a quarter of a second after a touch in the mouth", none=0.6,
+    ),
+    "catch_speed": Parameter(
+        "bite_onset", "N", 0.5, 4.0, "design", "of a touch, from where on the bite reflex acts"
+    ),
+    "stiffness": Parameter(
+        "stiffness", "1", 0.3, 2.0, "design: 1 is half of the scene's springs",
+        "with which trunk, neck and jaw hold where they should be",
+    ),
+    "gravity": Parameter(
+        "wander", "rad", 0.0, 0.08, "design", "how far the head wanders about where it should be"
+    ),
+    "initiative": Parameter(
+        "initiative", "1", 0.0, 1.0, "design", "how soon it opens or turns, from half as soon on"
+    ),
+    "belief_shoulder1": Parameter(
+        "belief_pitch", "rad", -0.08, 0.08, "design",
+        "how far from the posture that helps this person believes the neck should nod",
+    ),
+    "belief_shoulder2": Parameter(
+        "belief_yaw", "rad", -0.1, 0.1, "design", "likewise, how far it should turn"
+    ),
+    "belief_elbow": Parameter(
+        "belief_jaw", "rad", -0.08, 0.08, "design", "likewise, how far the jaw should open"
+    ),
+}  # fmt: skip
+_FED = (
+    Parameter("liked_wait", "m", 0.04, 0.16, _PLACE, "of the spoon before the lips", 0.08, 0.8),
+    Parameter("liked_depth", "m", 0.012, 0.028, _PLACE, "of the bowl behind the lips", 0.02, 0.3),
+    Parameter(
+        "tolerance", "1", 1.5, 5.0, "design: 5 N on average, in forces of 2 N",
+        "force that hurts, in forces of 2 N", 2.5, 0.3,
+    ),
+)  # fmt: skip
+_BRUSHED = (
+    Parameter("liked_press", "N", 0.5, 2.0, _PLACE, "of the brush on the teeth", 1.0, 0.5),
+    Parameter("liked_speed", "m/s", 0.02, 0.08, _PLACE, "of the brush over the teeth", 0.04, 0.5),
+    Parameter(
+        "tolerance", "1", 2.0, 8.0, "design: 4 N on average", "force that hurts, in liked forces",
+        4.0, 0.3,
+    ),
+)  # fmt: skip
+
+
+def _at_mouth(wishes: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    numbers = (*_BODY, *_CONTROL, *_INTENTION)
+    return (*(_OF_MOUTH.get(number.name, number) for number in numbers), *wishes, *_REACTION)
+
+
 # Task -> its parameters, in the order of a row.
 PARAMETERS: dict[str, tuple[Parameter, ...]] = {
-    task: _LIFT if task in ("gentle_lift", "arm_assist") else _SKIN for task in ARM_TASKS
+    **dict.fromkeys((*PAPER_TASKS, *GENTLE_TASKS), _SKIN),
+    "gentle_lift": _LIFT,
+    "arm_assist": _LIFT,
+    "gentle_feeding": _at_mouth(_FED),
+    "gentle_brushing": _at_mouth(_BRUSHED),
 }
+ARM_TASKS = tuple(task for task in PARAMETERS if REGISTERED[task].seat == "arm")
 WIDTH = len(_SKIN)  # numbers of a row
 FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
-SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in ARM_TASKS}
+SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in PARAMETERS}
 
 
 def index(task: str) -> dict[str, int]:

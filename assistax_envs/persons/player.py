@@ -10,8 +10,10 @@ import numpy as np
 
 from assistax_envs.humans import EnvParams
 from assistax_envs.models import build_model
-from assistax_envs.persons.controller import Controller, Mind
+from assistax_envs.persons.controller import Controller
+from assistax_envs.persons.head import Head
 from assistax_envs.persons.parameters import WIDTH, index
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import Liking
 
 # Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
@@ -25,17 +27,18 @@ class PersonPlayer:
     """All persons of a task and a family, in `population.networks.policy.Policy`'s form."""
 
     def __init__(self, task: str, family: str = "spring") -> None:
-        self.controller = Controller(task, build_model(task), family)
+        made = Head if REGISTERED[task].seat == "mouth" else Controller
+        self.controller: Any = made(task, build_model(task), family)
 
-    def initial_carry(self, batch_shape: tuple[int, ...]) -> Mind:
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
         """Return the carry before the first observation, leaves [*batch_shape, ...]."""
         mind = self.controller.initial(math.prod(batch_shape))
         return jax.tree.map(lambda leaf: leaf.reshape(*batch_shape, *leaf.shape[1:]), mind)
 
     def act(
-        self, params: Any, carry: Mind, obs: jax.Array, first: jax.Array
-    ) -> tuple[Mind, jax.Array]:
-        """Return the carry and the actions [..., 3] for observations [..., O].
+        self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        """Return the carry and the actions [..., 3], at the mouth 5, for observations [..., O].
 
         `params` holds "row", [25] of one person or [..., 25] of as many as there are observations:
         thousands of persons need no map.
@@ -57,8 +60,8 @@ class PersonPlayer:
         return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
 
     def act_stack(
-        self, params: Any, carry: Mind, obs: jax.Array, first: jax.Array
-    ) -> tuple[Mind, jax.Array]:
+        self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
         """Act for stacked persons, "row" [P, 25] and obs [P, R, O]: at once, without a map."""
         return self.act({"row": params["row"][:, None]}, carry, obs, first)
 

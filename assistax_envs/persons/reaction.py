@@ -1,6 +1,6 @@
 """What a person shows: discomfort, stiffening, withdrawal, leaning in. Two laws, one a family.
 
-This is what a robot can read with anybody. Shapes: N simulations; shifts [N, 3] rad are of the
+This is what a robot can read with anybody. Shapes: N simulations; shifts [N, J] rad are of the
 intended posture.
 """
 
@@ -30,7 +30,7 @@ class Felt:
     asks: jax.Array  # [N] N, a push that asks for help
     speed: jax.Array  # [N] what slides, as a share of what is liked; 1 where nobody minds
     near: jax.Array  # [N] distance of a robot that waits, likewise; 1 where nobody minds
-    away: jax.Array  # [N, 3] unit joint direction that moves the skin away from the tool
+    away: jax.Array  # [N, J] unit joint direction that moves the skin away from the tool
 
 
 @jax.tree_util.register_dataclass
@@ -42,13 +42,13 @@ class Reaction:
     lightness: jax.Array  # [N] 0 to 1: how much it misses pressure
     dose: jax.Array  # [N] s, of the second law
     guarding: jax.Array  # [N] s since it began to guard, 0 if it does not; of the second law
-    shift: jax.Array  # [N, 3] rad
+    shift: jax.Array  # [N, J] rad
 
 
-def calm(n: int) -> Reaction:
+def calm(n: int, joints: int = 3) -> Reaction:
     """Return the reaction of somebody whom nobody has touched yet."""
     zero = jnp.zeros(n, jnp.float32)
-    return Reaction(zero, zero, zero, zero, jnp.zeros((n, 3), jnp.float32))
+    return Reaction(zero, zero, zero, zero, jnp.zeros((n, joints), jnp.float32))
 
 
 def proportional(now: Reaction, felt: Felt, numbers: dict[str, jax.Array]) -> Reaction:

@@ -136,8 +136,10 @@ def grades(someone: Person) -> dict[str, str]:
     task, row, place = someone.task, someone.row, index(someone.task)
     strength = left(task, float(row[place["strength"]]))
     share = left(task, float(row[place["range"]]))
-    return {
-        "MRC grade of what a seat at full strength leaves": grade(MRC, strength),
+    named = {"MRC grade of what a seat at full strength leaves": grade(MRC, strength)}
+    if "spasticity" not in place:
+        return named | {"range of motion of neck and jaw": f"{share:.0%}"}
+    return named | {
         "modified Ashworth": grade(ASHWORTH, float(row[place["spasticity"]])),
         "range of motion of the elbow": f"{share:.0%}",
     }

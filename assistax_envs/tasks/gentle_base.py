@@ -33,6 +33,7 @@ class Liking:
     place: jax.Array  # m
     wait: jax.Array  # m
     depth: jax.Array  # m
+    press: jax.Array  # N
 
     def observed(self, task: str) -> jax.Array:
         """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""

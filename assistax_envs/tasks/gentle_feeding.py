@@ -151,7 +151,10 @@ class GentleFeeding:
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
         drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
-        speed, bitten = jnp.linalg.norm(drift, axis=-1), s.bitten + SMOOTH * (r.bite - s.bitten)
+        speed, bitten = (
+            jnp.linalg.norm(drift, axis=-1),
+            s.bitten + SMOOTH * (r.felt.max(axis=1) - s.bitten),
+        )
         shut = s.shut | (r.jaw < SHUT)
         held, done = self._done(s, r, out, aside, speed, bitten, shut)
         spilt = (r.level < SPILT) & (s.stage < LEAVING)

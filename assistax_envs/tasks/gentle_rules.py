@@ -3,6 +3,8 @@
 import dataclasses
 from collections.abc import Mapping
 
+from assistax_envs.models.care_scenes import FACE, TEETH
+
 HARD = 65.0  # N, of one contact: what the face bears, the least of all limits below
 # N, of one contact, by part of the human: what healthy adults bear in a quasi-static contact before
 # it hurts (ISO/TS 15066:2016, Table A.2; the trunk has the abdomen's, which is less than the
@@ -18,11 +20,8 @@ BEARABLE: dict[str, float] = {
     "human_right_hand": 140.0,
     "right_thigh": 220.0,
     "left_thigh": 220.0,
-    # No standard has lips, chin and throat: the face's.
-    "human_upper_lip": 65.0,
-    "human_lower_lip": 65.0,
-    "human_chin": 65.0,
-    "human_throat": 65.0,
+    # No standard has lips, chin, throat and teeth: the face's.
+    **dict.fromkeys((*FACE[1:], *(f"human_{part}" for part in TEETH)), 65.0),
 }
 # The people here are frail, and nobody has measured what frail people bear: half of it is a choice.
 FRAIL = 0.5

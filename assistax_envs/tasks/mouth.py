@@ -1,4 +1,4 @@
-"""Readings of a scene of care at the mouth: where it is, how far open, what the lips close on."""
+"""Readings of a scene of care at the mouth: where it is, how far open, what lips or teeth feel."""
 
 import dataclasses
 
@@ -26,13 +26,15 @@ class MouthReadings(TouchReadings):
     up: jax.Array  # [N, 3] the way out of the bowl, in the world
     level: jax.Array  # [N] cosine of the bowl's tilt
     jaw: jax.Array  # [N] rad
-    bite: jax.Array  # [N] N, the greater of the two lips' forces on the tool
+    felt: jax.Array  # [N, K] N, of the tool on each lip, or on each row of teeth
 
 
 class MouthSensors(TouchSensors):
-    """Reads such a scene."""
+    """Reads such a scene; `felt` are the parts of which a force of the tool is what it is for."""
 
-    def __init__(self, model: mujoco.MjModel, pose: Pose, rules: Rules) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, pose: Pose, rules: Rules, felt: tuple[str, ...] = LIPS
+    ) -> None:
         super().__init__(model, pose, rules)
         first = {
             field: int(model.sensor(f"human_mouth_{field}").adr[0])
@@ -41,8 +43,8 @@ class MouthSensors(TouchSensors):
         self._position = first["position"] + np.arange(3)
         self._turn = first["orientation"] + np.arange(4)
         names = [model.sensor(index).name for index in felt_sensors(model)]
-        lips = np.stack([self._touch[names.index(f"force-{lip}")] for lip in LIPS])
-        self._lips = lips[:, :3]  # forces come before frames
+        touch = np.stack([self._touch[names.index(f"force-{part}")] for part in felt])
+        self._felt = touch[:, :3]  # forces come before frames
         self._jaw = human_joints(model).index("human_jaw")
 
     def read(self, values: jax.Array) -> MouthReadings:
@@ -68,5 +70,5 @@ class MouthSensors(TouchSensors):
             up=up,
             level=up[:, 2],
             jaw=base.human_position[:, self._jaw],
-            bite=jnp.linalg.norm(values[:, self._lips], axis=-1).max(axis=1),
+            felt=jnp.linalg.norm(values[:, self._felt], axis=-1),
         )

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
+from assistax_envs.preferences import Told
 from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
@@ -192,7 +193,13 @@ def _from_files(
         met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
         version = registry.env_version(same[0]) if same else claimed_version(metadata)
         member = _of_file(name, Path(name), met, version)
-        yield dataclasses.replace(member, told=metadata.get("told") is True), spec, params
+        yield dataclasses.replace(member, told=_told(metadata)), spec, params
+
+
+def _told(metadata: Mapping[str, Any]) -> Told:
+    """Return what a file says that its robot observes and no robot may."""
+    told = metadata.get("told")
+    return "partner" if told == "partner" else told is True
 
 
 def _with_folders_as_spelled(pattern: str) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
+from assistax_envs.preferences import Told
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
@@ -30,7 +31,7 @@ class Member:
     met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
     # Of the environment, in which a robot's file says that it was trained; None if it does not say.
     env_version: int | None = None
-    told: bool = False  # whether it observes what humans like: a row to compare with, and no robot
+    told: Told = False  # what it observes that no robot may: a row to compare with
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,8 +70,8 @@ class Roster:
         return stack if isinstance(stack, HostEgo) else None
 
     @property
-    def told(self) -> bool:
-        """Whether its robots observe what humans like.
+    def told(self) -> Told:
+        """What its robots observe that no robot may.
 
         Raises:
             ValueError: Some do and some do not.
@@ -79,9 +80,10 @@ class Roster:
         if len(told) > 1:
             names = [name for name in self.ids if self.members[name].told]
             raise ValueError(
-                f"{names[0]} is told what humans like and other robots are not; play them apart"
+                f"{names[0]} is told what humans like and other robots are not, or less; play them "
+                "apart"
             )
-        return told == {True}
+        return told.pop() if told else False
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:

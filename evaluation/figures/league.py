@@ -22,11 +22,12 @@ from evaluation.record import tables
 from evaluation.record.record import Record, Returns
 
 FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
-TOLD, TOLD_PARTNER, MIRROR = "told-preference", "told-partner", "mirror"
+TOLD, TOLD_MEMORY, TOLD_PARTNER = "told-preference", "told-gru", "told-partner"
+MIRROR = "mirror"
 RESPONSE, TOLD_RESPONSE = "best-response", "told-best-response"
 REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
 FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
-LAST = (TOLD, TOLD_PARTNER, MIRROR, RESPONSE, TOLD_RESPONSE)
+LAST = (TOLD, TOLD_MEMORY, TOLD_PARTNER, MIRROR, RESPONSE, TOLD_RESPONSE)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,6 +17,7 @@ from evaluation.record.manifest import identity_digest
 # values differ in the last bit. 4: disability settings by value, and the engine. 5: policies of
 # several networks in one tile. 6: the intervals of partners' means are of new starts too.
 EVALUATOR_VERSION = 6
+TOLD_PARTNER = "told-partner"  # the engine's condition: robots observe their person's numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

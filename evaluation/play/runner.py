@@ -5,6 +5,7 @@ runs on does not show in its values: all run the same program.
 """
 
 import concurrent.futures
+import dataclasses
 import math
 import os
 import threading
@@ -21,7 +22,7 @@ from assistax_envs.interrupts import wait_for
 from evaluation.cast.egos import Clipping, call_ego
 from evaluation.cast.roster import HostEgo, Roster
 from evaluation.play.devices import devices_for
-from evaluation.play.jobs import Job
+from evaluation.play.jobs import TOLD_PARTNER, Job
 from evaluation.play.progress import Meter
 from evaluation.play.rows import played_rows
 from evaluation.play.tiles import TILE_ENVS, Chunk, StackSlice, Tile, plan
@@ -29,6 +30,7 @@ from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.play.tally import Tally
+from zoo.ids import parse_person
 
 
 class Runner:
@@ -205,7 +207,11 @@ def _humans(
     """Return the humans [P] of stacks: persons as their rows say, others by their settings."""
     if job.own_wishes:
         own = [stack.spec.humans(stack.params) for stack in stacks]
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *own)
+        humans: EnvParams = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *own)
+        if job.engine.get("condition") != TOLD_PARTNER:
+            return humans
+        numbers = [named[2] for name in ids if (named := parse_person(name))]
+        return dataclasses.replace(humans, person=jnp.asarray(numbers, jnp.int32))
     settings = [member.setting or str(member.disability) for member in job.partners.describe(ids)]
     preferences = job.preferences_of(ids, episodes) if job.preferences else None
     return disability_params(settings, preferences)

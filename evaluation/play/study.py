@@ -12,7 +12,7 @@ from evaluation.cast.roster import Roster
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.how import PERSON_EPISODES, How
-from evaluation.play.jobs import Job, brings_wishes
+from evaluation.play.jobs import TOLD_PARTNER, Job, brings_wishes
 from evaluation.record import manifest
 from zoo.schema import Split
 
@@ -35,9 +35,11 @@ def make_job(
     from assistax_envs import make
 
     told: dict[str, Any] = {"told": ("robot", "human")} if robots.told else {}
-    env = make(how.task, backend=how.backend, version=version, **told)
+    env: Any = make(how.task, backend=how.backend, version=version, **told)
     condition = {"condition": "told"} if told else {}
     persons = brings_wishes(humans)
+    if robots.told == "partner":
+        env, condition = _with_numbers(env, persons=persons), {"condition": TOLD_PARTNER}
     episodes, turns = how.episodes_of_pair, how.turns
     if persons:
         episodes = how.episodes or math.ceil(PERSON_EPISODES / how.series) * how.series
@@ -58,6 +60,14 @@ def make_job(
         preferences=turns,
     )
     return env, job
+
+
+def _with_numbers(env: "Env", *, persons: bool) -> Any:
+    """Return an environment that tells the robot its person's numbers, by its place among all."""
+    from assistax_envs.persons import persons as rows
+    from population.environment import ToldNumbers
+
+    return ToldNumbers(env, rows(env.task) if persons else None)
 
 
 def context_of(

@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.preferences import WISHES
-from population.environment import Environment, EnvState
+from population.environment import Environment, EnvState, ShowingMore
 from population.networks.policy import normalise
 from population.networks.seat import Params
 from population.networks.spec import ROLES
@@ -17,16 +17,15 @@ from population.networks.spec import ROLES
 if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
-WHO, HIDDEN, IMAGINED = "partner", "hidden", "imagined"  # names of these observations
+WHO, HIDDEN = "partner", "hidden"  # names of these observations
 _SETTING = ("strength", "elbow_range", "tremor")
 
 
-class WithHidden:
+class WithHidden(ShowingMore):
     """An environment that also shows who the partner is and what is hidden of it.
 
-    "partner" [N, 1] is its place among the partners; "imagined" [N, 1] is 1 where a model acts in
-    its place. "hidden" [N, W] is what it wishes, what its body can do and, of persons, their 25
-    numbers, standardised.
+    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
+    body can do and, of persons, their 25 numbers, standardised.
 
     Args:
         env: The environment.
@@ -35,26 +34,12 @@ class WithHidden:
     """
 
     def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
-        self._env, self._partners, self._num_envs = env, partners, num_envs
-        self.task, self.backend, self.version = env.task, env.backend, env.version
-        self.episode_length, self.action_size = env.episode_length, env.action_size
+        super().__init__(env)
+        self._partners, self._num_envs = partners, num_envs
         self._wishes = len(WISHES.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
-        self.observation_size = {**env.observation_size, WHO: 1, IMAGINED: 1, HIDDEN: width}
-
-    def reset(self, keys: jax.Array, params: Any) -> EnvState:
-        """Start episodes."""
-        return self._shown(self._env.reset(keys, params))
-
-    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState:
-        """Advance by one step."""
-        own = {name: state.obs[name] for name in self._env.observation_size}
-        return self._shown(self._env.step(dataclasses.replace(state, obs=own), action))
-
-    def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
-        """Return the joint angles of each role, rad."""
-        return self._env.joint_positions(state)
+        self.observation_size |= {WHO: 1, HIDDEN: width}
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)
@@ -63,9 +48,7 @@ class WithHidden:
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])
-        shown = {WHO: who, IMAGINED: self._partners.imagined(len(who))}
-        shown = {name: value[:, None].astype(jnp.float32) for name, value in shown.items()}
-        shown[HIDDEN] = jnp.concatenate(parts, axis=-1)
+        shown = {WHO: who[:, None].astype(jnp.float32), HIDDEN: jnp.concatenate(parts, axis=-1)}
         return dataclasses.replace(state, obs={**state.obs, **shown})
 
 

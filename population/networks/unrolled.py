@@ -31,14 +31,52 @@ def unroll_policy(
     first: Bool[Array, " T *batch"],
 ) -> tuple[Carry, Gaussian]:
     """Return the carry after a chunk, and the distributions over actions [T, ..., A]."""
-    spec = policy.spec
-    if spec.latent:
+    if policy.spec.latent:
         raise ValueError("a policy with a latent is unrolled with its actions: `unroll_memory`")
-    if spec.torso == "mlp":
+    if policy.spec.torso == "mlp":
         return policy.step(params, carry, obs, first)
-    if spec.normalise:
+    products = _products_of_policy(policy, params, obs)
+    states = gru.remember(*_recurrent(params["GRUCell_0"]), carry, products, first)
+    return states[-1], _gaussian(policy.spec, params, states)
+
+
+def unroll_both(
+    policy: Policy,
+    critic: Critic,
+    params: tuple[Params, Params],
+    carries: tuple[Carry, Carry],
+    obs: tuple[Float[Array, " T N O"], Float[Array, " T N C"]],
+    first: Bool[Array, " T N"],
+) -> tuple[Gaussian, Float[Array, " T N"]]:
+    """Return the distributions and the values of a chunk, those of policy and critic.
+
+    Their recurrences are one scan, where both have one and of one width: on a GPU the steps of a
+    scan cost the same for two small networks as for one.
+    """
+    actor, valuer = policy.spec, critic.spec
+    if not actor.torso == valuer.torso == "gru" or actor.hidden[-1] != valuer.hidden[-1]:
+        _, gaussian = unroll_policy(policy, params[0], carries[0], obs[0], first)
+        return gaussian, unroll_critic(critic, params[1], carries[1], obs[1], first)[1]
+    seen = critic.inputs(params[1], obs[1])
+    products = [
+        _products_of_policy(policy, params[0], obs[0]),
+        _products(valuer, params[1], seen),
+    ]
+    weights = [_recurrent(own["GRUCell_0"]) for own in params]
+    kernel, bias = (jnp.stack(leaves) for leaves in zip(*weights, strict=True))
+    both = jax.vmap(gru.remember, in_axes=(0, 0, 0, 0, None))
+    states = both(kernel, bias, jnp.stack(carries), jnp.stack(products), first)
+    return _gaussian(actor, params[0], states[0]), _value(valuer, params[1], states[1])
+
+
+def _products_of_policy(policy: Policy, params: Params, obs: jax.Array) -> jax.Array:
+    if policy.spec.normalise:
         obs = normalise(params["normaliser"], obs)
-    carry, features = _remember(spec, params, carry, obs, first)
+    return _products(policy.spec, params, obs)
+
+
+def _gaussian(spec: PolicySpec, params: Params, features: jax.Array) -> Gaussian:
+    """Return what the heads of a policy make of its last features."""
     place = len(spec.hidden) - 1
     mean = _linear(params[f"Dense_{place}"], features)
     if spec.std == "state":
@@ -46,7 +84,11 @@ def unroll_policy(
     else:
         log_std = params["log_std"]
     log_std = jnp.broadcast_to(jnp.clip(log_std, *LOG_STD_RANGE), mean.shape)
-    return carry, Gaussian(mean, log_std, spec.squash)
+    return Gaussian(mean, log_std, spec.squash)
+
+
+def _value(spec: CriticSpec, params: Params, features: jax.Array) -> jax.Array:
+    return _linear(params[f"Dense_{len(spec.hidden) - 1}"], features)[..., 0]
 
 
 def unroll_memory(
@@ -67,7 +109,8 @@ def unroll_memory(
     before = jnp.concatenate([carry[None, ..., width:], action[:-1]])
     before = jnp.where(first[..., None], 0.0, before)
     seen, memory = jnp.concatenate([obs, before], axis=-1), params["memory"]
-    states = _recur(memory["GRUCell_0"], carry[..., :width], seen, first)
+    products = _cell_products(memory["GRUCell_0"], seen)
+    states = gru.remember(*_recurrent(memory["GRUCell_0"]), carry[..., :width], products, first)
     return states, _linear(memory["Dense_0"], states)
 
 
@@ -81,32 +124,31 @@ def unroll_critic(
     """Return the carry after a chunk, and the values [T, ...]."""
     if critic.spec.torso == "mlp":
         return critic.step(params, carry, obs, first)
-    obs = critic.inputs(params, obs)
-    carry, features = _remember(critic.spec, params, carry, obs, first)
-    return carry, _linear(params[f"Dense_{len(critic.spec.hidden) - 1}"], features)[..., 0]
+    products = _products(critic.spec, params, critic.inputs(params, obs))
+    states = gru.remember(*_recurrent(params["GRUCell_0"]), carry, products, first)
+    return states[-1], _value(critic.spec, params, states)
 
 
-def _remember(
-    spec: PolicySpec | CriticSpec,
-    params: Params,
-    carry: Carry,
-    obs: Float[Array, " T *batch O"],
-    first: Bool[Array, " T *batch"],
-) -> tuple[Carry, Float[Array, " T *batch H"]]:
-    """Apply the hidden layers of a recurrent torso to a chunk of T steps; see `nn.GRUCell`."""
+def _products(spec: PolicySpec | CriticSpec, params: Params, obs: jax.Array) -> jax.Array:
+    """Return what a recurrent torso's cell reads of a chunk, products of its inputs [T, ..., 3 H].
+
+    See `nn.GRUCell`.
+    """
     activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
     features = obs
     for layer in range(len(spec.hidden) - 1):
         features = activation(_linear(params[f"Dense_{layer}"], features))
-    states = _recur(params["GRUCell_0"], carry, features, first)
-    return states[-1], states
+    return _cell_products(params["GRUCell_0"], features)
 
 
-def _recur(cell: Params, hidden: jax.Array, inputs: jax.Array, first: jax.Array) -> jax.Array:
-    """Return the states of a `nn.GRUCell` after each of T steps [T, ..., H]."""
-    products = jnp.concatenate([_linear(cell[f"i{gate}"], inputs) for gate in gru.GATES], axis=-1)
+def _cell_products(cell: Params, inputs: jax.Array) -> jax.Array:
+    return jnp.concatenate([_linear(cell[f"i{gate}"], inputs) for gate in gru.GATES], axis=-1)
+
+
+def _recurrent(cell: Params) -> tuple[jax.Array, jax.Array]:
+    """Return the weights of a cell that its scan reads: kernel and bias."""
     kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
-    return gru.remember(kernel, cell["hn"]["bias"], hidden, products, first)
+    return kernel, cell["hn"]["bias"]
 
 
 def _linear(layer: Params, inputs: jax.Array) -> jax.Array:

@@ -48,6 +48,7 @@ def run_training(
     optional("optax", "training", "train")
     optional("orbax.checkpoint", "training", "train")
     from assistax_envs import make
+    from population.environment import ToldNumbers
     from population.runs.train import train
 
     folder = Path(folder or tempfile.mkdtemp(prefix=f"assistax-{config.task}-"))
@@ -63,7 +64,9 @@ def run_training(
                 report_to(state)
 
         told: dict[str, Any] = {"told": ROLES} if config.told else {}
-        env = make(config.task, backend, version=config.env_version, **told)
+        env: Any = make(config.task, backend, version=config.env_version, **told)
+        if config.told == "partner":
+            env = ToldNumbers(env, partners.numbers if partners else None)
         train(
             config,
             env,

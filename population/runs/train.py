@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params
-from assistax_envs.interrupts import interruptible
+from assistax_envs.interrupts import StoppedError, interruptible
 from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment
@@ -204,8 +204,8 @@ class _Training:
     ) -> tuple[TrainState, pl.DataFrame]:
         """Update until the run is done, saving metrics and state every `checkpoint_every` updates.
 
-        The last state is saved only where a longer run can go on from it: with a replay for each
-        member it may be large.
+        The last state, and that at Ctrl-C, is saved only where a longer run can go on from it: with
+        a replay for each member it may be large.
         """
         config, done = self.config, int(state.update)
         advance = self._advance(state)
@@ -232,7 +232,13 @@ class _Training:
                 self.checkpoints.save(done, state)
             if done * self.snapshots // config.updates > before * self.snapshots // config.updates:
                 self._keep(done, state, clock.seconds())
-            progress(clock.progress(config, done, rows))
+            try:
+                progress(clock.progress(config, done, rows))
+            except StoppedError:  # Ctrl-C; the run goes on from here
+                if not (saving or ending) and extends(config.trainer):
+                    self.run.write_metrics(pl.concat(metrics, how="diagonal"))
+                    self.checkpoints.save(done, state)
+                raise
         return state, pl.concat(metrics, how="diagonal")
 
     def _advance(
@@ -320,7 +326,7 @@ def _provenance(
 ) -> Mapping[str, Any]:
     """Return what a registry says about a run."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}
-    told = {"told": True} if config.told else {}
+    told = {"told": config.told} if config.told else {}
     return (
         likes
         | told

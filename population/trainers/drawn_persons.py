@@ -11,11 +11,48 @@ from jaxtyping import Float
 
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
-from assistax_envs.tasks.base import HUMAN_ACTUATORS
+from assistax_envs.persons.parameters import WIDTH
+from assistax_envs.registered import REGISTERED
 from population.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
 
-ACTIONS = len(HUMAN_ACTUATORS)
+
+class FamiliesPlayer:
+    """Persons of several families, each of whom acts as its own does.
+
+    Args:
+        players: Of the families.
+    """
+
+    def __init__(self, players: Sequence[PersonPlayer]) -> None:
+        self._players, self.controller = tuple(players), players[0].controller
+
+    @staticmethod
+    def rows(tables: Sequence[np.ndarray | jax.Array]) -> jax.Array:
+        """Return the rows [P, 26] of the families' tables [P_f, 25]: the family comes last."""
+        marked = [
+            jnp.concatenate([jnp.asarray(rows), jnp.full((len(rows), 1), float(family))], axis=1)
+            for family, rows in enumerate(tables)
+        ]
+        return jnp.concatenate(marked)
+
+    def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
+        """Return the carries of all families, of which a person uses its own."""
+        return tuple(player.initial_carry(batch_shape) for player in self._players)
+
+    def act(
+        self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        """See `PersonPlayer.act`; "row" is [..., 26]."""
+        row, family = params["row"][..., :-1], params["row"][..., -1:]
+        acted = [
+            player.act({"row": row}, own, obs, first)
+            for player, own in zip(self._players, carry, strict=True)
+        ]
+        action = acted[0][1]
+        for place, (_, others) in enumerate(acted[1:], start=1):
+            action = jnp.where(family == place, others, action)
+        return tuple(mind for mind, _ in acted), action
 
 
 class DrawnPersons(FrozenPartners):
@@ -25,11 +62,13 @@ class DrawnPersons(FrozenPartners):
 
     Args:
         player: Acts for them.
-        rows: All of them [P, 25].
+        rows: All of them [P, 25]; of several families as `FamiliesPlayer.rows` has them.
         name: What they are called together, such as the id of their split.
     """
 
-    def __init__(self, player: PersonPlayer, rows: Float[jax.Array, "P W"], name: str) -> None:
+    def __init__(
+        self, player: PersonPlayer | FamiliesPlayer, rows: Float[jax.Array, "P W"], name: str
+    ) -> None:
         self.role, self.player, self.rows, self.ids = "human", player, jnp.asarray(rows), (name,)
 
     @property
@@ -68,7 +107,7 @@ class DrawnPersons(FrozenPartners):
     @property
     def numbers(self) -> np.ndarray:
         """Their rows [P, 25]."""
-        return np.asarray(self.rows)
+        return np.asarray(self.rows)[:, :WIDTH]
 
     def who(self, humans: Any, num_envs: int) -> jax.Array:
         """Return the places among them [N] of those in the simulations."""
@@ -87,7 +126,7 @@ class DrawnPersons(FrozenPartners):
         members: int,
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
-        """Return new minds and actions [N, 3] of obs [N, O]."""
+        """Return new minds and actions [N, A] of obs [N, O]."""
         return self.player.act({"row": params[humans.person]}, carry, obs, first)
 
     def _of(self, places: jax.Array) -> EnvParams:
@@ -107,8 +146,9 @@ class IdlePersons(DrawnPersons):
         members: int,
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
-        """Return the carries and no torques [N, 3]."""
-        return carry, jnp.zeros((obs.shape[0], ACTIONS), obs.dtype)
+        """Return the carries and no torques [N, A]."""
+        actions = 5 if REGISTERED[self.player.controller.task].seat == "mouth" else 3
+        return carry, jnp.zeros((obs.shape[0], actions), obs.dtype)
 
 
 class OnePersonEach(DrawnPersons):

@@ -1,10 +1,11 @@
-"""A human that eats by a few lines, for tests of the tasks at the mouth; and where they took it.
+"""Humans of a few lines, for tests of the tasks at the mouth; and where scripted pairs took them.
 
-    python -m tests.envs.mouth
+    python -m tests.envs.mouth TASK ...
 
-writes `fused/mouth_states.npz`: states that a scripted pair visits, and the torques there.
+writes `fused/TASK_states.npz`: states that a scripted pair visits, and the torques there.
 """
 
+import sys
 from pathlib import Path
 
 import jax
@@ -13,13 +14,18 @@ import numpy as np
 
 from assistax_envs import Env, EnvState, disability_params, make
 from assistax_envs.scripted import scripted_robot
+from assistax_envs.tasks.gentle_brushing import TURNED
 from assistax_envs.tasks.gentle_feeding import OPEN, TAKING, WAITING
+from assistax_envs.tasks.teeth import INNER, SHOWN_BY
 
-STATES = Path(__file__).parent / "fused" / "mouth_states.npz"
+STATES = Path(__file__).parent / "fused"
 SIMULATIONS, STEPS, TIMES = 72, 400, (60, 140, 230, 399)
 # Columns of a human's observation of gentle feeding.
 OUT, JAW, STAGES, SHUT = 30, 36, slice(37, 42), 42
 WIDE, NARROW = 0.42, 0.05  # rad
+# The same of gentle brushing, and the neck's spring and torque.
+BRUSHED_JAW, PLACE = 48, slice(50, 62)
+NECK_SPRING, NECK_TORQUE = 3.0, 1.8  # N m/rad, N m
 SPRING, HOLDS, TORQUE = 0.8, 0.19, 0.8  # N m/rad, N m: the jaw's, as in `care_scenes`
 
 
@@ -33,11 +39,27 @@ def eats(obs: jax.Array) -> jax.Array:
     return jnp.zeros((obs.shape[0], 5)).at[:, 4].set(jnp.clip(torque / TORQUE, -0.2, 1.0))
 
 
+def shows(obs: jax.Array) -> jax.Array:
+    """Turn the head to show the side that is to be brushed, open for the inside: actions [N, 5]."""
+    place = obs[:, PLACE]
+    turn = TURNED * place @ jnp.asarray(SHOWN_BY, jnp.float32)
+    wanted = jnp.where(place @ jnp.asarray(INNER, jnp.float32) > 0.5, WIDE, 0.0)
+    jaw, yaw = obs[:, BRUSHED_JAW] * OPEN, obs[:, BRUSHED_JAW + 1]
+    torque = HOLDS + SPRING * wanted + 2.0 * (wanted - jaw)
+    torque = jnp.where(wanted > 0.0, torque, 0.0)
+    neck = (NECK_SPRING * turn + 2.0 * (turn - yaw)) / NECK_TORQUE
+    actions = jnp.zeros((obs.shape[0], 5)).at[:, 4].set(jnp.clip(torque / TORQUE, -0.2, 1.0))
+    return actions.at[:, 2].set(jnp.clip(neck, -1.0, 1.0))
+
+
+HUMANS = {"gentle_feeding": eats, "gentle_brushing": shows}
+
+
 def meal(
-    env: Env, simulations: int, steps: int, seed: int = 0, human=eats
+    env: Env, simulations: int, steps: int, seed: int = 0, human=None
 ) -> tuple[EnvState, EnvState]:
-    """Return the first state of a meal with the script and all states [T, N, ...] after it."""
-    robot = scripted_robot("gentle_feeding", env.model)
+    """Return the first state of an episode with the script and all states [T, N, ...] after it."""
+    robot, human = scripted_robot(env.task, env.model), human or HUMANS[env.task]
     keys = jax.random.split(jax.random.key(seed), simulations)
     start = jax.jit(env.reset)(keys, disability_params(["d1"] * simulations))
 
@@ -49,21 +71,22 @@ def meal(
     return start, jax.jit(lambda state: jax.lax.scan(step, state, None, steps))(start)[1]
 
 
-def write_states() -> None:
-    env = make("gentle_feeding", "fused")
+def write_states(task: str) -> None:
+    env, human = make(task, "fused"), HUMANS[task]
     _, states = meal(env, SIMULATIONS, STEPS)
     at = np.array(TIMES)
     qpos, qvel = (
         np.concatenate(np.asarray(x)[at]) for x in (states.physics.qpos, states.physics.qvel)
     )
-    robot = scripted_robot("gentle_feeding", env.model)
+    robot = scripted_robot(task, env.model)
     ctrl = np.zeros((len(qpos), env.model.nu), np.float32)
     driven = [env.model.actuator(i).name.startswith("robot_") for i in range(env.model.nu)]
     seen = {role: np.concatenate(np.asarray(states.obs[role])[at]) for role in ("robot", "human")}
     ctrl[:, driven] = np.clip(robot(jnp.asarray(seen["robot"])), -1.0, 1.0)
-    ctrl[:, ~np.array(driven)] = np.clip(eats(jnp.asarray(seen["human"])), -1.0, 1.0)
-    np.savez_compressed(STATES, qpos=qpos, qvel=qvel, ctrl=ctrl)
+    ctrl[:, ~np.array(driven)] = np.clip(human(jnp.asarray(seen["human"])), -1.0, 1.0)
+    np.savez_compressed(STATES / f"{task}_states.npz", qpos=qpos, qvel=qvel, ctrl=ctrl)
 
 
 if __name__ == "__main__":
-    write_states()
+    for name in sys.argv[1:]:
+        write_states(name)

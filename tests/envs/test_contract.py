@@ -31,6 +31,7 @@ WIDTHS = {
     "gentle_scratch": {"robot": 46, "human": 53, "global": 67},
     "gentle_bath": {"robot": 64, "human": 70, "global": 84},
     "gentle_feeding": {"robot": 48, "human": 50, "global": 64},
+    "gentle_brushing": {"robot": 69, "human": 72, "global": 86},
     "gentle_lift": {"robot": 40, "human": 47, "global": 61},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest

@@ -150,7 +150,7 @@ class Table:
             self._read,
             bowl=jnp.array([[out, aside, 0.0]], jnp.float32),
             jaw=jnp.array([jaw], jnp.float32),
-            bite=jnp.array([bite], jnp.float32),
+            felt=jnp.array([[bite, 0.0]], jnp.float32),
             level=jnp.array([level], jnp.float32),
             tool_velocity=jnp.array([[speed, 0.0, 0.0]], jnp.float32),
             force=jnp.array([bite], jnp.float32),

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from assistax_envs.persons.parameters import ARM_TASKS, PARAMETERS, WIDTH, Parameter
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter
 from assistax_envs.persons.player import draw_persons
 from assistax_envs.persons.rows import (
     BEYOND,
@@ -30,11 +30,13 @@ TABLES = {
     "arm_assist": "60bae69990237bf8fb9f9faa42ad31fd25ba88e34533435540796510a91cb537",
     "gentle_scratch": "018edcf029b6a7c411c739a74cc8bafcf260b25a4484e75e86c161b325bccb69",
     "gentle_bath": "6c73358893d5b7b705499b4b54d54b8366a4dc79ad94c09b204c042165659970",
+    "gentle_feeding": "f4e9f839acdf1871c4dfa52932dd0fabd77ebd9b35ca1e4483bb331800088831",
+    "gentle_brushing": "bbcd632b480c574e8a528d3ce9c372ab0c175e619700435319d8b9cb4d3df37f",
     "gentle_lift": "9c7292f6121872b320933a39ccc21bd03159473e9c36242a61286dd1d6ee8813",
 }
 
 
-@pytest.mark.parametrize("task", ARM_TASKS)
+@pytest.mark.parametrize("task", PARAMETERS)
 def test_every_number_of_every_person_lies_in_its_range(task: str) -> None:
     table = persons(task)
     assert table.shape == (COUNT, WIDTH) and WIDTH == len(PARAMETERS[task]) == 25
@@ -47,9 +49,11 @@ def test_every_number_of_every_person_lies_in_its_range(task: str) -> None:
         assert parameter.source and parameter.meaning
 
 
-@pytest.mark.parametrize("task", ["gentle_scratch", "gentle_lift"])
+@pytest.mark.parametrize(
+    "task", ["gentle_scratch", "gentle_lift", "gentle_feeding", "gentle_brushing"]
+)
 def test_the_page_prints_the_ranges_and_sources(task: str) -> None:
-    page = (Path(__file__).parents[2] / "docs/persons.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/persons_numbers.md").read_text()
     for parameter in PARAMETERS[task]:
         bounds = f"{parameter.low:g} to {parameter.high:g}"
         rows = [row for row in page.splitlines() if row.startswith(f"| `{parameter.name}` |")]
@@ -68,7 +72,7 @@ def test_a_parameter_knows_its_range_and_its_distribution() -> None:
         Parameter("nothing", "1", 1.0, 1.0, "", "")
 
 
-@pytest.mark.parametrize("task", ARM_TASKS)
+@pytest.mark.parametrize("task", PARAMETERS)
 def test_persons_are_the_same_to_the_bit(task: str) -> None:
     assert hashlib.sha256(persons(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
 

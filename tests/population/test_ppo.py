@@ -11,7 +11,7 @@ from assistax_envs import disability_params
 from population.config import Member
 from population.hyperparameters import PPOConfig, preset
 from population.networks.policy import normalise
-from population.networks.unrolled import unroll_policy
+from population.networks.unrolled import unroll_both
 from population.play.self_play import self_play
 from population.runs.train import member_key
 from population.trainers.normaliser import to_params
@@ -135,8 +135,8 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
     """The first ratios of an update are 1: carries and `first` flags are those of the rollout."""
     if planted:
         monkeypatch.setattr(
-            "population.trainers.ppo.unroll_policy",
-            lambda policy, p, c, o, first: unroll_policy(policy, p, c, o, jnp.roll(first, 1, 0)),
+            "population.trainers.ppo.unroll_both",
+            lambda *given: unroll_both(*given[:-1], jnp.roll(given[-1], 1, 0)),
         )
     config = PPOConfig(**SMALL, torso="gru", epochs=1, minibatches=1)
     _, _, metrics = run(ToyEnv(match, episode_length=13, memory=True), config, updates=30)

@@ -17,6 +17,7 @@ import pytest
 import safetensors
 import safetensors.numpy
 
+from assistax_envs.interrupts import StoppedError
 from population.config import Member, TrainConfig, make_members
 from population.hyperparameters import preset
 from population.networks.policy import Policy
@@ -182,6 +183,21 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
         pl.read_parquet(path / "metrics.parquet").drop("seconds") for path in (folder, finished)
     )
     assert kept.equals(whole)
+
+
+def test_a_run_stopped_by_ctrl_c_goes_on_from_where_it_was(finished, tmp_path):
+    folder, updates = tmp_path / "run", []
+
+    def stop(report):
+        if report.update == 3:
+            raise StoppedError  # as after Ctrl-C
+
+    with pytest.raises(StoppedError):
+        train(CONFIG, ToyEnv(match), folder, progress=stop)
+    train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
+    assert updates == [4, 5, 6]
+    assert_same_policies(folder, finished)
+    assert pl.read_parquet(folder / "metrics.parquet").height == 6 * len(CONFIG.members)
 
 
 def flip_a_bit(folder):

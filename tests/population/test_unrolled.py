@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from population.networks.policy import Policy
+from population.networks.policy import Critic, CriticSpec, Policy
 from population.networks.spec import PolicySpec
-from population.networks.unrolled import unroll_memory, unroll_policy
+from population.networks.unrolled import unroll_both, unroll_critic, unroll_memory, unroll_policy
 
 T, N = 24, 6
 SPECS = (
@@ -50,6 +50,36 @@ def test_gradients_are_those_of_the_cell(policy: Policy) -> None:
 
     expected, gradient = (jax.grad(loss)(params, by_step) for by_step in (True, False))
     for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(gradient), strict=True):
+        assert jnp.linalg.norm(a - b) <= 2e-6 * jnp.linalg.norm(a) + 1e-9
+
+
+@pytest.mark.parametrize("width", [16, 4], ids=["one scan", "two, of other widths"])
+def test_policy_and_critic_together_are_those_apart(policy: Policy, width: int) -> None:
+    first = params_and_first(policy)[1]
+    critic = Critic(CriticSpec(7, "gru", (8, width)))
+    params = policy.init(jax.random.key(0)), critic.init(jax.random.key(5))
+    networks, keys = (policy, critic), jax.random.split(jax.random.key(6), 4)
+    carries = tuple(
+        jax.random.normal(key, network.initial_carry((N,)).shape)
+        for key, network in zip(keys[:2], networks, strict=True)
+    )
+    obs = jax.random.normal(keys[2], (T, N, 5)), jax.random.normal(keys[3], (T, N, 7))
+
+    def apart(params):
+        gaussian = unroll_policy(policy, params[0], carries[0], obs[0], first)[1]
+        return gaussian, unroll_critic(critic, params[1], carries[1], obs[1], first)[1]
+
+    def together(params):
+        return unroll_both(policy, critic, params, carries, obs, first)
+
+    def loss(play, params):
+        gaussian, value = play(params)
+        return gaussian.log_prob(jnp.full((T, N, 2), 0.3)).mean() + jnp.square(value).mean()
+
+    for a, b in zip(jax.tree.leaves(apart(params)), jax.tree.leaves(together(params)), strict=True):
+        assert jnp.allclose(a, b, atol=1e-6)
+    gradients = (jax.grad(loss, argnums=1)(play, params) for play in (apart, together))
+    for a, b in zip(*map(jax.tree.leaves, gradients), strict=True):
         assert jnp.linalg.norm(a - b) <= 2e-6 * jnp.linalg.norm(a) + 1e-9
 
 

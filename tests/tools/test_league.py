@@ -6,9 +6,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from evaluation.ego_training import ROWS
 from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
+from population.hyperparameters import METHODS
 from tests import untrained
 from tools.league.__main__ import run
 from tools.league.rows import named, rows
@@ -23,17 +23,17 @@ TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
 
 def test_rows_are_those_of_train_ego_and_the_bounds(capsys) -> None:
     known = list(rows())
-    assert {"ppo", "sac", "gru", "liam"} <= set(ROWS) <= set(known)
+    assert {"ppo", "sac", *METHODS, "told-gru", "told-partner"} <= set(known)
     assert known[:3] == ["best-fixed", "ppo", "ppo-best-of-4"]
     assert known[-2:] == ["best-response", "told-best-response"]
     assert run(["rows"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == known
 
 
-def test_a_new_preset_of_train_ego_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(ROWS, "new", ("ppo", {"hidden": (8,)}))
+def test_a_method_that_is_made_known_later_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "new", ("", {}))
     made = named("new")
-    assert (made.algorithm, made.changes, made.source) == ("ppo", {"hidden": (8,)}, "train")
+    assert (made.algorithm, made.source, made.told) == ("new", "train", False)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,9 @@ from assistax_workshop.gates.audit import WrongBeliefEnv
 from assistax_workshop.gates.audit_gates import Gate, gates_of
 from assistax_zoo.shell.main import run
 from population.config import TrainConfig, make_members
+from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack
 from population.runs.folder import RunFolder
 from tests.envs.conftest import one_gentle_task
 from tests.evaluation.episode_tables import Team, episode_table, teams
@@ -195,9 +197,22 @@ def trained(folder: Path, observers: tuple[str, ...] = ("human",), seeds: int = 
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Episodes of ten steps, and two postures: the mechanics alone."""
+    """Episodes of ten steps, and one posture: the mechanics alone."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
-    monkeypatch.setattr(audits, "POSTURES", audits.POSTURES[:2])
+    monkeypatch.setattr(audits, "HELD", audits.HELD[:1])
+
+
+@pytest.mark.parametrize(("torques", "count"), [(3, 27), (5, 243)])
+def test_a_human_is_held_in_every_posture_of_its_seat(torques: int, count: int) -> None:
+    """Whatever it observes, it gives its own torques, and no two give the same."""
+    roster = audits.held_roster(4, torques)
+    assert len(roster.ids) == count
+    [stack] = roster.stacks
+    assert isinstance(stack, PolicyStack)
+    policy, seen = Policy(stack.spec), jnp.ones((count, 1, 4))
+    carry = policy.initial_carry((count, 1))
+    _, acted = jax.vmap(policy.act)(stack.params, carry, seen, jnp.zeros((count, 1), bool))
+    assert len({tuple(row) for row in np.asarray(acted)[:, 0].tolist()}) == count
 
 
 @pytest.mark.slow

@@ -10,7 +10,13 @@ import jax
 import numpy as np
 import pytest
 
-from assistax_base.errors import FormatError, ImmutableError, PublishError, RegistryError
+from assistax_base.errors import (
+    FormatError,
+    ImmutableError,
+    LeakageError,
+    PublishError,
+    RegistryError,
+)
 from assistax_workshop.press.publish import publish
 from assistax_workshop.press.release import complete_release
 from assistax_workshop.press.trained_runs import read_run
@@ -22,6 +28,7 @@ from population.runs.folder import RunFolder
 from population.runs.trained import TrainedTeam
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
+from zoo.splitting.create import create_split
 from zoo.verify import verify
 
 SELF_PLAY = {"mean": 950.5, "iqm": 952.25, "mean_ci": [940.0, 960.0], "n": 16, "success": 0.75}
@@ -114,6 +121,31 @@ def test_a_release_in_the_making_is_not_the_default(
     assert complete_release(registry.path, "v1") == load_registry(registry.path)
     complete_release(registry.path, "v0")  # an older one never becomes the default again
     assert contents(registry.path.parent) == before
+
+
+def test_who_earns_too_little_is_no_partner_of_a_split_from_v3_on(
+    registry: Registry, team, publish_to
+) -> None:
+    found = {}
+    for release, last in (("v2", 1.0), ("v3", 24.0), ("v4", 23.0)):  # the bar is 23.75
+        teams = [
+            team(
+                seed=seed,
+                params=with_log_std(team(), seed + 0.01 * int(release[1]), ("robot", "human")),
+                self_play={**SELF_PLAY, "mean": mean, "mean_ci": [mean, mean]},
+            )
+            for seed, mean in enumerate([100.0, 100.0, 90.0, last])
+        ]
+        publish_to(teams, registry.path, release, complete=False)
+        whole = complete_release(registry.path, release, default=False)
+        split = whole.split("scratch", release=release)
+        found[release] = {name[-4] for name in (*split.train, *split.test)}
+    assert whole.release == "v0" and set(whole.data.releases["v4"].splits) == {"scratch"}
+    assert found == {"v2": {*"0123"}, "v3": {*"0123"}, "v4": {*"012"}}
+    assert len(whole.select(release="v4", role="human")) == 4  # it stays in the release
+    # By hand it is the same split; these teams differ in their noise alone, so it is refused.
+    with pytest.raises(LeakageError, match=whole.data.releases["v4"].splits["scratch"]):
+        create_split(registry.path, task="scratch", rule="half", release="v4")
 
 
 def test_another_release_stands_beside_the_first(registry: Registry, team, publish_to) -> None:

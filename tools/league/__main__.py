@@ -43,7 +43,7 @@ def rows() -> None:
     from tools.league.rows import rows as known
 
     for made in known().values():
-        print(f"{made.name:20} {made.source}{', told' * made.told}")
+        print(f"{made.name:20} {made.source}{', told' * bool(made.told)}")
 
 
 def row(
@@ -61,6 +61,8 @@ def row(
     best_of: int = 4,
     sampled: int = 16,
     persons: int | None = None,
+    validators: int | None = None,
+    references: bool = True,
     contrasts: Path | None = None,
     backend: str = "auto",
     max_envs: int | None = None,
@@ -84,7 +86,9 @@ def row(
         checkpoints: At how many equal steps the validation side is played.
         best_of: Of how many seeds the best is the row ppo-best-of-4's.
         sampled: Test partners that have best responses.
-        persons: How many persons of a side play.
+        persons: How many persons of the test side play.
+        validators: How many of the validation side; default as many.
+        references: Whether zero, random and script play too; once in a league is enough.
         contrasts: File of named contrasts, whose sha256 the record keeps.
         backend: Physics.
         max_envs: Most simulations in a saved part of an evaluation.
@@ -109,6 +113,8 @@ def row(
         checkpoints=checkpoints,
         sampled=sampled,
         persons=persons,
+        validators=validators or persons,
+        references=references,
         changes=parse_changes(set_),
     )
     command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])

@@ -1,30 +1,27 @@
 """A row of the league from nothing: training, choice by validation, the test side, its record."""
 
+import contextlib
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
-from assistax_envs import make
-from assistax_workshop.gates.audit import BOTH
+from assistax_workshop.gates.persons import recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.cast import choose_partners
-from evaluation.ego_training import EgoTraining, prepare, train_egos, write_egos
+from evaluation.ego_training import EgoTraining, each_person, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
-from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import read_summary
-from evaluation.play.evaluator import run_job
 from evaluation.play.how import How
-from evaluation.play.study import context_of, make_job, seal
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
 from evaluation.validation import check_validation, choose
-from population.runs.train import train
-from population.runs.trained import TrainedRun, read_trained_run
+from population.runs.trained import TrainedRun
 from tools.league.rows import Row
 from zoo.ids import PERSONS
 from zoo.locations import cache_root
@@ -43,7 +40,9 @@ class Sizes:
     best_of: int = 4
     checkpoints: int = 10  # among which validation chooses
     sampled: int = 16  # partners of the test side that have best responses
-    persons: int | None = None  # of a side, where they are the partners
+    persons: int | None = None  # of the test side, where they are the partners
+    validators: int | None = None  # of the validation side
+    references: bool = True  # whether zero, random and script play too
     changes: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the preset
 
 
@@ -90,7 +89,7 @@ def make_row(making: Making) -> dict[str, Any]:
         "task": making.how.task,
         "command": making.command,
         "split": making.split.id,
-        "seeds": list(making.sizes.seeds),
+        "seeds": [member.seed for run in trainings[:1] for member in run.config.members],
         "robots": len(files),
         "steps": trainings[0].training["steps"] if trainings else 0,
         "total_steps": sum(t.training["steps"] * len(t.config.members) for t in trainings),
@@ -114,11 +113,16 @@ def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[
     if row.source == "published":
         return [_best_published(making, seconds)], []
     if row.source == "each":
+        humans, place = sampled(making), making.runs
+        if split.rule == PERSONS:  # one program for all: the first robot has the first person
+            split = split.model_copy(update={"train": tuple(human.team for human in humans)})
+            run, files = _trained(making, split, place / "training", seconds)
+            return files, [run]
         files, runs = [], []
-        for human in sampled(making):
+        for human in humans:
             own = split.model_copy(update={"train": (human.team,)})
             name = human.team.partition("/")[2]
-            run, made = _trained(making, own, making.runs / name, seconds)
+            run, made = _trained(making, own, place / name, seconds)
             files += made
             runs.append(run)
         return files, runs
@@ -129,10 +133,37 @@ def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[
 
 def sampled(making: Making) -> list[PolicyEntry]:
     """Return the partners of the test side that have best responses: a draw, fewer part of more."""
-    name = f"{PERSONS if making.split.rule == PERSONS else making.split.id}:test"
-    _, humans = choose_partners(making.registry, making.how.task, name, None, making.sizes.persons)
+    _, humans = _partners(making, "test", making.sizes.persons)
     drawn = sorted(humans, key=lambda human: sha256(human.id.encode()))[: making.sizes.sampled]
     return sorted(drawn, key=lambda human: human.id)
+
+
+def _partners(
+    making: Making, side: str, persons: int | None
+) -> tuple[Split, Sequence[PolicyEntry]]:
+    name = PERSONS if making.split.rule == PERSONS else making.split.id
+    return choose_partners(making.registry, making.how.task, f"{name}:{side}", None, persons)
+
+
+def _learning(making: Making, split: Split) -> EgoTraining:
+    """Return what is to be trained with a split's training side."""
+    row, sizes = making.row, making.sizes
+    alone = row.source == "each" and split.rule == PERSONS
+    recipe = recipe_with_persons(split.task) if split.rule == PERSONS else {}
+    learning = prepare(
+        making.registry,
+        split.task,
+        split=split,
+        algorithm=row.algorithm,
+        seeds=len(split.train) if alone else sizes.seeds,
+        steps=sizes.steps,
+        hyperparameters={**recipe, **sizes.changes},
+        told=row.told,
+    )
+    if alone:
+        partners = each_person(making.registry, split)
+        learning = dataclasses.replace(learning, partners=partners)
+    return learning
 
 
 def _trained(
@@ -143,26 +174,23 @@ def _trained(
     Told robots, the mirror's and best responses are bounds and no methods: they stay as they are
     at the end of their training.
     """
-    row, sizes = making.row, making.sizes
-    learning = prepare(
-        making.registry,
-        making.how.task,
-        split=split,
-        algorithm=row.algorithm,
-        seeds=sizes.seeds,
-        steps=sizes.steps,
-        hyperparameters={**row.changes, **sizes.changes},
-    )
-    method = row.source in ("train", "best-of") and not row.told
-    run = _train(learning, folder, making.how.backend, row.told, sizes.checkpoints * method)
+    row, sizes, learning = making.row, making.sizes, _learning(making, split)
+    watched = row.source in ("train", "best-of")  # by the validation side
+    line, start = TrainingLine(str(folder)), time.perf_counter()
+    kept: dict[str, Any] = {"snapshots": sizes.checkpoints * watched, "progress": line}
+    with contextlib.closing(line):
+        egos = train_egos(learning, folder, backend=making.how.backend, **kept)
+    run = egos.run
     seconds["training"] = seconds.get("training", 0.0) + float(run.training["seconds"])
-    if not method:
-        return run, [str(path) for path in write_egos(run, learning).files]
-    start, how = time.perf_counter(), making.how
-    chosen = choose(
-        making.registry, learning, run, how, best_of=sizes.best_of, persons=sizes.persons
-    )
+    ends = [str(path) for path in egos.files]
+    if not watched:
+        return run, ends
+    start = time.perf_counter()
+    playing: dict[str, Any] = {"best_of": sizes.best_of, "persons": sizes.validators}
+    chosen = choose(making.registry, learning, run, making.how, **playing)
     seconds["validation"] = time.perf_counter() - start
+    if row.told:
+        return run, ends
     picked = chosen.best if row.source == "best-of" else chosen.by_seed
     if not picked:
         raise ValueError(
@@ -170,21 +198,6 @@ def _trained(
             "that many or more"
         )
     return run, [str(run.folder / choice.file) for choice in picked]
-
-
-def _train(
-    learning: EgoTraining, folder: Path, backend: str, told: bool, snapshots: int
-) -> TrainedRun:
-    line = TrainingLine(str(folder))
-    try:
-        if not told:
-            kept: dict[str, Any] = {"snapshots": snapshots, "progress": line}
-            return train_egos(learning, folder, backend=backend, **kept).run
-        env = make(learning.config.task, backend, version=learning.config.env_version, told=BOTH)
-        train(learning.config, env, folder, partners=learning.partners, progress=line)
-        return read_trained_run(folder)
-    finally:
-        line.close()
 
 
 def _best_published(making: Making, seconds: dict[str, float]) -> str:
@@ -202,13 +215,7 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
     ]
     if not robots:
         raise ValueError(f"release {release} has no robot of {task} that could be the best one")
-    partners = choose_partners(
-        registry,
-        task,
-        f"{PERSONS if split.rule == PERSONS else split.id}:validation",
-        None,
-        making.sizes.persons,
-    )
+    partners = _partners(making, "validation", making.sizes.validators)
     cast = cast_robots(registry, [entry.id for entry in robots], partners)
     start, folder = time.perf_counter(), making.runs / "validation"
     evaluate(cast, making.how, folder, include_own=True)
@@ -220,37 +227,13 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
 def _evaluate(making: Making, files: list[str], seconds: dict[str, float]) -> None:
     """Play the robots with the test side into the row's folder."""
     row, folder = making.row, making.folder / making.row.name
-    persons = making.split.rule == PERSONS
-    name = f"{PERSONS if persons else making.split.id}:test"
-    split, humans = choose_partners(
-        making.registry, making.how.task, name, None, making.sizes.persons
-    )
+    split, humans = _partners(making, "test", making.sizes.persons)
     if row.source == "each":
         humans = sampled(making)
     knowing = row.source in ("test", "each")  # robots that train with the test side
-    references = not knowing and not row.told
+    references = making.sizes.references and not knowing and not row.told
     cast = cast_robots(making.registry, files, (split, humans), baselines=references)
-    start = time.perf_counter()
-    if row.told:
-        _evaluate_told(making, cast, folder, include_own=knowing)
-        played = True
-    else:
-        kept = cache_root() / "references" if references else None
-        summary = evaluate(cast, making.how, folder, include_own=knowing, references=kept)
-        played = summary.env_steps_per_second is not None
+    start, kept = time.perf_counter(), cache_root() / "references" if references else None
+    summary = evaluate(cast, making.how, folder, include_own=knowing, references=kept)
     seconds["evaluation"] = time.perf_counter() - start
-    write_run(folder, making.command, played)
-
-
-def _evaluate_told(making: Making, cast: Any, folder: Path, *, include_own: bool) -> None:
-    """Play robots that observe what the human likes, which no command does."""
-    usual, job = make_job(making.how, cast.robots, cast.humans, cast.sides, cast.version)
-    if cast.split.preferences and making.how.preferences is None:
-        job = job.with_side_preferences(cast.split.preferences)
-    job = dataclasses.replace(job, engine={**job.engine, "condition": "told"})
-    env = make(making.how.task, usual.backend, version=cast.version, told=BOTH)
-    result = run_job(env, job, folder)
-    context = context_of(job, result, split=cast.split, release=cast.split.release, lock=cast.lock)
-    saved = Record(result.table, folder)
-    save_evaluation(saved, context, met=cast.met, include_own=include_own)
-    seal(folder, cast, [path for who in cast.robots.members.values() for path in who.files])
+    write_run(folder, making.command, summary.env_steps_per_second is not None)

@@ -1,10 +1,9 @@
 """The rows of a league, as a table: how the robots of each come to be."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
-from evaluation.ego_training import ROWS as TRAINED
+from assistax_envs.preferences import Told
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIXED,
@@ -12,9 +11,12 @@ from evaluation.figures.league import (
     PPO,
     RESPONSE,
     TOLD,
+    TOLD_MEMORY,
+    TOLD_PARTNER,
     TOLD_RESPONSE,
     ordered,
 )
+from population.hyperparameters import METHODS
 
 # With whom robots train: the training side; the test side; one partner of the test side each; or
 # nobody, because the best published robot is taken, or the best of each four of another row.
@@ -28,8 +30,7 @@ class Row:
     name: str
     source: Source
     algorithm: str = PPO
-    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    told: bool = False  # whether robots observe what the human likes
+    told: Told = False
 
     @property
     def of(self) -> str:
@@ -42,11 +43,13 @@ def rows() -> dict[str, Row]:
 
     Zero, random and script stand in every row's folder as references.
     """
-    methods = [Row(name, "train", *made) for name, made in TRAINED.items()]
+    methods = [Row(name, "train", name) for name in (PPO, "sac", *METHODS)]
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),
         Row(TOLD, "train", told=True),
+        Row(TOLD_MEMORY, "train", "gru", told=True),
+        Row(TOLD_PARTNER, "train", told="partner"),
         Row(MIRROR, "test"),
         Row(RESPONSE, "each"),
         Row(TOLD_RESPONSE, "each", told=True),

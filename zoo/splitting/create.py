@@ -7,7 +7,7 @@ from typing import Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_base.files import exclusive
-from zoo.ids import parse_team
+from zoo.ids import parse_team, release_number
 from zoo.locations import OWN, own_registry, own_splits_file
 from zoo.namespaces import qualify_split, split_namespace
 from zoo.registry import Registry, load_registry
@@ -18,6 +18,7 @@ from zoo.splitting.rules import LEAVE_ONE_OUT, THREE, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
 
 LEAST = 0.25  # of the median of what partners let robots earn; who lets them earn less leaves
+SINCE = 3  # release from which on such partners stand in no split but those made by hand
 
 
 def create_split(
@@ -36,7 +37,8 @@ def create_split(
     partners go to a file of the user's, and stand beside the published ones from then on.
     A leave-one-out rule leaves out training partners that act nearly as one of the test partners
     does. `three-sides` leaves them out too, and partners with whom nobody earns much: less than a
-    quarter of what the median partner lets its best response earn.
+    quarter of what the median partner lets its best response earn. From release v3 on every rule
+    but `custom` leaves the latter out.
 
     Args:
         registry_path: The registry to write to; if not given, the one in use, or the user's own
@@ -92,7 +94,7 @@ def _checked_split(
     partners = partner_teams(registry.data, task, release)
     if not partners:
         raise _no_partners(registry.data, task, release)
-    if rule == THREE:
+    if rule == THREE or (rule != "custom" and release_number(release) >= SINCE):
         partners = competent(registry.data, partners, earned)
     while True:
         split = make_split(partners, task=task, release=release, rule=rule, **arguments)

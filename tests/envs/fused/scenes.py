@@ -141,7 +141,7 @@ def team_states(task: str) -> tuple[States, np.ndarray]:
     with np.load(Path(__file__).with_name("team_states.npz")) as file:
         arrays = {k.removeprefix(f"{base}_"): v for k, v in file.items() if k.startswith(base)}
     if task in CARE_TASKS:  # of a scripted pair
-        with np.load(Path(__file__).with_name("mouth_states.npz")) as file:
+        with np.load(Path(__file__).with_name(f"{task}_states.npz")) as file:
             arrays = dict(file)
     ranges = np.tile(model.jnt_range.astype(np.float32), (len(arrays["qpos"]), 1, 1))
     if "elbow" in arrays:

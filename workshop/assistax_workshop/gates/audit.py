@@ -40,7 +40,7 @@ from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
 
 JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
-POSTURES = tuple(itertools.product((-1.0, 0.0, 1.0), repeat=3))  # torques that a human holds
+HELD = (-1.0, 0.0, 1.0)  # of each torque of its seat, what a human holds
 EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
 # Times as many of a team with itself, and of the script with a passive human: those are few pairs,
 # and one episode in a hundred is to be told from none.
@@ -314,9 +314,10 @@ def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np
 def held_roster(
     observation_size: int,
     action_size: int,
-    postures: Sequence[tuple[float, ...]] = POSTURES,
+    postures: Sequence[tuple[float, ...]] = (),
 ) -> Roster:
-    """Return humans that hold their arm with constant torques, shares of their strength."""
+    """Return humans that hold constant torques, shares of their strength: all if none are given."""
+    postures = postures or tuple(itertools.product(HELD, repeat=action_size))
     spec = PolicySpec("human", observation_size, action_size, hidden=(1,), normalise=False)
     ids = tuple(f"held-{i}" for i in range(len(postures)))
     n = len(ids)

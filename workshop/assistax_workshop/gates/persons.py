@@ -110,6 +110,11 @@ class Plan:
         return range(0, SPRINGS, SPRINGS // self.single)[: self.single]
 
 
+def recipe_with_persons(task: str) -> dict[str, Any]:
+    """Return what robots of a gentle task that learn with persons change of PPO's preset."""
+    return {**CHANGES[task], "learning_rate": 5e-4, "num_envs": 2048}
+
+
 def run_stages(
     plan: Plan, stages: Sequence[str] = STAGES, progress: Callable[[str], None] = print
 ) -> None:
@@ -177,13 +182,12 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
     if kind.partners is OnePersonEach:
         met, seeds = rows[list(plan.sample)], plan.sample
     partners = kind.partners(PersonPlayer(plan.task), jnp.asarray(met), f"persons-{name}")
-    usual = {**CHANGES[plan.task], "learning_rate": 5e-4, "num_envs": 2048}
     config = make_run(
         plan.task,
         "ippo",
         [Member(seed, MIXED) for seed in seeds],
         plan.steps or kind.steps,
-        preset("ippo", **{**usual, **kind.changes, **plan.changes}),
+        preset("ippo", **{**recipe_with_persons(plan.task), **kind.changes, **plan.changes}),
         self_play_episodes=0,
         partners=partners.ids,
     )

@@ -43,6 +43,7 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "gentle_bath": {**GENTLE, "entropy_coef": 3e-3},
     "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
     "gentle_feeding": {**GENTLE, "entropy_coef": 3e-3},
+    "gentle_brushing": {**GENTLE, "entropy_coef": 3e-3},
 }
 
 

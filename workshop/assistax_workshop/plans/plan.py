@@ -118,6 +118,7 @@ class Plan:
     release: Release  # release that they join, such as "v1"
     groups: Annotated[Many[Group], Field(min_length=1)]  # in the order in which they are trained
     description: str = ""  # of the release, in one sentence
+    default: bool = True  # whether the release becomes the registry's default once it is whole
 
     def __post_init__(self) -> None:
         owners: dict[str, str] = {}  # group of each team

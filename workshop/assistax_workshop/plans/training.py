@@ -109,7 +109,7 @@ class PlanTraining:
             self.record()
 
     def complete(self) -> None:
-        """Make the release the default one once every team of the plan is in it."""
+        """Give the release its default splits once every team of the plan is in it."""
         loaded = self.load()
         teams = {
             str(team_id(group, (m.disability, m.seed), self.plan.release))
@@ -118,7 +118,7 @@ class PlanTraining:
         }
         if loaded and teams <= loaded.data.teams.keys():
             with self._noting(f"release {self.plan.release}"):
-                complete_release(self.registry, self.plan.release)
+                complete_release(self.registry, self.plan.release, self.plan.default)
 
     def write_curves(self, folder: Path) -> None:
         """Write the learning curves of the finished runs that have their metrics."""

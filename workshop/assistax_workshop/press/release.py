@@ -9,22 +9,28 @@ from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry
 from zoo.schema import RegistryFile
-from zoo.splitting.create import partner_teams, with_defaults
+from zoo.splitting.create import SINCE, competent, partner_teams, with_defaults
 from zoo.splitting.rules import half_side, make_split
 
 
-def complete_release(registry_path: Path | str, release: str) -> Registry:
-    """Make a release that was published in parts the default one; return the registry."""
+def complete_release(registry_path: Path | str, release: str, default: bool = True) -> Registry:
+    """Give a release that was published in parts its default splits; return the registry.
+
+    Args:
+        registry_path: The registry.
+        release: The release, which is whole now.
+        default: Whether it becomes the default release, unless it is older.
+    """
     path = Path(registry_path)
     with exclusive(path):
         registry = load_registry(path)
-        data = completed(registry.data, release)
+        data = completed(registry.data, release, default)
         return registry if data == registry.data else save_registry(data, path)
 
 
-def completed(data: RegistryFile, release: str) -> RegistryFile:
-    """Return the registry with the release's default splits; it is the default unless older."""
-    newest = max(data.release, release, key=release_number)
+def completed(data: RegistryFile, release: str, default: bool = True) -> RegistryFile:
+    """Return the registry with the release's default splits; see `complete_release`."""
+    newest = max(data.release, release if default else data.release, key=release_number)
     return _with_default_splits(data.model_copy(update={"release": newest}), release)
 
 
@@ -45,6 +51,8 @@ def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     splits, halves = {split.id: split for split in data.splits}, {}
     for task in data.releases[release].environments:
         partners = partner_teams(data, task, release)
+        if release_number(release) >= SINCE:
+            partners = competent(data, partners, {})
         if len({half_side(parse_team(team)) for team in partners}) == 2:
             split = make_split(partners, task=task, release=release)
             splits[split.id], halves[task] = split, split.id

@@ -1,0 +1,370 @@
+"""A person at the mouth: opens, turns its head, closes, and shows what is too much or too little.
+
+The same person as `controller`'s, with another body: its row has numbers of neck and jaw in place
+of an arm's. It opens for a spoon that waits where it likes, or shows the teeth that are to be
+brushed; it turns away from what comes too near too soon, goes too deep, presses too hard or rubs
+too fast, and leans towards what is too far or too light. Shapes: N simulations; joints are those of
+the seat: trunk, pitch, yaw and roll of the neck, jaw.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.models.care_scenes import OPEN, SEAT
+from assistax_envs.persons import noise, reaction
+from assistax_envs.persons.parameters import SPARED, index
+from assistax_envs.tasks.base import human_joints
+from assistax_envs.tasks.gentle_base import FELT, STEP
+from assistax_envs.tasks.gentle_brushing import OPENED, TURNED
+from assistax_envs.tasks.gentle_feeding import BESIDE, FARTHEST, LEAVING, SLOWLY, TAKING, WAITING
+from assistax_envs.tasks.teeth import INNER, PLACES, SHOWN_BY
+
+JOINTS = len(SEAT)
+LEAN, PITCH, YAW, ROLL, JAW = range(JOINTS)
+LATEST = 16  # steps that a person remembers: 300 ms and now
+# Where in a human's observation the parts stand that a person reads, by task.
+COLUMNS: dict[str, dict[str, slice]] = {
+    "gentle_feeding": {
+        "tool": slice(30, 33), "progress": slice(37, 42), "touch": slice(45, 46),
+        "closed": slice(42, 43),
+    },
+    "gentle_brushing": {
+        "tool": slice(30, 33), "progress": slice(50, 62), "touch": slice(67, 68),
+        "closed": slice(63, 64),
+    },
+}  # fmt: skip
+TOUCH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
+WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
+RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as it is liked
+SOON = 0.25  # s that a spoon has to wait at the liked place, beside the slow start
+DEEP = 1.6  # times the liked depth, from where on a bowl is too deep
+UNIT = 2.0  # N, of a spoon on the lips
+SMOOTHED = 0.25  # s, over which rubbing is felt
+REACTS, AIM, MOVED = 0.2, 0.05, 0.03  # s, rad, rad: of movements, as in `controller`
+RESUMES = 0.3  # share of the limit below which a person helps again
+LAPSE = 1.0  # s
+REFLEX = 0.25  # s that a bite reflex lasts
+CORRELATED = 0.8  # of a step's noise, what was there the step before
+HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
+LATE = 0.3  # of that, the share that waits for the delay
+WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
+MUSCLE = (0.05, 0.08)  # s, time constants of the second family
+
+LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Mind:
+    """The carry; every leaf has axis N first."""
+
+    seed: jax.Array  # uint32, of the episode's chance
+    age: jax.Array  # int32, steps
+    past: jax.Array  # [N, 16, JOINTS + 6] what was perceived, newest first
+    tool: jax.Array  # [N, 3] m, in the mouth's frame, a step ago
+    moving: jax.Array  # m/s, of the tool there, smoothed
+    reaction: reaction.Reaction
+    stopped: jax.Array  # bool: hurt, and not yet willing again
+    place: jax.Array  # int32: the stage, or the place on the teeth, that it knows of
+    willing: jax.Array  # s, how ripe its wish to open or to turn is
+    lapsed: jax.Array  # s until attention is back
+    aim: jax.Array  # [N, 5] rad, where the movement goes
+    begin: jax.Array  # [N, 5] rad, where it began
+    way: jax.Array  # s since then
+    time: jax.Array  # s that the movement takes
+    intended: jax.Array  # [N, 5] rad
+    activation: jax.Array  # [N, 5] N m, of muscles
+    shaken: jax.Array  # [N, 5] correlated noise
+    bitten: jax.Array  # s that a bite reflex still lasts
+    tired: jax.Array  # share of strength that is gone
+
+
+class Head:
+    """The program of all persons of a task at the mouth and a family."""
+
+    def __init__(self, task: str, model: mujoco.MjModel, family: str = "spring") -> None:
+        """Prepare for a task's scene.
+
+        Raises:
+            ValueError: there is no such family.
+        """
+        if family not in LAWS:
+            raise ValueError(f"family is {family!r}; allowed are {', '.join(LAWS)}")
+        self.task, self._law, self._muscle = task, LAWS[family], family == "muscle"
+        joints = [model.joint(f"human_{name}") for name in SEAT]
+        read = human_joints(model)
+        self._read = np.array([read.index(joint.name) for joint in joints])
+        self._speeds = self._read + len(read)
+        gear = [model.actuator(joint.name).gear[0] for joint in joints]
+        self._gear = np.array(gear, np.float32)  # N m, with the sign of what is forward
+        ids = [joint.id for joint in joints]
+        self._range = np.array(model.jnt_range[ids], np.float32)
+        self._spring = np.array(model.jnt_stiffness[ids], np.float32).reshape(-1)
+        rest = [model.qpos_spring[joint.qposadr[0]] for joint in joints]
+        self._rest = np.array(rest, np.float32)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        dofs = [joint.dofadr[0] for joint in joints]
+        self._weight = np.array(data.qfrc_bias[dofs], np.float32)  # N m that hold head and jaw
+        self._place, self._spared = index(task), SPARED[task]
+
+    def initial(self, n: int) -> Mind:
+        """Return the carry of N persons before their first observation."""
+        zero, none = jnp.zeros(n, jnp.float32), jnp.zeros((n, JOINTS), jnp.float32)
+        return Mind(
+            seed=jnp.zeros(n, jnp.uint32),
+            age=jnp.zeros(n, jnp.int32),
+            past=jnp.zeros((n, LATEST, JOINTS + 6), jnp.float32),
+            tool=jnp.zeros((n, 3), jnp.float32),
+            moving=zero,
+            reaction=reaction.calm(n, JOINTS),
+            stopped=jnp.zeros(n, bool),
+            place=jnp.full(n, -1, jnp.int32),
+            willing=zero,
+            lapsed=zero,
+            aim=none,
+            begin=none,
+            way=zero,
+            time=zero,
+            intended=none,
+            activation=none,
+            shaken=none,
+            bitten=zero,
+            tired=zero,
+        )
+
+    def act(
+        self, row: jax.Array, mind: Mind, obs: jax.Array, first: jax.Array
+    ) -> tuple[Mind, jax.Array]:
+        """Return the new carry and the actions [N, 5]: shares of the seat's torques.
+
+        Args:
+            row: [N, 25] numbers of `PARAMETERS`.
+            mind: the carry.
+            obs: [N, O] what a human in the seat observes.
+            first: [N] whether an episode begins; then the carry is forgotten.
+        """
+        numbers = {name: row[:, place] for name, place in self._place.items()}
+        parts = {name: obs[:, where] for name, where in COLUMNS[self.task].items()}
+        now = obs[:, self._read]
+        mind = self._begun(mind, row, obs, parts, first)
+        tool = 0.1 * parts["tool"]
+        drift = jnp.linalg.norm(tool - mind.tool, axis=-1) / STEP
+        moving = mind.moving + STEP / SMOOTHED * (drift - mind.moving)
+        seen = [tool, TOUCH_UNIT[self.task] * parts["touch"], moving[:, None], parts["closed"]]
+        newest = jnp.concatenate([now, *seen], axis=-1)
+        past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
+        steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
+        late = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
+        mind = dataclasses.replace(mind, past=past, tool=tool, moving=moving)
+        chance = noise.uniform(mind.seed, mind.age, JOINTS + 1)
+        place = parts["progress"].argmax(axis=1).astype(jnp.int32)
+        felt = self._felt(mind, late, place, numbers)
+        mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
+        mind = self._intend(mind, late, place, numbers, chance[:, JOINTS])
+        return self._move(mind, now, late, numbers, noise.normal(chance[:, :JOINTS]))
+
+    def _begun(
+        self,
+        mind: Mind,
+        row: jax.Array,
+        obs: jax.Array,
+        parts: dict[str, jax.Array],
+        first: jax.Array,
+    ) -> Mind:
+        """Forget all where an episode begins; its chance comes from the bits of the start."""
+        now = obs[:, self._read]
+        bits = jax.lax.bitcast_convert_type(jnp.concatenate([now, row], axis=1), jnp.uint32)
+        fresh = self.initial(obs.shape[0])
+        tool = 0.1 * parts["tool"]
+        still = fresh.past.at[:, :, :JOINTS].set(now[:, None])
+        still = still.at[:, :, JOINTS : JOINTS + 3].set(tool[:, None])
+        still = still.at[:, :, JOINTS + 5].set(parts["closed"])
+        fresh = dataclasses.replace(
+            fresh,
+            seed=noise.seed_of(bits),
+            past=still,
+            tool=tool,
+            place=parts["progress"].argmax(axis=1).astype(jnp.int32),
+            aim=now,
+            begin=now,
+            intended=now,
+        )
+
+        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
+
+        return jax.tree.map(choose, fresh, mind)
+
+    def _felt(
+        self, mind: Mind, late: jax.Array, place: jax.Array, numbers: dict[str, jax.Array]
+    ) -> reaction.Felt:
+        """Return what is felt, of a delay ago."""
+        tool, force, moving = late[:, JOINTS : JOINTS + 3], late[:, JOINTS + 3], late[:, JOINTS + 4]
+        one = jnp.ones_like(force)
+        if self.task == "gentle_feeding":
+            unit, liked, speed = UNIT * one, 0.0 * one, one
+            out = tool[:, 0]
+            early = (place == WAITING) & (mind.willing < SOON + numbers["slow_start"])
+            # Squared: who has to wait 1.4 times as near or as far as it likes shows that.
+            waits = (jnp.maximum(out, 1e-3) / numbers["liked_wait"]) ** 2
+            waits = jnp.where(early, waits, one)
+            deep = jnp.maximum(-out, 1e-4) / numbers["liked_depth"]
+            near = jnp.where(out < 0.0, jnp.minimum(one, reaction.LIGHT * DEEP / deep), waits)
+            near = jnp.where(place >= LEAVING, one, near)
+        else:
+            unit = liked = numbers["liked_press"]
+            speed, near = moving / numbers["liked_speed"], one
+        # Away from the side from which the tool comes; who is met from the front turns to the left,
+        # since the robot stands at the right.
+        side = jnp.where(tool[:, 1] > 0.01, -1.0, 1.0)
+        forward = jnp.sign(self._gear[LEAN])
+        away = jnp.stack([-0.3 * forward * one, -0.4 * one, 0.85 * side, 0 * one, 0 * one], -1)
+        hurts = numbers["tolerance"] * unit
+        return reaction.Felt(force, hurts, liked, unit, speed, near, away)
+
+    def _intend(
+        self,
+        mind: Mind,
+        late: jax.Array,
+        place: jax.Array,
+        numbers: dict[str, jax.Array],
+        chance: jax.Array,
+    ) -> Mind:
+        """Decide where head and jaw should be, and move on towards it by minimum jerk."""
+        discomfort, limit = mind.reaction.discomfort, numbers["limit"]
+        stopped = jnp.where(mind.stopped, discomfort > RESUMES * limit, discomfort > limit)
+        begins = chance < numbers["lapses"] * (STEP / 60.0)
+        lapsed = jnp.where(begins, LAPSE, jnp.maximum(mind.lapsed - STEP, 0.0))
+        eager = 0.5 + 0.5 * numbers["initiative"]
+        if self.task == "gentle_feeding":
+            willing, wanted = self._eats(mind, late, place, numbers, eager)
+        else:
+            willing = jnp.where(place == mind.place, mind.willing + STEP * eager, 0.0)
+            wanted = self._shows(place, willing > numbers["slow_start"], mind.aim)
+        willing = jnp.where(stopped, 0.0, willing)
+        off = jnp.zeros_like(mind.aim)
+        off = off.at[:, PITCH].set(numbers["belief_pitch"]).at[:, YAW].set(numbers["belief_yaw"])
+        opened = wanted[:, JAW] > NARROW
+        off = off.at[:, JAW].set(jnp.where(opened, numbers["belief_jaw"], 0.0))
+        wanted = jnp.where(stopped[:, None], 0.0, wanted + off)
+        # Another movement begins where another posture is wanted.
+        starts = jnp.abs(wanted - mind.aim).max(axis=1) > MOVED
+        aim = jnp.where(starts[:, None], wanted, mind.aim)
+        begin = jnp.where(starts[:, None], mind.intended, mind.begin)
+        far = jnp.abs(aim - begin).max(axis=1)
+        time = jnp.where(
+            starts, REACTS + 0.5 * numbers["pace"] * jnp.log2(1.0 + far / AIM), mind.time
+        )
+        way = jnp.where(starts, 0.0, jnp.where(lapsed > 0.0, mind.way, mind.way + STEP))
+        share = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
+        share = share * share * share * (10.0 + share * (6.0 * share - 15.0))
+        return dataclasses.replace(
+            mind,
+            stopped=stopped,
+            place=place,
+            willing=willing,
+            lapsed=lapsed,
+            aim=aim,
+            begin=begin,
+            way=way,
+            time=time,
+            intended=begin + (aim - begin) * share[:, None],
+        )
+
+    def _eats(
+        self,
+        mind: Mind,
+        late: jax.Array,
+        stage: jax.Array,
+        numbers: dict[str, jax.Array],
+        eager: jax.Array,
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return how ripe the wish to open is [N], s, and the posture wanted [N, 5]."""
+        tool, moving, closed = (
+            late[:, JOINTS : JOINTS + 3],
+            late[:, JOINTS + 4],
+            late[:, JOINTS + 5],
+        )
+        out, aside = tool[:, 0], jnp.linalg.norm(tool[:, 1:], axis=-1)
+        waits = (out > 0.0) & (out < FARTHEST) & (aside < BESIDE) & (moving < SLOWLY)
+        off = jnp.log(jnp.maximum(out, 1e-3) / numbers["liked_wait"])
+        ripens = waits * jnp.exp(-0.5 * (off / RIPE) ** 2) * eager
+        waiting = stage == WAITING
+        # It closes between two bites, and has to want the next one anew.
+        willing = jnp.where(waiting & (closed > 0.5), mind.willing + STEP * ripens, 0.0)
+        willing = jnp.where(waiting, willing, mind.willing)
+        ripe = willing > SOON + numbers["slow_start"]
+        shut = (waiting & ~ripe) | (stage == TAKING)
+        jaw = jnp.where(shut, NARROW, WIDE)
+        return willing, jnp.zeros_like(mind.aim).at[:, JAW].set(jaw)
+
+    def _shows(self, place: jax.Array, ready: jax.Array, aim: jax.Array) -> jax.Array:
+        """Return the posture [N, 5] that shows a place on the teeth, once it is `ready` for it."""
+        known = jnp.minimum(place, PLACES - 1)
+        turn = TURNED * jnp.asarray(SHOWN_BY, jnp.float32)[known]
+        jaw = jnp.where(jnp.asarray(INNER)[known], OPENED, 0.0)
+        shown = jnp.zeros_like(aim).at[:, YAW].set(turn).at[:, JAW].set(jaw)
+        return jnp.where(ready[:, None], shown, aim)
+
+    def _move(
+        self,
+        mind: Mind,
+        now: jax.Array,
+        late: jax.Array,
+        numbers: dict[str, jax.Array],
+        normal: jax.Array,
+    ) -> tuple[Mind, jax.Array]:
+        """Return the carry and the actions [N, 5] that muscles, noise, tremor and reflexes make."""
+        strength = (1.0 - (1.0 - self._spared) * (1.0 - numbers["strength"])) * (1.0 - mind.tired)
+        most = strength[:, None] * jnp.abs(jnp.asarray(self._gear))[None]
+        low, high = jnp.asarray(self._range.T)[:, None]
+        time = STEP * mind.age.astype(jnp.float32)
+        wander = jnp.zeros_like(now)
+        for joint, hertz in zip((PITCH, YAW), WANDERS, strict=True):
+            phase = 2.0 * np.pi * hertz * time + (mind.seed % 628).astype(jnp.float32) / 100.0
+            wander = wander.at[:, joint].set(numbers["wander"] * jnp.sin(phase))
+        goal = jnp.clip(mind.intended + wander + mind.reaction.shift, low, high)
+        spring = jnp.asarray(self._spring)[None]
+        loud = numbers["stiffness"] * (1.0 + mind.reaction.discomfort)
+        share = 1.0 if self._muscle else LATE
+        error = (1.0 - share) * (goal - now) + share * (goal - late[:, :JOINTS])
+        torque = spring * (goal - jnp.asarray(self._rest)[None] + HELD * loud[:, None] * error)
+        torque = torque + jnp.asarray(self._weight)[None]
+        activation = mind.activation
+        if self._muscle:  # a muscle follows its command late
+            constant = MUSCLE[0] + (MUSCLE[1] - MUSCLE[0]) * jnp.clip(
+                (numbers["settle"] - 0.15) / 0.45, 0.0, 1.0
+            )
+            activation = activation + (STEP / constant)[:, None] * (torque - activation)
+            torque = activation
+        fresh = float(np.sqrt(1.0 - CORRELATED**2))
+        shaken = CORRELATED * mind.shaken + fresh * normal
+        torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
+        turn = 2.0 * np.pi * numbers["tremor_frequency"] * time
+        trembles = np.array([0.0, 1.0, 1.0, 1.0, 0.5], np.float32)
+        phases = np.array([0.0, 0.0, 0.7, 2.1, 1.4], np.float32)
+        shake = jnp.sin(turn[:, None] + jnp.asarray(phases)[None]) * jnp.asarray(trembles)[None]
+        torque = torque + numbers["tremor"][:, None] * most * shake
+        # A touch in an open mouth may close it, once.
+        touched = late[:, JOINTS + 3] > numbers["bite_onset"]
+        begins = touched & (mind.bitten <= -1.0) & (now[:, JAW] > 0.25 * OPEN)
+        bitten = jnp.where(begins, REFLEX, jnp.maximum(mind.bitten - STEP, -1.0))
+        bitten = jnp.where(late[:, JOINTS + 3] > FELT, jnp.maximum(bitten, -0.98), bitten)
+        reflex = numbers["bite_reflex"] * (bitten > 0.0)
+        torque = torque.at[:, JAW].add(-reflex)
+        torque = jnp.clip(torque, -most, most)
+        work = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
+        mind = dataclasses.replace(
+            mind,
+            age=mind.age + 1,
+            activation=activation,
+            shaken=shaken,
+            bitten=bitten,
+            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * work, 0.9),
+        )
+        return mind, torque / jnp.asarray(self._gear)[None]

@@ -1,0 +1,272 @@
+"""Gentle brushing: strokes over twelve places on the teeth, at the liked force and speed.
+
+Neither can do it alone: the human turns its head to show a side and opens its mouth for the inside,
+the robot brushes. How hard and how fast the human likes it the robot has to find out.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax_envs.models.care_scenes import OPEN, TEETH
+from assistax_envs.tasks.base import (
+    ROBOT_JOINTS,
+    Measures,
+    Pose,
+    observations,
+    rotate,
+)
+from assistax_envs.tasks.gentle_base import (
+    COSTS,
+    STEP,
+    Liking,
+    bump,
+    costs,
+    touch_measures,
+    wishes,
+    with_preference,
+)
+from assistax_envs.tasks.gentle_feeding import START, WAY
+from assistax_envs.tasks.gentle_rules import NEWEST, RULES
+from assistax_envs.tasks.mouth import MouthReadings, MouthSensors
+from assistax_envs.tasks.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
+
+HALF = 0.008  # m, from a place's middle to either end of its strokes
+AT_END = 0.004  # m along the row, how near the brush comes to an end
+STROKE = 0.01  # m, way of a stroke: what a liked speed means in time
+BESIDE = 0.007  # m across the row, how far the brush may be from where it should be
+LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
+STROKES = 4  # of a place: ten, as a dentist may want, would take a minute and a half in all
+ASKED = 6  # places that are success
+HALF_OPEN, OPENED = 0.25, 0.4  # rad of the jaw: inside can be brushed; what a mouth opens to
+SHOWN, TURNED = 0.3, 0.5  # rad of the neck's yaw: a side can be brushed; what a head turns to
+JAW_WAY, TURN_WAY = 0.2, 0.1  # m of a place's way that a radian of jaw and neck counts for
+GATE = np.array([0.0, 0.0, -0.005], np.float32)  # between the lips, where a brush goes in and out
+WITHIN = -0.002  # m: a brush that is farther out than this is before the mouth
+WHATEVER = 0.2  # share of a stroke's pay that no liking changes
+FARTHEST = 5  # rows of `WAY` in which episodes start before the mouth
+# The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of
+# who shows them.
+AT = (
+    (0.093, 0.052, -0.504, -1.551, 0.546, 1.661, -0.680),
+    (0.019, -0.382, -0.229, -2.063, 0.294, 2.071, -0.042),
+    (0.014, -0.495, 0.013, -2.207, 0.006, 2.235, 0.787),
+    (0.014, -0.497, 0.013, -2.239, 0.006, 2.266, 0.787),
+    (0.089, -0.392, -0.287, -2.097, 0.267, 2.107, -0.029),
+    (0.107, 0.045, -0.513, -1.589, 0.544, 1.691, -0.692),
+    (-0.173, 0.100, -0.222, -1.558, 0.545, 1.720, -0.695),
+    (0.300, -0.371, -0.444, -2.111, 0.197, 2.182, 0.031),
+    (0.018, -0.472, 0.045, -2.261, 0.001, 2.312, 0.825),
+    (0.018, -0.474, 0.044, -2.210, 0.001, 2.260, 0.824),
+    (0.047, -0.340, -0.232, -2.048, 0.298, 2.104, -0.028),
+    (0.006, 0.117, -0.425, -1.492, 0.569, 1.660, -0.688),
+)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BrushState:
+    """How far the brushing and its present stroke are."""
+
+    place: jax.Array  # int32 index into `teeth.ORDER`
+    done: jax.Array  # int32, places that are brushed
+    strokes: jax.Array  # int32, of this place
+    side: jax.Array  # +1 or -1: the end that the brush goes to
+    time: jax.Array  # steps that this stroke has taken
+    liked: jax.Array  # sum over them of how well the human liked the force
+    left: jax.Array  # m of the way to that end a step ago; NaN before the first step
+    violated: jax.Array  # bool, some contact was above its limit
+    likes: Liking
+
+
+class GentleBrushing:
+    """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
+
+    name = "gentle_brushing"
+    target_colours: ClassVar = {
+        "place": (0.95, 0.05, 0.55, 1.0),
+        "ends": (0.10, 0.35, 0.95, 1.0),
+    }
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        weights: dict[str, float] | None = None,
+        told: tuple[str, ...] = ("human",),
+    ) -> None:
+        self.rules = RULES[NEWEST]
+        terms = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
+        # Who leans forward to have its teeth brushed bends its trunk.
+        self.weights = terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
+        self.pose = Pose(model, START)
+        self.sensors = MouthSensors(model, self.pose, self.rules, TEETH)
+        self._told = told
+        self._robot = np.array([model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
+        joints = ("human_jaw", "human_neck_yaw")
+        self._jaw, self._yaw = (int(model.joint(name).qposadr[0]) for name in joints)
+        # Among the joints that are read.
+        read = [
+            name for name in (model.joint(i).name for i in range(model.njnt)) if "human_" in name
+        ]
+        self._read_yaw = read.index("human_neck_yaw")
+
+    def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, BrushState]:
+        """Draw the start pose [nq], the first place and, where it is not given, the preference."""
+        pose_key, likes_key, place_key, start_key, side_key = jax.random.split(key, 5)
+        place = jax.random.randint(place_key, (), 0, PLACES)
+        out = jax.random.uniform(start_key, maxval=2.0 * (FARTHEST - 1))
+        there = out > FARTHEST - 1  # half of the episodes start at the place itself
+        rows, way = jnp.arange(FARTHEST), jnp.asarray(WAY, jnp.float32)[:FARTHEST]
+        before = jnp.stack([jnp.interp(out, rows, joint) for joint in way.T])
+        arm = jnp.where(there, jnp.asarray(AT, jnp.float32)[place], before)
+        pose = self.pose.draw(pose_key)
+        noise = (pose - self.pose.angle)[self._robot] * jnp.where(there, 0.0, 0.5)
+        pose = pose.at[self._robot].set(arm + noise)
+        turn = TURNED * jnp.asarray(SHOWN_BY, jnp.float32)[place]
+        pose = pose.at[self._yaw].set(jnp.where(there, turn, pose[self._yaw]))
+        opened = there & jnp.asarray(INNER)[place]
+        pose = pose.at[self._jaw].set(jnp.where(opened, OPENED, 0.0))
+        zero, nought = jnp.zeros((), jnp.float32), jnp.zeros((), jnp.int32)
+        return pose, BrushState(
+            place=place,
+            done=nought,
+            strokes=nought,
+            side=jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0),
+            time=zero,
+            liked=zero,
+            left=jnp.full((), jnp.nan, jnp.float32),
+            violated=jnp.zeros((), bool),
+            likes=wishes(params, likes_key),
+        )
+
+    def targets(self, task_state: BrushState, readings: MouthReadings) -> dict[str, jax.Array]:
+        """See `Task.targets`: the place, and its ends."""
+        spot = self._spot(task_state, readings)
+
+        def world(point: jax.Array) -> jax.Array:
+            return readings.mouth_position + rotate(readings.mouth_orientation, point)
+
+        ends = [world(spot.middle + side * HALF * spot.along) for side in (1.0, -1.0)]
+        return {"place": world(spot.middle)[:, None], "ends": jnp.stack(ends, axis=1)}
+
+    def transition(
+        self, task_state: BrushState, readings: MouthReadings
+    ) -> tuple[BrushState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
+        """See `Task.transition`; the goal holds after six places.
+
+        If none of the episode's contacts was hard.
+        """
+        s, r = task_state, readings
+        spot = self._spot(s, r)
+        full = s.done >= PLACES
+        first = jnp.isnan(s.left)
+        there = spot.shown & (spot.aside < BESIDE) & ~full
+        touching = there & (spot.force > LIGHTEST) & (spot.force < HARDEST)
+        arrived = touching & (s.side * spot.at > HALF - AT_END) & (jnp.abs(spot.at) < HALF + AT_END)
+        time, liked = s.time + 1.0, s.liked + there * bump(spot.force, s.likes.press) ** 2
+        wished = STROKE / s.likes.speed / STEP  # steps
+        well = liked / time * bump(wished / time, jnp.ones_like(time)) ** 2
+        strokes = s.strokes + arrived
+        finished = strokes >= STROKES
+        terms = {
+            "progress": jnp.where(first | full, 0.0, s.left - spot.left),
+            "stroke": arrived * (WHATEVER + (1.0 - WHATEVER) * well),
+            "place": finished.astype(jnp.float32),
+        } | costs(r)
+        after = dataclasses.replace(
+            s,
+            place=jnp.where(finished, (s.place + 1) % PLACES, s.place),
+            done=s.done + finished,
+            strokes=jnp.where(finished, 0, strokes).astype(jnp.int32),
+            side=jnp.where(arrived, -s.side, s.side),
+            time=jnp.where(arrived, 0.0, time),
+            liked=jnp.where(arrived, 0.0, liked),
+            violated=s.violated | r.hurt,
+        )
+        ahead = self._spot(after, r)
+        after = dataclasses.replace(after, left=ahead.left)
+        obs = self._observed(after, r, ahead, liked / time)
+        success = (after.done >= ASKED) & ~after.violated
+        return after, obs, terms, touch_measures(r, spot.left, success, after.violated)
+
+    def _spot(self, s: BrushState, r: MouthReadings) -> "Spot":
+        """Return where the brush is, seen from the place that is to be brushed."""
+        middle, along, normal = places(s.place, r.jaw)
+        inner, shown_by = jnp.asarray(INNER)[s.place], jnp.asarray(SHOWN_BY, jnp.float32)[s.place]
+        off = r.bowl - middle
+        at = (off * along).sum(-1)
+        across = off - at[:, None] * along - OFF * normal
+        goal = middle + OFF * normal + (s.side * HALF)[:, None] * along
+        yaw = shown_by * r.human_position[:, self._read_yaw]
+        sideways = shown_by != 0.0
+        before = (r.bowl[:, 0] > WITHIN) | (
+            jnp.linalg.norm(r.bowl[:, 1:] - GATE[None, 1:], axis=-1) > 0.03
+        )
+        straight = jnp.linalg.norm(goal - r.bowl, axis=-1)
+        gate = jnp.asarray(GATE)[None]
+        around = jnp.linalg.norm(r.bowl - gate, axis=-1) + jnp.linalg.norm(goal - gate, axis=-1)
+        tool = jnp.where(inner == before, around, straight)
+        left = (
+            tool
+            + inner * JAW_WAY * jnp.maximum(OPENED - r.jaw, 0.0)
+            + sideways * TURN_WAY * jnp.maximum(TURNED - yaw, 0.0)
+        )
+        row = jnp.arange(s.place.shape[0])
+        return Spot(
+            middle=middle,
+            along=along,
+            normal=normal,
+            goal=goal,
+            at=at,
+            aside=jnp.linalg.norm(across, axis=-1),
+            force=r.felt[row, jnp.asarray(ROW)[s.place]],
+            shown=(~inner | (r.jaw > HALF_OPEN)) & (~sideways | (yaw > SHOWN)),
+            left=left,
+        )
+
+    def _observed(
+        self, s: BrushState, r: MouthReadings, spot: "Spot", liked: jax.Array
+    ) -> dict[str, jax.Array]:
+        """Return what the seats observe after a step."""
+        goal = (
+            r.bowl * 10.0,
+            r.up,
+            jnp.clip(spot.goal - r.bowl, -0.05, 0.05) * 20.0,
+            rotate(r.mouth_orientation, spot.goal - r.bowl) * 5.0,
+            rotate(r.mouth_orientation, spot.normal),
+            rotate(r.mouth_orientation, spot.along),
+            r.jaw[:, None] / OPEN,
+            r.human_position[:, self._read_yaw][:, None],
+            jax.nn.one_hot(s.place, PLACES),
+            s.side[:, None],
+            spot.shown[:, None].astype(jnp.float32),
+            jnp.minimum(s.time, 50.0)[:, None] / 25.0,
+            s.strokes[:, None] / STROKES,
+            s.done[:, None] / PLACES,
+            r.force[:, None] / 5.0,
+            spot.force[:, None] / 5.0,
+        )
+        obs = observations(r, *goal, body=(r.mouth_position, r.forward))
+        # How well the force was liked is for the human to feel: a robot that saw it would be told.
+        seen = jnp.column_stack([liked, s.likes.observed(self.name)])
+        return with_preference(obs, seen, self._told)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Spot:
+    """A place and the brush, in the mouth's frame; m and N."""
+
+    middle: jax.Array  # [N, 3]
+    along: jax.Array  # [N, 3]
+    normal: jax.Array  # [N, 3]
+    goal: jax.Array  # [N, 3] where the brush should be at the stroke's end
+    at: jax.Array  # [N] along the row, from its middle
+    aside: jax.Array  # [N] across it, from where it should be
+    force: jax.Array  # [N] of the brush on that row
+    shown: jax.Array  # [N] bool: the head is turned and the mouth open as the place needs it
+    left: jax.Array  # [N] of the way to that end

@@ -1,0 +1,228 @@
+"""Gentle brushing: where teeth are, what a stroke is and pays, who is needed."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from assistax_envs import disability_params
+from assistax_envs.models import build_model
+from assistax_envs.models.care_scenes import TEETH
+from assistax_envs.preferences import PREFERENCES
+from assistax_envs.tasks.gentle_brushing import (
+    ASKED,
+    AT,
+    HALF,
+    OPENED,
+    STROKE,
+    STROKES,
+    TURNED,
+    BrushState,
+)
+from assistax_envs.tasks.teeth import INNER, OFF, ORDER, PLACES, SHOWN_BY, places
+from tests.envs.conftest import compiled, environment
+from tests.envs.mouth import meal
+
+TASK = "gentle_brushing"
+
+
+@pytest.mark.parametrize("jaw", [0.0, 0.25, 0.5])
+def test_places_lie_on_their_rows_as_mujoco_has_them(jaw: float) -> None:
+    """The lower ones swing with the jaw; a brush `OFF` along the normal just touches."""
+    model = build_model(TASK)
+    data = mujoco.MjData(model)
+    data.qpos[model.joint("human_jaw").qposadr[0]] = jaw
+    mujoco.mj_kinematics(model, data)
+    mouth = data.site("human_mouth")
+    frame = mouth.xmat.reshape(3, 3)
+    middle, along, normal = places(jnp.arange(PLACES), jnp.full(PLACES, jaw))
+    for number, (side, row, inner) in enumerate(ORDER):
+        geom = data.geom(f"human_{side}_{row}_teeth")
+        assert f"{side}_{row}_teeth" in TEETH
+        np.testing.assert_allclose(mouth.xpos + frame @ middle[number], geom.xpos, atol=1e-6)
+        axis = geom.xmat.reshape(3, 3)[:, 2]
+        assert abs(axis @ (frame @ along[number])) == pytest.approx(1.0, abs=1e-5)
+        assert float(along[number] @ normal[number]) == pytest.approx(0.0, abs=1e-6)
+        # Outside is away from the mouth's middle, inside towards it.
+        outward = float(normal[number] @ (middle[number] - jnp.array([-0.04, 0.0, 0.0])))
+        assert (outward < 0.02) if inner else (outward > 0.0)
+    sizes = model.geom("human_upper_front_teeth").size[0] + model.geom("robot_tool").size[0]
+    assert OFF < sizes < OFF + 0.002
+
+
+def test_starts_at_a_place_have_the_brush_before_it() -> None:
+    """Within 5 mm of where it should be, and in nothing that would hurt."""
+    model = build_model(TASK)
+    data = mujoco.MjData(model)
+    for number in range(PLACES):
+        mujoco.mj_resetData(model, data)
+        data.qpos[[model.joint(f"robot_joint{i}").qposadr[0] for i in range(1, 8)]] = AT[number]
+        jaw = OPENED if INNER[number] else 0.0
+        data.qpos[model.joint("human_jaw").qposadr[0]] = jaw
+        data.qpos[model.joint("human_neck_yaw").qposadr[0]] = TURNED * SHOWN_BY[number]
+        mujoco.mj_forward(model, data)
+        mouth = data.site("human_mouth")
+        tool = mouth.xmat.reshape(3, 3).T @ (data.site("robot_end_effector").xpos - mouth.xpos)
+        middle, _, normal = places(jnp.array([number]), jnp.array([jaw]))
+        np.testing.assert_allclose(tool, middle[0] + OFF * normal[0], atol=5e-3)
+        assert min((contact.dist for contact in data.contact), default=0.0) > -0.003
+
+
+class Table:
+    """One simulation of the task, whose readings a test lays out by hand."""
+
+    def __init__(self, preference: str = "p5", place: int = 1) -> None:
+        env = environment(TASK, "native")
+        self.task: Any = env._task
+        params = disability_params(["d1"], [preference])
+        begun = compiled(TASK, "native")[0](jax.random.split(jax.random.key(0), 1), params)
+        self.likes = PREFERENCES[preference]
+        self._read = env._sensors.read(
+            env._physics.forward(begun.physics, env._joint_range(params))
+        )
+        zero, nought = jnp.zeros(1, jnp.float32), jnp.zeros(1, jnp.int32)
+        self.state: BrushState = dataclasses.replace(
+            begun.task, place=nought + place, done=nought, strokes=nought, side=zero + 1.0,
+            time=zero, liked=zero, left=zero + jnp.nan,
+        )  # fmt: skip
+        self.total, self._transition = 0.0, jax.jit(self.task.transition)
+
+    def play(
+        self, at: float, force: float = 1.0, steps: int = 1, aside: float = 0.0,
+        jaw: float | None = None, yaw: float | None = None, hurt: bool = False,
+    ) -> dict[str, float]:  # fmt: skip
+        """Return the weighted terms, summed over equal steps with the brush `at` m on the row."""
+        place = int(self.state.place[0])
+        jaw = (OPENED if INNER[place] else 0.0) if jaw is None else jaw
+        yaw = TURNED * SHOWN_BY[place] if yaw is None else yaw
+        middle, along, normal = places(jnp.array([place]), jnp.array([jaw]))
+        row = TEETH.index(f"{ORDER[place][0]}_{ORDER[place][1]}_teeth")
+        readings = dataclasses.replace(
+            self._read,
+            bowl=middle + at * along + (OFF + aside) * normal,
+            jaw=jnp.array([jaw], jnp.float32),
+            human_position=self._read.human_position.at[:, self.task._read_yaw].set(yaw),
+            felt=jnp.zeros((1, len(TEETH))).at[:, row].set(force),
+            tool_velocity=jnp.zeros((1, 3)),
+            force=jnp.array([force], jnp.float32),
+            on_arm=jnp.array([force], jnp.float32),
+            hurt=jnp.array([hurt]),
+        )
+        sums = dict.fromkeys(self.task.weights, 0.0)
+        for _ in range(steps):
+            self.state, _, terms, self.measures = self._transition(self.state, readings)
+            for name, weight in self.task.weights.items():
+                sums[name] += weight * float(terms[name][0])
+        self.total += sum(sums.values())
+        return sums
+
+    def stroke(self, steps: int, force: float = 1.0, **other: float) -> dict[str, float]:
+        """Go to the end that comes next, in so many steps."""
+        side = float(self.state.side[0])
+        begin = self.play(-side * HALF, force, steps - 1, **other)
+        end = self.play(side * HALF, force, **other)
+        return {name: begin[name] + end[name] for name in begin}
+
+
+def liked_steps(table: Table) -> int:
+    return round(STROKE / table.likes.speed / 0.02)
+
+
+def test_four_strokes_are_a_place_and_the_next_one_follows() -> None:
+    table = Table()
+    steps = liked_steps(table)
+    for count in range(STROKES):
+        assert int(table.state.strokes[0]) == count
+        paid = table.stroke(steps)
+        assert paid["stroke"] == pytest.approx(5.0, rel=0.02)
+        assert paid["place"] == (10.0 if count == STROKES - 1 else 0.0)
+    assert int(table.state.place[0]) == 2 and int(table.state.done[0]) == 1
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"force": 0.05},  # barely touches
+        {"force": 12.0},
+        {"aside": 0.01},  # off the teeth
+        {"aside": -0.02},  # on the other side of them
+        {"place": 0, "yaw": 0.0},  # a side that is not shown
+        {"place": 7, "jaw": 0.1},  # the inside of a mouth that is shut
+    ],
+)
+def test_what_is_no_stroke(wrong: dict[str, Any]) -> None:
+    wrong = dict(wrong)
+    table = Table(place=wrong.pop("place", 1))
+    for _ in range(3):
+        assert table.stroke(12, **wrong)["stroke"] == 0.0
+    assert int(table.state.strokes[0]) == 0
+
+
+def test_standing_still_or_half_a_stroke_earns_nothing() -> None:
+    table = Table()
+    table.play(0.0)
+    assert table.play(0.0, steps=200)["stroke"] == 0.0
+    swings = [table.play(at)["stroke"] for at in (0.003, -0.003) * 20]
+    assert sum(swings) == 0.0
+
+
+@pytest.mark.parametrize("name", ["p1", "p5", "p9"])
+def test_force_and_speed_pay_as_they_are_liked(name: str) -> None:
+    by_force, by_steps = {}, {}
+    likes = PREFERENCES[name]
+    for force in (0.5, 1.0, 2.0):
+        table = Table(name)
+        by_force[force] = table.stroke(liked_steps(table), force)["stroke"]
+    for speed in (0.02, 0.04, 0.08):
+        table = Table(name)
+        by_steps[speed] = table.stroke(round(STROKE / speed / 0.02), likes.press)["stroke"]
+    assert max(by_force, key=lambda force: by_force[force]) == likes.press
+    assert max(by_steps, key=lambda speed: by_steps[speed]) == likes.speed
+    assert min(*by_force.values(), *by_steps.values()) >= 1.0  # a fifth, whatever is liked
+
+
+def test_a_perfect_episode_earns_the_bound() -> None:
+    """360 for strokes and places, and 100 a metre of ways: of each stroke at most its length."""
+    table = Table(place=0)
+    steps, ways = liked_steps(table), 0.0
+    for _ in range(PLACES * STROKES):
+        ways += table.stroke(steps)["progress"]
+    assert int(table.state.done[0]) == PLACES
+    assert table.total - ways == pytest.approx(PLACES * (STROKES * 5.0 + 10.0), rel=0.02)
+    assert ways <= 100.0 * 2.0 * HALF * PLACES * STROKES
+    before = table.total
+    for _ in range(4):
+        table.stroke(steps)
+    assert table.total == pytest.approx(before, abs=1e-3)  # a thirteenth place there is not
+
+
+def test_six_places_are_success_unless_something_hurt() -> None:
+    for hurt in (False, True):
+        table = Table()
+        table.play(0.0, hurt=hurt)
+        for count in range(ASKED * STROKES):
+            table.stroke(6)
+            assert bool(table.measures.success[0]) == (count == ASKED * STROKES - 1 and not hurt)
+
+
+def test_to_and_fro_on_the_way_earns_nothing() -> None:
+    table = Table()
+    ways = [0.05, 0.1, 0.02, 0.07, 0.05]
+    assert sum(table.play(0.0, 0.0, aside=way)["progress"] for way in ways) == pytest.approx(
+        0.0, abs=1e-4
+    )
+
+
+@pytest.mark.slow
+def test_a_scripted_pair_brushes_and_an_idle_human_is_not_enough() -> None:
+    env = environment(TASK, "fused")
+    _, states = meal(env, 32, 1000)
+    assert np.asarray(states.terminated).any(axis=0).mean() < 0.1
+    assert float(states.task.done[-1].mean()) > 2.5
+    _, idle = meal(env, 32, 1000, human=lambda obs: jnp.zeros((obs.shape[0], 5)))
+    assert not bool(idle.measures.success.any())
+    assert int(idle.task.done.max()) <= 3

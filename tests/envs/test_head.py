@@ -1,0 +1,134 @@
+"""Persons at the mouth: when they open, what they show, and what makes them turn away."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from assistax_envs.persons.head import COLUMNS, JAW, LEAN, TOUCH_UNIT, WIDE, YAW, Mind
+from assistax_envs.persons.measure import earned, episodes
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH
+from assistax_envs.persons.player import PersonPlayer
+from assistax_envs.persons.rows import INNER, persons
+from assistax_envs.tasks.gentle_brushing import TURNED
+from assistax_envs.tasks.gentle_feeding import ENTERING, TAKING, WAITING
+from assistax_envs.tasks.teeth import ORDER
+from tests.envs.conftest import start
+
+NOBODY = {  # numbers of somebody without impairment or chance
+    "strength": 1.0, "range": 1.0, "tremor_frequency": 6.0, "tremor": 0.0, "bite_reflex": 0.0,
+    "bite_onset": 2.0, "fatigue": 0.0, "slow_start": 0.1, "stiffness": 1.0, "delay": 0.1,
+    "noise": 0.0, "wander": 0.0, "pace": 0.1, "initiative": 1.0, "lapses": 0.0,
+    "belief_pitch": 0.0, "belief_yaw": 0.0, "belief_jaw": 0.0, "liked_wait": 0.08,
+    "liked_depth": 0.02, "liked_press": 1.0, "liked_speed": 0.04, "tolerance": 2.5, "settle": 0.3,
+    "withdraw": 0.15, "lean": 0.05, "limit": 1.0,
+}  # fmt: skip
+BATCH = 16
+FAMILIES = ("spring", "muscle")
+
+
+@functools.cache
+def acting(task: str, family: str):
+    player = PersonPlayer(task, family)
+    return player, jax.jit(player.act)
+
+
+@functools.cache
+def at_rest(task: str) -> np.ndarray:
+    seen = np.array(start(task, "fused", ["d1"] * 3, seed=3).obs["human"][0])
+    seen[:14] = 0.0  # head and jaw are still where their springs hold them
+    return seen
+
+
+def met(
+    task: str, stage: int, tool: tuple[float, float, float], steps: int = 100, touch: float = 0.0,
+    family: str = "spring", **numbers: float,
+) -> tuple[Mind, np.ndarray]:  # fmt: skip
+    """Return what somebody thinks and does [5] after `steps` of the same observation."""
+    player, act = acting(task, family)
+    row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
+    rows = jnp.asarray(np.resize(np.array(row, np.float32), (BATCH, WIDTH)))
+    seen, where = at_rest(task).copy(), COLUMNS[task]
+    seen[where["tool"]] = 10.0 * np.array(tool)
+    seen[where["progress"]] = 0.0
+    seen[where["progress"].start + stage] = 1.0
+    seen[where["closed"]] = 1.0
+    seen[where["touch"]] = touch / TOUCH_UNIT[task]
+    obs, mind = jnp.asarray(np.tile(seen, (BATCH, 1))), player.initial_carry((BATCH,))
+    action = jnp.zeros((BATCH, 5))
+    for step in range(steps):
+        mind, action = act({"row": rows}, mind, obs, jnp.full(BATCH, step == 0))
+    return mind, np.asarray(action[0])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_mouth_opens_sooner_for_a_spoon_that_waits_where_it_is_liked(family: str) -> None:
+    opened = {}
+    for out in (0.03, 0.08, 0.2):
+        mind, _ = met("gentle_feeding", WAITING, (out, 0.0, 0.0), 60, family=family)
+        opened[out] = float(mind.aim[0, JAW])
+    assert opened[0.08] == pytest.approx(WIDE) and max(opened[0.03], opened[0.2]) < 0.1
+    # Who likes it nearer opens there.
+    mind, _ = met("gentle_feeding", WAITING, (0.04, 0.0, 0.0), 60, family=family, liked_wait=0.04)
+    assert float(mind.aim[0, JAW]) == pytest.approx(WIDE)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_too_near_too_soon_turns_the_head_away(family: str) -> None:
+    """To the other side than the spoon's; a spoon that was waited for may come."""
+    for side, turns in ((0.02, -1.0), (-0.02, 1.0)):
+        mind, action = met("gentle_feeding", WAITING, (0.01, side, 0.0), 30, family=family)
+        assert turns * float(mind.reaction.shift[0, YAW]) > 0.05 and turns * action[YAW] > 0.05
+    mind, action = met("gentle_feeding", ENTERING, (0.01, 0.02, 0.0), 30, family=family)
+    assert float(mind.reaction.discomfort[0]) == 0.0 and abs(action[YAW]) < 0.05
+
+
+def test_too_far_away_a_person_leans_forward() -> None:
+    mind, action = met("gentle_feeding", WAITING, (0.2, 0.0, 0.0), 40)
+    near, still = met("gentle_feeding", WAITING, (0.08, 0.0, 0.0), 40)
+    assert float(mind.reaction.lightness[0]) > 0.5 > float(near.reaction.lightness[0])
+    assert action[LEAN] > still[LEAN] + 0.02  # the seat's torque is positive forward
+
+
+def test_lips_close_on_a_spoon_that_was_served_and_too_deep_is_too_much() -> None:
+    _, opened = met("gentle_feeding", ENTERING, (-0.02, 0.0, 0.0))
+    _, closed = met("gentle_feeding", TAKING, (-0.02, 0.0, 0.0))
+    assert opened[JAW] > closed[JAW] + 0.2
+    mind, _ = met("gentle_feeding", ENTERING, (-0.02, 0.0, 0.0))
+    deep, _ = met("gentle_feeding", ENTERING, (-0.045, 0.0, 0.0))
+    assert float(mind.reaction.discomfort[0]) == 0.0 < float(deep.reaction.discomfort[0])
+
+
+@pytest.mark.parametrize("place", range(len(ORDER)))
+def test_teeth_are_shown_by_turning_and_opening(place: int) -> None:
+    mind, _ = met("gentle_brushing", place, (0.1, 0.0, 0.0))
+    _, side, inner = ORDER[place]
+    turn = {"right": TURNED, "front": 0.0, "left": -TURNED}[side]
+    assert float(mind.intended[0, YAW]) == pytest.approx(turn, abs=1e-3)
+    assert (float(mind.intended[0, JAW]) > 0.3) == inner
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_brush_that_presses_too_hard_ends_the_help(family: str) -> None:
+    soft, _ = met("gentle_brushing", 6, (0.0, 0.0, 0.0), touch=1.0, family=family)
+    hard, _ = met("gentle_brushing", 6, (0.0, 0.0, 0.0), touch=8.0, family=family)
+    assert not bool(soft.stopped[0]) and bool(hard.stopped[0])
+    assert float(hard.aim[0, JAW]) == 0.0 < float(soft.aim[0, JAW])
+
+
+def test_a_touch_may_close_the_mouth_of_who_has_the_reflex() -> None:
+    _, calm = met("gentle_feeding", ENTERING, (-0.02, 0.0, 0.0), 56, touch=3.0)
+    seen = at_rest("gentle_feeding")
+    assert seen.shape[0] == 50 and calm[JAW] > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["gentle_feeding", "gentle_brushing"])
+def test_persons_act_alike_on_every_run_and_help_more_than_nobody(task: str) -> None:
+    rows = persons(task)[:INNER][:32]
+    helped = earned(episodes(task, rows, "script", "person"))
+    alone = earned(episodes(task, rows, "script", "idle"))
+    assert helped["return"] > alone["return"] + 40.0
+    assert alone["success"] == 0.0
