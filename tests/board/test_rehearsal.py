@@ -97,19 +97,26 @@ def full_disk(folder: Path) -> Generator[None]:
 
 @pytest.mark.slow
 def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Path) -> None:
-    url, port = f"sqlite:///{tmp_path / 'service.db'}", free_port("127.0.0.1", 0)
-    service = real_service(tmp_path, url)
+    """The disk is a real one of 32 MB where a file system may be mounted."""
+    with mounted(tmp_path / "board", "size=32m") as is_real:
+        closes_through_all(tmp_path / "board", is_real)
+
+
+def closes_through_all(folder: Path, is_real: bool) -> None:
+    """Let a season close on a disk that is full twice; see that nothing is lost."""
+    url, port = f"sqlite:///{folder / 'service.db'}", free_port("127.0.0.1", 0)
+    service = real_service(folder, url)
     season = open_season(service, budget=8, closes_at=time.time() + 60.0)
     ids = handed_in(service, season)
-    server = Process("serve", tmp_path, url, port)
+    server = Process("serve", folder, url, port)
     work = service.create_token(("work",))
     workers = [Process("work", f"http://127.0.0.1:{port}", work) for _ in range(2)]
     try:
-        disk = tmp_path / "full"
+        disk = folder if is_real else folder / "full"
         until(lambda: is_open(service) and not waiting(service), "panel A is played", disk=disk)
         for process in (server, *workers):
             process.kill()
-        server = Process("serve", tmp_path, url, port, 2)
+        server = Process("serve", folder, url, port, 2)
         workers = [Process("work", f"http://127.0.0.1:{port}", work, 2) for _ in range(2)]
         until(
             lambda: is_open(service) and played(service, 2) == JOBS * len(ids),
@@ -118,7 +125,7 @@ def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Pat
         until(lambda: state_of(service) == "closing", "the closing date comes")
         server.kill()
         assert state_of(service) == "closing", "killed too late to tell"
-        words = ("serve", tmp_path, url, port, 3)
+        words = ("serve", folder, url, port, 3)
         upgraded = subprocess.run(
             [sys.executable, "-m", "tests.board.faulty", *map(str, words)],
             cwd=ROOT,
@@ -141,7 +148,7 @@ def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Pat
     assert {score.version for score in scores_on_b(service, season)} == set(
         FakeScorer(2).versions()
     )
-    assert real_service(tmp_path, url, 3).adopt_version() == len(ids), "the upgrade comes after it"
+    assert real_service(folder, url, 3).adopt_version() == len(ids), "the upgrade comes after it"
 
 
 def handed_in(service: Service, season: str) -> list[str]:
@@ -165,12 +172,19 @@ def until(is_so: Callable[[], bool], what: str, disk: Path | None = None) -> Non
     end = time.monotonic() + 300.0
     if disk is not None:
         time.sleep(1.0)
-        disk.touch()
-        time.sleep(4.0)
-        disk.unlink()
+        with full_disk(disk) if disk.is_dir() else touched(disk):
+            time.sleep(4.0)
     while not is_so():
         assert time.monotonic() < end, f"in vain: {what}"
         time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def touched(path: Path) -> Generator[None]:
+    """Let a server that looks for this file find no room; see `faulty`."""
+    path.touch()
+    yield
+    path.unlink()
 
 
 def waiting(service: Service) -> list[str]:
