@@ -290,7 +290,7 @@ def _write_webp(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
     """Write a moving picture for a page: a fifth of a GIF's bytes."""
     first, *rest = map(Image.fromarray, frames)
     options = {"save_all": True, "append_images": rest, "duration": 1000 // fps, "loop": 0}
-    first.save(path, "WEBP", quality=50, method=4, **options)
+    first.save(path, "WEBP", quality=40, method=6, **options)
 
 
 def _write_sheet(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
