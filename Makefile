@@ -27,13 +27,15 @@ help:
 	@echo 'make clean      remove the virtual environment, the demo and caches'
 
 demo: $(STAMP)
-	$(BIN)/assistax-zoo evaluate --task gentle_scratch --policy gentle_scratch/mappo-d4-s0-v2/robot --split test --episodes 2 --out demo/evaluate
-	$(BIN)/assistax-zoo crossplay --task gentle_scratch --egos 'gentle_scratch/*-s0-v2/robot' --partners 'gentle_scratch/*-s0-v2/human' --episodes 1 --out demo/crossplay
+	$(BIN)/assistax-zoo evaluate --task gentle_scratch --policy gentle_scratch/ppo-ego-s0-v3/robot --partners persons --episodes 2 --out demo/persons
+	$(BIN)/assistax-zoo report demo/persons --out demo/persons.html
+	$(BIN)/assistax-zoo crossplay --task gentle_scratch --egos 'gentle_scratch/*-d?-s0-v3/robot' --partners 'gentle_scratch/*-d?-s0-v3/human' --episodes 2 --out demo/crossplay
 	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png
 	@echo
-	@echo 'M_test of the robot, one row an episode:   demo/evaluate'
-	@echo 'cross-play of 36 teams, one row an episode: demo/crossplay'
-	@echo 'the cross-play matrix, clustered:          demo/crossplay.png'
+	@echo 'a robot with 200 persons, one row an episode: demo/persons'
+	@echo 'its page, with the numbers that matter:       demo/persons.html'
+	@echo 'cross-play of 12 teams, one row an episode:   demo/crossplay'
+	@echo 'the cross-play matrix, clustered:             demo/crossplay.png'
 
 results: $(STAMP)
 	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1

@@ -35,7 +35,7 @@ def render(
     Args:
         robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
         human: An id, a .safetensors file, "zero" or "random".
-        out: File to write: .mp4 or .gif in real time, or .png with four moments.
+        out: File to write: .mp4, .gif or .webp in real time, or .png with four moments.
         task: Task, such as "scratch".
         steps: Steps of 20 ms to show; default the whole episode.
         seed: Seed of the episode: where it starts.
@@ -45,8 +45,7 @@ def render(
         fps: Frames a second, a divisor of 50.
         width: Pixels of a frame.
         height: Pixels of a frame.
-        sheet: Write beside an .mp4 a .gif of a tenth of a second a frame, and beside either a .png
-            of twelve moments.
+        sheet: Write beside an .mp4 a .gif, and beside either a .png of twelve moments.
         zoo: Where ids are looked up, as in `open_zoo`.
         on_step: Called after each step.
 
@@ -86,7 +85,7 @@ def _rates(out: Path, fps: int, size: tuple[int, int], sheet: bool) -> dict[Path
 
     rates = {out: fps}
     if sheet and out.suffix.lower() == ".mp4":
-        rates[out.with_suffix(".gif")] = 10
+        rates[out.with_suffix(".gif")] = fps
     if sheet:
         rates[out.with_suffix(".png")] = fps
     for path, rate in rates.items():

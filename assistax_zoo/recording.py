@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from assistax_base.files import METADATA_KEY
+from assistax_zoo.datasets import check_place, write_dataset
 from assistax_zoo.zoos import Zoo, open_zoo
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def trajectories(
     preference: str | None = None,
     backend: str = "auto",
     zoo: "str | Path | Zoo | None" = None,
+    format: str = "parquet",
     on_step: Callable[[], None] | None = None,
 ) -> "pl.DataFrame":
     """Play a pair, most likely actions, and return what both saw, did and earned: a row a step.
@@ -46,7 +48,8 @@ def trajectories(
         robot: An id, a .safetensors or .onnx file, python:..., "zero" or "random".
         human: An id, a .safetensors file, "zero" or "random".
         task: Task, such as "scratch".
-        out: Parquet file to write too, with who played what in its metadata.
+        out: File to write too, or a new folder where the format is another; either says who
+            played what.
         episodes: How many; the first are those of an evaluation with this seed.
         steps: Steps of 20 ms of each; default the whole episode.
         seed: Seed of the episodes.
@@ -54,17 +57,20 @@ def trajectories(
         preference: What the human of a gentle task likes, p1 to p9; default drawn anew.
         backend: Physics, or "auto" for the fastest one here.
         zoo: Where ids are looked up, as in `open_zoo`.
+        format: Of `out`: "parquet", "minari" or "lerobot", each an extra.
         on_step: Called after each step.
 
     Raises:
         ValueError: A policy does not fit its seat, or an argument is not allowed.
         ZooError: A policy is not there, or not what it says.
+        ImportError: The format's package is not installed.
 
     Examples:
         >>> table = trajectories("zero", "random", task="scratch", episodes=2, steps=3)
         >>> table.height, table["robot_observation"].dtype.shape
         (8, (34,))
     """
+    from assistax_base.parquet import write_parquet
     from assistax_envs import make
     from assistax_envs.interrupts import interruptible
     from evaluation.cast.seats import version_of
@@ -72,6 +78,8 @@ def trajectories(
 
     if episodes < 1:
         raise ValueError(f"episodes is {episodes}; give at least 1")
+    if out is not None:
+        check_place(Path(out), format)
     registry = open_zoo(zoo).registry
     version = version_of({"robot": robot, "human": human}, task, lambda: registry)
     env = make(task, backend, version=version)
@@ -80,7 +88,12 @@ def trajectories(
     table = interruptible(lambda check: _record_all(pair, episodes, check, on_step))
     if out is not None:
         facts = {"preference": preference, "episodes": episodes, "steps": pair.length, "seed": seed}
-        _write(table, Path(out), pair, facts)
+        about = _about(pair, facts)
+        if format == "parquet":
+            said = {METADATA_KEY: json.dumps(about)}
+            write_parquet(table, Path(out), metadata=said, compression="zstd")
+        else:
+            write_dataset(table, Path(out), about, format)
     return table
 
 
@@ -152,15 +165,15 @@ def _who(name: str, seat: "Seated") -> dict[str, Any]:
     return {"policy": path.name if path.is_file() else name, "sha256": sha256}
 
 
-def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, Any]) -> None:
-    from assistax_base.parquet import write_parquet
+def _about(pair: "Pair", facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return who played what, on which machine."""
     from assistax_envs.disability import Disability
     from evaluation.record.manifest import describe_machine
 
     env, setting = pair.env, pair.setting
     if pair.seats["human"].humans is not None:  # a person has a body of its own
         setting = None
-    about = {
+    return {
         "task": env.task,
         "environment_version": env.version,
         "backend": env.backend,
@@ -170,4 +183,3 @@ def _write(table: "pl.DataFrame", path: Path, pair: "Pair", facts: Mapping[str, 
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},
         "machine": describe_machine(),
     }
-    write_parquet(table, path, metadata={METADATA_KEY: json.dumps(about)}, compression="zstd")

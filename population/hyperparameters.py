@@ -83,7 +83,6 @@ class PPOConfig(Hyperparameters):
     kl_coef: NonNegativeFloat = 0.0  # within the method's loss: how little a latent may say
     # Episodes in a row with one partner and wish, over which a robot remembers and is paid.
     series: PositiveInt = 1
-    imagined_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of simulations: a model's
     student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 
     def __post_init__(self) -> None:
@@ -229,10 +228,6 @@ METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
     "rl2": ("", {"torso": "gru", "series": 5}),
-    "gamma": (
-        "population.methods.imagined:Imagining",
-        {"imagined_share": 0.5, "kl_coef": 1e-2},
-    ),
     "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The tests that need Stable-Baselines3 and PyTorch: `tools/frameworks.sh`, after `make install`.
+# The tests that need Stable-Baselines3, PyTorch or LeRobot: `tools/frameworks.sh`, after `make install`.
 #
 # They are no part of requirements.lock: PyTorch takes several GB where only its CUDA build is to be
 # had. So they get an environment of their own under build/frameworks, kept for the next time, which
@@ -15,4 +15,17 @@ if [ ! -e "$folder/.installed" ]; then
     "$folder/bin/python" -m pip install --quiet 'torch==2.13.0' 'stable-baselines3==2.9.2'
     touch "$folder/.installed"
 fi
+# LeRobot wants other versions of what the project uses, so it has nothing of .venv. Its own bound of
+# PyTorch would bring the CUDA build of an older one; the datasets need none of the rest of its list.
+lerobot=build/lerobot
+if [ ! -e "$lerobot/.installed" ]; then
+    rm -rf "$lerobot"
+    .venv/bin/python -m venv "$lerobot"
+    "$lerobot/bin/python" -m pip install --quiet 'torch==2.13.0' 'torchvision==0.28.*' 'datasets==4.8.5' \
+        'huggingface-hub==0.35.3' 'numpy<2.3' 'pandas<3' 'packaging<26' 'av==15.1.0' 'draccus==0.10.0' \
+        accelerate deepdiff einops gymnasium imageio jsonlines pillow requests termcolor
+    "$lerobot/bin/python" -m pip install --quiet --no-deps 'lerobot==0.4.4'
+    touch "$lerobot/.installed"
+fi
+export LEROBOT_PYTHON="$PWD/$lerobot/bin/python"
 "$folder/bin/python" -m pytest -q tests/frameworks tests/envs/test_adapters.py -k "not missing_package"

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError, listing
 from assistax_envs.preferences import check_preferences
-from zoo.ids import parse_team
+from zoo.ids import parse_person, parse_team
 from zoo.schema import Split, Team
 
 
@@ -43,16 +43,12 @@ def check_split(split: Split) -> None:
             raise SplitError(
                 f"split {split.id}", f"{name} sorted and without repetition", "another order"
             )
-        foreign = [
-            team
-            for team in map(parse_team, side)
-            if (team.task, team.release) != (split.task, split.release)
-        ]
+        foreign = [team for team in side if _home(team) != (split.task, split.release)]
         if foreign:
             raise SplitError(
                 f"split {split.id}",
                 f"teams of {split.task} {split.release}",
-                listing(map(str, foreign)),
+                listing(foreign),
             )
     counts = Counter(team for side in split.sides.values() for team in side)
     if both := sorted(team for team, count in counts.items() if count > 1):
@@ -90,6 +86,15 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
         "no team and no parameters on both sides",
         f"{len(pairs)} on both: {listing([f'{a} = {b}' for a, b in pairs], 3)}",
     )
+
+
+def _home(team: str) -> tuple[str, str]:
+    """Return task and release of a team or a person."""
+    if person := parse_person(team):
+        _, task, _, release = person
+        return task, release
+    named = parse_team(team)
+    return named.task, named.release
 
 
 def _check_preferences(split: Split) -> None:

@@ -1,7 +1,8 @@
 """A rehearsal: a whole tiny season on this machine, by what a real one is made by.
 
 Hidden partners are trained from a private plan, a server with a worker runs as `serve` starts it,
-two labs hand robots in over HTTP, the season closes at its date, and anybody's proof is made.
+two labs hand robots in over HTTP, the season closes at its date, and anybody's proof is made. The
+server is upgraded while the season is open, and killed while it closes.
 """
 
 import contextlib
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from assistax_board.ids import new_id
 from assistax_board.live.client import play_live
 from assistax_board.rules.release_pack import add_persons
 from assistax_board.rules.seasons import Plan
-from assistax_board.serve import open_service
+from assistax_board.serve import free_port, open_service
 from assistax_board.service import Service
 from assistax_board.store.backup import back_up
 from assistax_board.submitting import verify_revealed
@@ -46,6 +47,11 @@ class Stage:
     registry: Path | None  # of the public partners; the installed one if None
     backend: str = BACKEND
     open_seconds: float = 120.0  # for which labs may hand in
+
+    @property
+    def older(self) -> str:
+        """Return the engine of the version before: another one makes another version of scores."""
+        return "fused" if self.backend != "fused" else "native"
 
     @property
     def data(self) -> Path:
@@ -74,22 +80,29 @@ def rehearse(stage: Stage) -> Iterator[str]:
     service = open_service(stage.data, registry=stage.registry, backend=stage.backend)
     plan = Plan(SEASON, stage.task, budget=3, small=True)
     season = service.create_season(plan, stage.private, load_registry(stage.registry))
-    with running_server(stage) as address, contextlib.ExitStack() as stack:
+    with running_server(stage) as server, contextlib.ExitStack() as stack:
 
         def client(token: str | None = None) -> Client:
-            made = Client(address, token, patience=LIMIT_SECONDS)
+            made = Client(server.address, token, patience=LIMIT_SECONDS)
             return stack.enter_context(contextlib.closing(made))
 
-        yield f"a server with a worker answers at {address}"
-        closes_at = service.clock() + stage.open_seconds
-        root = service.open_season(SEASON, closes_at)
+        yield f"a server with a worker answers at {server.address}, on {stage.older}"
+        root = service.open_season(SEASON, service.clock() + stage.open_seconds)
         yield f"season {SEASON} is open for {stage.open_seconds:.0f} s; its root is {root}"
-        yield from hand_in(stage, service, client)
-        visitor = client()
+        submitted: list[tuple[Client, str]] = []
+        for line, lab, id in hand_in(stage, service, client):
+            submitted.append((lab, id))
+            yield line
+        yield from upgrade(stage, service, server, *submitted[0])
+        submitted.append(connect_live(stage, service, client))
+        yield f"a live robot plays as {submitted[-1][1]}: it meets public partners alone"
+        visitor, closes_at = client(), closing_date(service)
         wait("the season closes at its date", lambda: state_of(visitor) in ("closing", "closed"))
         if service.clock() < closes_at:
             raise ValueError("the season closed before its date")
         yield "the closing date came: nothing more is taken, panel B is played"
+        yield from kill(stage, service, server)
+        yield from scores_of(submitted)
         wait("everything is revealed", lambda: state_of(visitor) == "closed")
         yield from check(stage, service, visitor, season, root)
     yield "the server has stopped, and its workers with it"
@@ -121,58 +134,133 @@ def train_hidden(stage: Stage) -> int:
     return sum(len(group.members) for group in plan.groups)
 
 
-@contextlib.contextmanager
-def running_server(stage: Stage) -> Generator[str]:
-    """Run `assistax-zoo serve` with one worker, and yield its address; its log is a file."""
-    words = ["serve", "--data", str(stage.data), "--port", "0", "--backend", stage.backend]
-    words += ["--no-references", *(["--registry", str(stage.registry)] if stage.registry else [])]
-    log = stage.folder / "server.log"
-    with log.open("w") as file:
-        process = subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], stderr=file)
-    try:
-        wait("the server starts", lambda: "serving " in log.read_text() or _ended(process, log))
-        address = log.read_text().split("serving ")[1].split()[0]
-        with contextlib.closing(Client(address, patience=LIMIT_SECONDS)) as client:
+class Server:
+    """`assistax-zoo serve` with one worker, at one address however often it starts; its log."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage, self._log = stage, stage.folder / "server.log"
+        self._port = free_port("127.0.0.1", 0)
+        self.address = f"http://127.0.0.1:{self._port}"
+
+    def start(self, backend: str) -> None:
+        """Start it on an engine, and wait until it answers.
+
+        Raises:
+            ValueError: It ended instead.
+        """
+        registry, began = (
+            self._stage.registry,
+            self._log.stat().st_size if self._log.exists() else 0,
+        )
+        words = ["serve", "--data", str(self._stage.data), "--port", str(self._port)]
+        words += ["--backend", backend, "--no-references"]
+        words += ["--registry", str(registry)] if registry else []
+        with self._log.open("a") as file:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "assistax_zoo", *words], stderr=file
+            )
+
+        def serves() -> bool:
+            told = self._log.read_text()[began:]
+            if self.process.poll() is not None:
+                raise ValueError(f"the server ended: {told[-1000:].strip()}")
+            return "serving " in told
+
+        wait("the server starts", serves)
+        with contextlib.closing(Client(self.address, patience=LIMIT_SECONDS)) as client:
             client.about()
-        yield address
-    finally:
-        process.send_signal(signal.SIGTERM)
-        code = process.wait(LIMIT_SECONDS)
-    if code:
-        raise ValueError(f"the server ended with exit code {code}; see {log}")
+
+    def stop(self) -> None:
+        """Stop it as Ctrl-C does.
+
+        Raises:
+            ValueError: It ends with an error.
+        """
+        self.process.send_signal(signal.SIGTERM)
+        if code := self.process.wait(LIMIT_SECONDS):
+            raise ValueError(f"the server ended with exit code {code}; see {self._log}")
 
 
-def hand_in(stage: Stage, service: Service, new_client: Callable[[str], Client]) -> Iterator[str]:
-    """Let two labs hand in: each a file to the season, and one of them a live robot too."""
+@contextlib.contextmanager
+def running_server(stage: Stage) -> Generator[Server]:
+    """Run a server of the version before, and stop at the end what then runs."""
+    server = Server(stage)
+    server.start(stage.older)
+    try:
+        yield server
+    except BaseException:
+        server.process.kill()
+        server.process.wait()
+        raise
+    server.stop()
+
+
+def hand_in(
+    stage: Stage, service: Service, new_client: Callable[[str], Client]
+) -> Iterator[tuple[str, Client, str]]:
+    """Let two labs hand in a file each; yield a line about it, the lab's client and the id."""
     from zoo.exports.policies import export_policy
     from zoo.registry import load_registry
 
     registry = load_registry(stage.registry)
     robots = registry.of_task(stage.task, "robot")
-    submitted: list[tuple[Client, str]] = []
     for lab, robot, format in (
         ("Lab of Ada", robots[0], "safetensors"),
         ("Lab of Grace", robots[-1], "onnx"),
     ):
         path = stage.folder / f"robot.{format}"
         export_policy(robot.id, format, path, lambda: registry)
-        token = service.create_token(("submit",), submitter=lab)
-        client = new_client(token)
+        client = new_client(service.create_token(("submit",), submitter=lab))
+        keep_open(stage, service)
         fields = {"task": stage.task, "method": robot.team.partition("/")[2], "season": SEASON}
         id = client.submit(path.read_bytes(), request_id=new_id(20), **fields)["id"]
+        keep_open(stage, service)
         client.enter(SEASON, [id])
-        submitted.append((client, id))
-        yield f"{lab} handed in {path.name} as {id}, and entered it for panel B"
-    live = client.submit(b"", request_id=new_id(20), kind="live", task=stage.task, method="still")
-    submitted.append((client, live["id"]))
-    actions = robots[0].spec.action_size
+        yield f"{lab} handed in {path.name} as {id}, and entered it for panel B", client, id
+
+
+def upgrade(
+    stage: Stage, service: Service, server: Server, client: Client, id: str
+) -> Iterator[str]:
+    """Start the server in the newest version once one robot was scored by the version before."""
+
+    def is_scored() -> bool:
+        keep_open(stage, service)
+        return client.submission(id)["state"] in FINAL_STATES
+
+    wait(f"{id} ends", is_scored)
+    server.stop()
+    server.start(stage.backend)
+    yield f"upgraded while the season is open: {stage.backend} plays anew what {stage.older} scored"
+
+
+def connect_live(
+    stage: Stage, service: Service, new_client: Callable[[str], Client]
+) -> tuple[Client, str]:
+    """Let a lab play with a live robot that keeps still; return its client and submission."""
+    from zoo.registry import load_registry
+
+    client = new_client(service.create_token(("submit",), submitter="Lab of Grace"))
+    fields = {"task": stage.task, "method": "still", "kind": "live"}
+    id = client.submit(b"", request_id=new_id(20), **fields)["id"]
+    actions = load_registry(stage.registry).of_task(stage.task, "robot")[0].spec.action_size
 
     def still(obs: np.ndarray) -> np.ndarray:
         return np.zeros((len(obs), actions), np.float32)
 
-    playing = threading.Thread(target=play_live, args=(client, live["id"], still), daemon=True)
-    playing.start()
-    yield f"{lab} connected a live robot as {live['id']}: it meets public partners alone"
+    def play() -> None:
+        with contextlib.suppress(ValueError):  # it has ended
+            while True:
+                with contextlib.suppress(OSError):  # the server is away for longer than a minute
+                    play_live(client, id, still)
+                    return
+
+    threading.Thread(target=play, daemon=True).start()
+    return client, id
+
+
+def scores_of(submitted: Sequence[tuple[Client, str]]) -> Iterator[str]:
+    """Wait for the scores of submissions, each given with its lab's client."""
     for client, id in submitted:
         wait(f"{id} ends", lambda c=client, i=id: c.submission(i)["state"] in FINAL_STATES)
         submission = client.submission(id)
@@ -183,7 +271,26 @@ def hand_in(stage: Stage, service: Service, new_client: Callable[[str], Client])
         shown = {score["panel"]: score["figures"]["mean"] for score in client.scores(id)}
         means = ", ".join(f"{panel} {mean:.1f}" for panel, mean in sorted(shown.items()))
         yield f"{id} is scored ({means}); its receipt is signed: {bool(client.receipt(id))}"
-    playing.join(LIMIT_SECONDS)
+
+
+def kill(stage: Stage, service: Service, server: Server) -> Iterator[str]:
+    """Kill the server while the season closes; another version must not start in its place."""
+    server.process.kill()
+    server.process.wait()
+    [season] = service.queries.seasons()
+    if season.state != "closing":
+        raise ValueError(f"the season is {season.state}; it was to be closing when the kill came")
+    yield "killed the server while the season closes"
+    try:
+        server.start(stage.older)
+    except ValueError as error:
+        if "is closing" not in str(error):
+            raise
+    else:
+        raise ValueError("a server of another version started while the season closes")
+    yield f"a server on {stage.older} does not start: the season closes by one version"
+    server.start(stage.backend)
+    yield f"the server goes on, on {stage.backend}"
 
 
 def check(stage: Stage, service: Service, visitor: Client, season: str, root: str) -> Iterator[str]:
@@ -193,6 +300,8 @@ def check(stage: Stage, service: Service, visitor: Client, season: str, root: st
     played = [score for score in service.queries.scores(season=season) if score.panel == "B"]
     if len(played) != 2:
         raise ValueError(f"panel B has {len(played)} scores; each of two labs entered one")
+    if len({score.version for score in played}) != 1:
+        raise ValueError("panel B was played by several versions")
     for score in sorted(played, key=lambda score: -score.figures["mean"]):
         yield f"panel B: {score.method} of {score.submitter} earned {score.figures['mean']:.1f}"
     page = visitor.call("GET", f"/seasons/{season}").text
@@ -204,6 +313,18 @@ def check(stage: Stage, service: Service, visitor: Client, season: str, root: st
     yield f"{kept['artefacts']} artefacts and {kept['receipts']} receipts are whole"
     count = back_up(stage.data, stage.folder / "board.zip")
     yield f"a backup has the database, the key and {count} artefacts"
+
+
+def keep_open(stage: Stage, service: Service) -> None:
+    """Extend the season while labs hand in, however busy this machine is."""
+    if closing_date(service) < service.clock() + stage.open_seconds / 2:
+        service.extend_season(SEASON, service.clock() + stage.open_seconds)
+
+
+def closing_date(service: Service) -> float:
+    """Return when the season that is rehearsed closes."""
+    [season] = service.queries.seasons()
+    return season.closes_at or 0.0
 
 
 def state_of(client: Client) -> str:
@@ -222,9 +343,3 @@ def wait(what: str, is_so: Callable[[], Any]) -> None:
         if time.monotonic() > end:
             raise ValueError(f"waited {LIMIT_SECONDS / 60:.0f} minutes in vain: {what}")
         time.sleep(0.5)
-
-
-def _ended(process: subprocess.Popen[bytes], log: Path) -> bool:
-    if process.poll() is not None:
-        raise ValueError(f"the server ended: {log.read_text()[-500:]}")
-    return False

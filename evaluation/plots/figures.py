@@ -12,7 +12,7 @@ from evaluation.figures import curves
 from evaluation.plots import charts
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
-from evaluation.plots.persons import person_panels
+from evaluation.plots.persons import described_panels
 from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure, spelled
 from evaluation.plots.sweep import sweep_panels
@@ -69,13 +69,7 @@ def evaluation_figure(
 
 def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
     """Draw which numbers of persons matter, as `summarise_parameters` returns it."""
-    caption = (
-        f"Robots: {summary['egos']}; episodes: {summary['episodes']}. Cells: means over persons, "
-        f"in {summary['bins']} bins of equal counts of each number. Bars: omega squared of the "
-        "bins, 95% basic bootstrap over persons; + where the outcome rises with the number; "
-        "dotted: what chance reaches with the largest of all."
-    )
-    return save_figure(person_panels(summary, caption=caption), path)
+    return save_figure(described_panels(summary), path)
 
 
 def crossplay_figure(

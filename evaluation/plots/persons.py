@@ -14,6 +14,17 @@ _WORDS = {"return": "mean return", "safe_success": "safe success", "success": "s
 _WIDTH, _HEIGHT = 10.0, 6.3
 
 
+def described_panels(summary: Mapping[str, Any]) -> Figure:
+    """Draw `person_panels` with a caption that says what they show."""
+    caption = (
+        f"Robots: {summary['egos']}; episodes: {summary['episodes']}. Cells: means over persons, "
+        f"in {summary['bins']} bins of equal counts of each number. Bars: omega squared of the "
+        "bins, 95% basic bootstrap over persons; + where the outcome rises with the number; "
+        "dotted: what chance reaches with the largest of all."
+    )
+    return person_panels(summary, caption=caption)
+
+
 def person_panels(summary: Mapping[str, Any], *, caption: str) -> Figure:
     """Draw what `evaluation.figures.by_parameter.summarise_parameters` returns.
 

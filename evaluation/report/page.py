@@ -18,6 +18,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from assistax_envs.disability import DISABILITY_SETTINGS
+from evaluation.figures.by_parameter import summarise_parameters
 from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import league_table, read_league, row_folders
 from evaluation.figures.normalised import REFERENCE_ORDER
@@ -26,12 +27,15 @@ from evaluation.plots.charts import performance_profile, provenance, trait_point
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.league import league_chart
 from evaluation.plots.matrix import arrange, short_names
+from evaluation.plots.persons import described_panels
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
 from evaluation.record.columns import TOUCHES
 from evaluation.record.manifest import file_sha256, read_manifest
+from evaluation.record.record import Record
 from evaluation.record.verification import unchecked
 from evaluation.report.matrix_data import matrix_data
+from zoo.ids import names_persons
 
 # What tables and fields of other kinds than ours lead to.
 _STRANGE = (
@@ -182,11 +186,12 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
     known = {key: column for key, column in _PARTNER.items() if column in partners.columns}
     headings, columns = [*known], [*known.values()]
-    images = {
-        "returns with training and test partners": zsc_dots(named),
-        "returns by the partner's disability setting": trait_points(named),
-        "performance profile": drawn,
-    }
+    images = {"returns with training and test partners": zsc_dots(named)}
+    if all(map(names_persons, partners["partner"])):
+        images |= _by_their_numbers(folder)
+    else:
+        images["returns by the partner's disability setting"] = trait_points(named)
+    images["performance profile"] = drawn
     if summary["by_preference"]:
         images["returns by what the human likes"] = trait_points(named, "preference")
     if (folder / tables.BOUNDS_FILE).is_file():
@@ -201,6 +206,15 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
         "headings": headings,
         "rows": shown.select(columns).sort("return").rows(),
     }
+
+
+def _by_their_numbers(folder: Path) -> dict[str, Figure]:
+    """Return which numbers of persons matter, unless they are too few or a season's secret."""
+    try:
+        summary = summarise_parameters(Record.read(folder))
+    except ValueError:
+        return {}
+    return {"which numbers of persons matter": described_panels(summary)}
 
 
 # Heading and unit -> column; some of gentle tasks alone.

@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.preferences import WISHES
-from population.environment import Environment, EnvState
+from population.environment import Environment, EnvState, ShowingMore
 from population.networks.policy import normalise
 from population.networks.seat import Params
 from population.networks.spec import ROLES
@@ -17,68 +17,15 @@ from population.networks.spec import ROLES
 if TYPE_CHECKING:
     from population.trainers.frozen_partners import FrozenPartners
 
-WHO, HIDDEN, IMAGINED = "partner", "hidden", "imagined"  # names of these observations
+WHO, HIDDEN = "partner", "hidden"  # names of these observations
 _SETTING = ("strength", "elbow_range", "tremor")
 
 
-class _Shown:
-    """An environment whose observations hold more than its own."""
-
-    def __init__(self, env: Environment) -> None:
-        self._env = env
-        self.task, self.backend, self.version = env.task, env.backend, env.version
-        self.episode_length, self.action_size = env.episode_length, env.action_size
-        self.observation_size = dict(env.observation_size)
-
-    def reset(self, keys: jax.Array, params: Any) -> EnvState:
-        """Start episodes."""
-        return self._shown(self._env.reset(keys, params))
-
-    def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState:
-        """Advance by one step."""
-        sizes = self._env.observation_size
-        own = {name: state.obs[name][:, :size] for name, size in sizes.items()}
-        return self._shown(self._env.step(dataclasses.replace(state, obs=own), action))
-
-    def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
-        """Return the joint angles of each role, rad."""
-        return self._env.joint_positions(state)
-
-    def _shown(self, state: EnvState) -> EnvState:
-        raise NotImplementedError
-
-
-class ToldNumbers(_Shown):
-    """An environment whose robot observes the numbers of its person: a row to compare with.
-
-    Args:
-        env: The environment.
-        rows: Of the persons [P, 25], as `EnvParams.person` counts them.
-
-    Raises:
-        ValueError: There are no persons.
-    """
-
-    def __init__(self, env: Environment, rows: np.ndarray | None) -> None:
-        if rows is None:
-            raise ValueError("a robot is told its partner's numbers, and only persons have any")
-        super().__init__(env)
-        self.engine = getattr(env, "engine", {})
-        self._rows = np.asarray(rows)
-        self.observation_size["robot"] += self._rows.shape[1]
-
-    def _shown(self, state: EnvState) -> EnvState:
-        told = jnp.asarray(self._rows)[state.params.person]
-        robot = jnp.concatenate([state.obs["robot"], told], axis=-1)
-        return dataclasses.replace(state, obs={**state.obs, "robot": robot})
-
-
-class WithHidden(_Shown):
+class WithHidden(ShowingMore):
     """An environment that also shows who the partner is and what is hidden of it.
 
-    "partner" [N, 1] is its place among the partners; "imagined" [N, 1] is 1 where a model acts in
-    its place. "hidden" [N, W] is what it wishes, what its body can do and, of persons, their 25
-    numbers, standardised.
+    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
+    body can do and, of persons, their 25 numbers, standardised.
 
     Args:
         env: The environment.
@@ -92,7 +39,7 @@ class WithHidden(_Shown):
         self._wishes = len(WISHES.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
-        self.observation_size |= {WHO: 1, IMAGINED: 1, HIDDEN: width}
+        self.observation_size |= {WHO: 1, HIDDEN: width}
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)
@@ -101,9 +48,7 @@ class WithHidden(_Shown):
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])
-        shown = {WHO: who, IMAGINED: self._partners.imagined(len(who))}
-        shown = {name: value[:, None].astype(jnp.float32) for name, value in shown.items()}
-        shown[HIDDEN] = jnp.concatenate(parts, axis=-1)
+        shown = {WHO: who[:, None].astype(jnp.float32), HIDDEN: jnp.concatenate(parts, axis=-1)}
         return dataclasses.replace(state, obs={**state.obs, **shown})
 
 

@@ -43,11 +43,6 @@ class Method:
     ) -> None:
         self.config, self.env, self.partners = config, env, partners
 
-    @property
-    def noise(self) -> int:
-        """How many normal numbers come with each step of the samples: one for each latent."""
-        return self.config.latent
-
     def policy(self, spec: PolicySpec) -> Policy:
         """Return what acts in training for the network of a spec, which is published."""
         return Policy(spec)
@@ -61,18 +56,6 @@ class Method:
             progress: Share of the run [].
         """
         return params
-
-    def partner_params(
-        self, networks: Mapping[str, Params], normalisers: Mapping[str, Params], real: Any
-    ) -> Any:
-        """Return the partners' parameters, from their own.
-
-        Args:
-            networks: All networks of the learner [M, ...].
-            normalisers: Of observations, by their names [M, ...].
-            real: The partners' own parameters.
-        """
-        return real
 
     def critic(self, spec: CriticSpec) -> Critic:
         """Return the critic; its spec has the width of all that it is given."""

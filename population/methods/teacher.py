@@ -50,14 +50,21 @@ class Teacher(Method):
         return {**params, "teacher": networks["teacher"], "taught": taught}
 
     def scheduled(self, hyper: Hyper, progress: jax.Array) -> Hyper:
-        """Return the hyperparameters at a share of the run."""
+        """Return the hyperparameters at a share of the run.
+
+        The student's rate does not fall with the others': its part is the end of a run.
+        """
         taught = jnp.broadcast_to(self._taught(progress), hyper["aux_coef"].shape)
-        return {**hyper, "taught": taught.astype(jnp.float32)}
+        rate = hyper["learning_rate"]
+        if self.config.anneal_lr:
+            rate = rate / (1.0 - progress)
+        return {**hyper, "taught": taught.astype(jnp.float32), "student_rate": rate}
 
     def rate(self, network: str, hyper: Hyper) -> jax.Array:
         """Return the learning rate of a network: the student's memory alone learns to the end."""
-        rate = hyper["learning_rate"]
-        return rate if network == "memory" else rate * hyper["taught"]
+        if network == "memory":
+            return hyper["student_rate"]
+        return hyper["learning_rate"] * hyper["taught"]
 
     def latent(self, networks: Mapping[str, Params], samples: Samples) -> jax.Array:
         """Return what the teacher makes of what is hidden, with its gradient."""

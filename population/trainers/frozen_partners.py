@@ -119,10 +119,6 @@ class FrozenPartners:
         simulations = jax.tree.leaves(humans)[0].shape[0]
         return jnp.arange(simulations) % num_envs // (num_envs // len(self))
 
-    def imagined(self, simulations: int) -> jax.Array:
-        """Return in which simulations [N] a model acts in their place: in none."""
-        return jnp.zeros(simulations, bool)
-
     def initial_carry(self, simulations: int) -> tuple[Carry, ...]:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""
         share = simulations // len(self)

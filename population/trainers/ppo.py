@@ -29,7 +29,6 @@ from population.networks.unrolled import unroll_both, unroll_critic
 from population.trainers import experience, gae, normaliser
 from population.trainers.experience import Batch
 from population.trainers.frozen_partners import FrozenPartners
-from population.trainers.imagined_partners import ImaginedPartners
 from population.trainers.trainer import (
     Hyper,
     MemberState,
@@ -69,8 +68,6 @@ class PPO(Trainer):
                 f"method is {config.method!r} and series {config.series}, by which robots train "
                 "with frozen partners: give partners, or leave them out"
             )
-        if config.imagined_share and partners:
-            partners = ImaginedPartners(partners, config.imagined_share)
         kind = method_class(config.method)
         if kind.sees and partners:
             env = WithHidden(env, partners, config.num_envs)
@@ -131,12 +128,6 @@ class PPO(Trainer):
 
     def _progress(self, state: TrainState) -> jax.Array:
         return state.update.astype(jnp.float32) / self.updates
-
-    def of_partners(self, state: TrainState, partners: Any) -> Any:
-        """Return the parameters of the partners in the next rollout."""
-        [learner] = state.members.learners.values()
-        normalisers = self.normalisers(state.members)
-        return self.method.partner_params(learner.networks, normalisers, partners)
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
         """Return one member's learner of these roles."""
@@ -241,9 +232,7 @@ class PPO(Trainer):
             made = latents(self.policies[role], params, role, batch)
             parts.append(made)
             extra["latent"] = made.acted
-        if self.method.noise:
-            shape = (*batch.first.shape, self.method.noise)
-            extra["noise"] = jax.random.normal(key, shape)
+            extra["noise"] = jax.random.normal(key, made.acted.shape)
         obs, final, last = (jnp.concatenate(of, axis=-1) for of in zip(*parts, strict=True))
         return obs, final, last, extra
 

@@ -139,7 +139,7 @@ class Trainer(abc.ABC):
             fresh,
             self.inputs,
             self.partners,
-            self.of_partners(state, partners) if self.partners else partners,
+            partners,
             self.sampler(state),
             self.watches,
             self.series,
@@ -176,10 +176,6 @@ class Trainer(abc.ABC):
     def acting(self, state: TrainState) -> dict[str, Params]:
         """Return the parameters of what acts in the next rollout, by role; leaves [M, ...]."""
         return self.policy_params(state.members)
-
-    def of_partners(self, state: TrainState, partners: Any) -> Any:
-        """Return the parameters of the partners in the next rollout."""
-        return partners
 
     def critic(self, width: int) -> Critic:
         """Return a critic of inputs of a width."""

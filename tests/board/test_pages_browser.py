@@ -20,14 +20,6 @@ from tests.board.test_pages import Films
 from tests.system import CHROMIUM, needs
 
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
-PAGES = (
-    *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare", "/tasks/nowhere"),
-    *("/tasks/scratch?search=ego&sort=iqm&show=methods", "/tasks/scratch/heatmap"),
-    *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
-    *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
-    *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
-)
-WIDTHS = (400, 800, 1600)
 expect.set_options(timeout=60_000)  # waits no longer than it must
 
 
@@ -130,24 +122,6 @@ def tab_to(page: Page, target: object) -> None:
     pytest.fail("the keyboard does not lead there")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious_and_nothing_runs_out_of_the_window(
-    browser: Browser, address: str, scheme: str
-) -> None:
-    faults = []
-    for width in WIDTHS:
-        with opened(browser, width, scheme) as page:
-            for path in (*PAGES, *submissions(page, address)):
-                if path == "/tasks/nowhere":
-                    continue  # its answer is an error, which `opened` complains about
-                page.goto(f"{address}{path}")
-                found = accessibility_faults(page)
-                if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
-                    found.append("wider than the window")
-                faults += [f"{path} at {width}: {one}" for one in found]
-    assert faults == []
-
-
 def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, address: str) -> None:
     """Each method: its place and name, its return and interval, and two figures more."""
     lines = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
@@ -163,13 +137,6 @@ def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, addres
         assert page.evaluate(height) < 110
         row = page.get_by_role("row", name="ppo ego").inner_text()
         assert "987" in row and " to " in row and "4 seeds" in row
-
-
-def test_axe_would_find_a_fault(browser: Browser, address: str) -> None:
-    with opened(browser) as page:
-        page.goto(address)
-        page.evaluate("document.querySelector('.lead').style.color = '#ddd'")
-        assert accessibility_faults(page) != []
 
 
 def test_the_switch_of_colours_works_without_scripts_and_is_kept_with_them(

@@ -32,7 +32,7 @@ def seeds_of(plan: Plan) -> list[int]:
     return [seed for group in plan.groups for seed in group.seeds]
 
 
-@pytest.mark.parametrize("name", ["v1.json", "v2.json"])
+@pytest.mark.parametrize("name", ["v1.json", "v2.json", "v3.json"])
 def test_all_but_the_seeds_is_the_public_plans(tmp_path: Path, name: str) -> None:
     """Release v1 adopts teams, v2 has populations."""
     public, private = read_plan(PLANS / name), read_plan(make(tmp_path / name, plan=PLANS / name))

@@ -1,4 +1,4 @@
-"""Every line of docs/service.md's threat model has its test, and the server dials nobody."""
+"""Every line of docs/threats.md has its test, and the server dials nobody."""
 
 import importlib
 import inspect
@@ -15,14 +15,13 @@ from assistax_board.client import Client
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, new_service
 
-DOCS = Path(__file__).parents[2] / "docs" / "service.md"
+DOCS = Path(__file__).parents[2] / "docs" / "threats.md"
 ADDRESS = "http://169.254.169.254/latest"
 
 
 def threats(text: str) -> dict[str, list[str]]:
-    """Return the tests that each line of the threat model names."""
-    section = text.partition("## Threat model")[2].partition("\n## ")[0]
-    rows = [line.split("|")[1:-1] for line in section.splitlines() if line.startswith("| ")][1:]
+    """Return the tests that each line names."""
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| ")][1:]
     return {row[0].strip(): re.findall(r"`(test_\w+(?:::test_\w+)?)`", row[2]) for row in rows}
 
 
@@ -53,7 +52,7 @@ def test_every_threat_has_a_test() -> None:
 
 
 def test_a_threat_without_a_test_would_be_found() -> None:
-    head = "## Threat model\n| who | what | test |\n|---|---|---|\n"
+    head = "| who | what | test |\n|---|---|---|\n"
     assert missing(f"{head}| steals | nothing | none |\n") == ["steals"]
     assert missing(f"{head}| steals | nothing | `test_api::test_nothing` |\n") == ["steals"]
     assert (

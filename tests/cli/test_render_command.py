@@ -49,17 +49,19 @@ def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureF
     assert [path.name for path in out.parent.iterdir()] == ["strip.png"]
 
 
-def test_a_gif_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path):
+@pytest.mark.parametrize("ending", ["gif", "webp"])
+def test_a_film_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path, ending: str):
     path = tmp_path / "robot.safetensors"
     params = jax.tree.map(
         lambda leaf: np.array(leaf), jax.jit(Policy(ROBOT).init)(jax.random.key(0))
     )
     write_policy_file(path, ROBOT, params)
-    out = tmp_path / "film.gif"
+    out = tmp_path / f"film.{ending}"
     assert (
         call("--out", out, "--steps", 20, "--fps", 10, "--camera", "close", *SMALL, robot=path) == 0
     )
     with Image.open(out) as film:
+        film.load()  # a .webp tells a frame's time with the frame
         assert (getattr(film, "n_frames", 1), film.info["duration"], film.size) == (
             5,
             100,
@@ -73,7 +75,7 @@ def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     assert call("--out", tmp_path / "film.mp4", "--steps", 40, "--sheet", *SMALL) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.gif", "film.mp4", "film.png"]
     with Image.open(tmp_path / "film.gif") as moving:
-        assert (getattr(moving, "n_frames", 1), moving.info["duration"]) == (9, 100)
+        assert (getattr(moving, "n_frames", 1), moving.info["duration"]) == (21, 40)
     sheet = np.asarray(Image.open(tmp_path / "film.png"))
     assert sheet.shape == (3 * 120, 4 * 160, 3)
     panes = [pane for row in np.split(sheet, 3) for pane in np.split(row, 4, axis=1)]
@@ -114,7 +116,10 @@ def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--out", "x.avi"), "x.avi ends in '.avi'; pictures are written as .mp4, .gif or .png"),
+        (
+            ("--out", "x.avi"),
+            "x.avi ends in '.avi'; pictures are written as .mp4, .gif, .webp, .png",
+        ),
         (("--out", "x"), "x ends in 'nothing'"),
         (("--out", "x.gif", "--fps", 30), "fps is 30; allowed are 1, 2, 5, 10, 25, 50"),
         (("--out", "x.png", "--steps", 0), "steps is 0; allowed are 1 to 1000"),

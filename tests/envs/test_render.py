@@ -5,6 +5,7 @@ cannot draw says so.
 import ctypes.util
 import dataclasses
 import importlib
+import itertools
 import os
 import subprocess
 import sys
@@ -261,3 +262,20 @@ def test_adapters_draw(adapter: str):
     assert kind(TASK).render() is None
     env.close()
     assert jax.default_backend() == "cpu"
+
+
+@pytest.mark.parametrize("scene", ["scratch", "bed_bath", "arm_assist"])
+def test_the_default_camera_sees_the_arm_in_every_posture(scene: str):
+    model = build_dressed(scene)
+    data = mujoco.MjData(model)
+    arm = [model.joint(f"human_right_{name}").id for name in ("shoulder1", "shoulder2", "elbow")]
+    body = model.body("human_right_lower_arm").id
+    geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == body]
+    for places in itertools.product(*(np.linspace(*model.jnt_range[joint], 5) for joint in arm)):
+        data.qpos[:] = model.qpos0
+        data.qpos[model.jnt_qposadr[arm]] = places
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        seen = (data.geom_xpos[geoms] - data.cam_xpos[0]) @ data.cam_xmat[0].reshape(3, 3)
+        edges = np.tan(np.radians(model.cam_fovy[0]) / 2) * np.array([4 / 3, 1])
+        assert (np.abs(seen[:, :2] / seen[:, 2:]) < edges).all(), places

@@ -178,6 +178,29 @@ def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: P
         assert words in text
 
 
+@pytest.mark.parametrize(("people", "shown"), [(40, True), (8, False)])
+def test_an_evaluation_with_persons_says_which_of_their_numbers_matter(
+    people: int, shown: bool, tmp_path: Path
+):
+    rng, partners = np.random.default_rng(0), teams(people)
+    table = episode_table(
+        rng.normal(100.0, 30.0, (1, people, 2)), ["a"], partners, ["test"] * people
+    )
+    names = {
+        str(name): f"gentle_scratch/person-{number:05d}-v3/human"
+        for number, name in enumerate(table["partner"].unique(maintain_order=True))
+    }
+    table = table.with_columns(pl.col("partner").replace_strict(names))
+    folder = tmp_path / "persons"
+    folder.mkdir()
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    derived.save_evaluation(Record(table, folder), CONTEXT)
+    write_run(folder, COMMAND, simulated=True)
+    text = page_of(folder, tmp_path)
+    assert ('alt="which numbers of persons matter"' in text) == shown  # too few are no figure
+    assert "disability setting" not in text and "person-00007" in text
+
+
 def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
     text = page_of(evaluation, tmp_path)
     assert "<script>alert" not in text

@@ -74,16 +74,13 @@ def noisy(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]
     return {"own": own, "brought": brought}
 
 
-def partners(opposed: bool = False) -> FrozenPartners:
-    """Four humans who act on the first number that they see; two on its opposite if `opposed`."""
+def partners() -> FrozenPartners:
+    """Four humans who act on the first number that they see."""
     spec = PolicySpec("human", 3, 2, hidden=(4,), normalise=False)
     tree = Policy(spec).init(jax.random.key(0))
     tree = jax.tree.map(jnp.zeros_like, tree)
     tree["Dense_0"]["kernel"] = tree["Dense_0"]["kernel"].at[0, 0].set(2.0)
     tree["Dense_1"]["kernel"] = tree["Dense_1"]["kernel"].at[0].set(0.8)
     stacked = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(PARTNERS)), tree)
-    if opposed:
-        kernel = stacked["Dense_0"]["kernel"]
-        stacked["Dense_0"]["kernel"] = kernel.at[2:].multiply(-1.0)
     settings = {name: DISABILITY_SETTINGS[setting] for name, setting in SETTINGS.items()}
     return FrozenPartners([PolicyStack(spec, PARTNERS, stacked)], settings)

@@ -10,9 +10,15 @@ import pytest
 import assistax_envs
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
 from population.config import MIXED, Member, TrainConfig
+from population.environment import ToldNumbers
 from population.hyperparameters import PPOConfig
 from population.runs.train import initial_state, make_trainer
-from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
+from population.trainers.drawn_persons import (
+    DrawnPersons,
+    FamiliesPlayer,
+    IdlePersons,
+    OnePersonEach,
+)
 
 TASK = "gentle_scratch"
 ROWS = persons(TASK)[numbers("training")]
@@ -53,6 +59,42 @@ def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
     others = dataclasses.replace(humans, person=humans.person[::-1])
     _, changed = partners.act(partners.params, carry, obs, first, 2, others)
     assert not np.array_equal(actions, changed)
+
+
+def test_persons_of_two_families_act_as_their_own_does() -> None:
+    players = [PersonPlayer(TASK, family) for family in ("spring", "muscle")]
+    rows = FamiliesPlayer.rows([ROWS[:3], ROWS[3:5]])
+    both = OnePersonEach(FamiliesPlayer(players), rows, "both")
+    np.testing.assert_array_equal(both.numbers, ROWS[:5])
+    met = [both.humans(2, member=member) for member in (0, 4)]
+    humans = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *met)
+    assert humans.person.tolist() == [0, 0, 4, 4]
+    obs = 0.3 * jax.random.normal(jax.random.key(5), (4, 53))
+    first, carry = jnp.ones(4, bool), both.initial_carry(4)
+    _, actions = both.act(both.params, carry, obs, first, 2, humans)
+    apart = [
+        player.act({"row": jnp.asarray(ROWS)[humans.person]}, own, obs, first)[1]
+        for player, own in zip(players, carry, strict=True)
+    ]
+    np.testing.assert_array_equal(actions, jnp.concatenate([apart[0][:2], apart[1][2:]]))
+    assert not np.array_equal(apart[0][2:], apart[1][2:])
+
+
+def test_a_robot_may_be_told_the_numbers_of_whom_it_meets(partners: DrawnPersons) -> None:
+    env = assistax_envs.make(TASK, "native", told=("human", "robot"))
+    telling = ToldNumbers(env, partners.numbers)
+    keys = jax.random.split(jax.random.key(6), 3)
+    humans = partners.renewed(partners.humans(3), keys)
+    state = telling.reset(keys, humans)
+    own = env.observation_size["robot"]
+    assert telling.observation_size["robot"] == own + 25 == state.obs["robot"].shape[1]
+    np.testing.assert_array_equal(state.obs["robot"][:, own:], ROWS[np.asarray(humans.person)])
+    action = {role: jnp.zeros((3, size)) for role, size in env.action_size.items()}
+    after, plain = telling.step(state, action), env.step(env.reset(keys, humans), action)
+    np.testing.assert_array_equal(after.obs["robot"][:, own:], state.obs["robot"][:, own:])
+    np.testing.assert_array_equal(after.obs["robot"][:, :own], plain.obs["robot"])
+    with pytest.raises(ValueError, match="only persons have any"):
+        ToldNumbers(env, None)
 
 
 def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:

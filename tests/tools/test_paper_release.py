@@ -39,6 +39,7 @@ from tools.release_page.paper.data import Egos, Results, read_notes, read_paper,
 from tools.release_page.paper.figures import figures
 from tools.release_page.paper.measures import probability_of_improvement
 from tools.release_page.paper.page import make_page
+from tools.release_page.paper.page import tables as page_tables
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
@@ -598,7 +599,7 @@ def test_the_page_of_a_partial_release(
     assert "12 of 434 teams" in text
     assert "**Why.** Ours plays its most likely actions." in text
     assert text.count("**Why.**") == 1
-    assert "and 2 more --policy" in text
+    assert "and 2 more --policy" in (tmp_path / "v0" / "commands.txt").read_text()
     pictures = re.findall(r'src="([^"]+)"', text)
     assert sorted(Path(name).name for name in pictures) == [
         "crossplay_scratch.png", "curves.png", "population.png", "zsc_scratch.png"
@@ -610,9 +611,10 @@ def test_the_page_of_a_partial_release(
 def test_trainings_stand_with_their_minutes_and_commands():
     training = {"egos": 2, "steps": 5e6, "seconds": 90.0, "command": "assistax-zoo train-ego"}
     ego = dataclasses.replace(egos(800, 790), training=training)
-    text = make_page(results(egos={("scratch", "ppo"): ego}), "images", "make results")
-    assert "| training scratch PPO egos | 2 egos, 5 M steps each | – | – | 1.5 |" in text
-    assert "\nassistax-zoo train-ego\nassistax-zoo evaluate\n" in text
+    files = page_tables(results(egos={("scratch", "ppo"): ego}))
+    row = 'training scratch PPO egos,"2 egos, 5 M steps each",–,–,1.5\n'
+    assert row in files["minutes.csv"]
+    assert files["commands.txt"] == "assistax-zoo train-ego\nassistax-zoo evaluate\n"
 
 
 def test_every_table_has_as_many_cells_in_each_row():

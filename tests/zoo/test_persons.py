@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import (
     ExportError,
     IntegrityError,
@@ -24,8 +25,10 @@ from zoo.history.merkle import leaves, lost_leaves, with_roots
 from zoo.ids import parse_person
 from zoo.locking import make_lock
 from zoo.parameters.storage import load_stacks
-from zoo.persons.registered import described
+from zoo.persons.registered import described, person_splits
 from zoo.registry import Registry, load_registry, read_registry
+from zoo.schema import Split
+from zoo.splits import check_split, split_id
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
@@ -59,7 +62,7 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert tuple(sorted(release.persons)) == tuple(sorted(GENTLE_TASKS))
     assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
     assert {table.count for table in release.persons.values()} == {COUNT}
-    assert official.release == "v2" and official.release_of(TASK) == "v2"  # v3 is not whole
+    assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
     assert {name: official.root(name) for name in ROOTS} == ROOTS
 
 
@@ -147,6 +150,16 @@ def test_persons_of_a_secret_are_none_of_the_public_ones(
     other = changed(official, tmp_path, **table | {"secret": "cd" * 32})
     with pytest.raises(IntegrityError, match="6 rows of sha256"):
         other.select(f"{TASK}/person-*-v3")
+
+
+def test_a_split_of_persons_is_checked_as_others_are(official: Registry) -> None:
+    for split in person_splits(official.data, TASK):
+        check_split(split)  # as who reads the split of a robot's run does
+        stranger = (*split.train[:-1], "gentle_lift/person-00042-v3")
+        content = split.model_copy(update={"train": tuple(sorted(stranger))}).content
+        changed = {**content, "id": split_id(content), "sha256": json_sha256(content)}
+        with pytest.raises(SplitError, match="gentle_lift/person-00042-v3"):
+            check_split(Split.model_validate(changed))
 
 
 def test_no_person_stands_on_two_sides(official: Registry) -> None:

@@ -1,5 +1,7 @@
 """Release v1 is the paper's population, whole, and can be split in every way; v2 is its plan's."""
 
+import itertools
+import statistics
 from collections import Counter
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from assistax_workshop.plans.plan import read_plan
 from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
 from zoo.registry import load_registry
+from zoo.splitting.create import partner_teams
 
 ROOT = Path(__file__).parents[2]
 REGISTRY = load_registry(ROOT / "registry.json")
@@ -29,18 +32,22 @@ def test_release_v1_is_table_6(role: str) -> None:
     assert all(entry.self_play for entry in teams)
 
 
-def test_egos_were_trained_with_the_training_side_of_the_default_split() -> None:
+def test_egos_were_trained_with_persons_or_the_default_split() -> None:
     egos = REGISTRY.data.egos
     assert sorted(egos) == [
         "arm_assist/ppo-ego-s0-v1",
         "bed_bath/ppo-ego-s0-v1",
         "gentle_bath/ppo-ego-s0-v2",
+        "gentle_bath/ppo-ego-s3-v3",
         "gentle_lift/ppo-ego-s0-v2",
+        "gentle_lift/ppo-ego-s2-v3",
         "gentle_scratch/ppo-ego-s0-v2",
+        "gentle_scratch/ppo-ego-s0-v3",
         "scratch/ppo-ego-s0-v1",
     ]
     for team, ego in egos.items():
-        split = REGISTRY.split(team.partition("/")[0])
+        whom = "persons" if team.endswith("-v3") else None
+        split = REGISTRY.split(team.partition("/")[0], whom)
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 
 
@@ -68,17 +75,33 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}
 
 
-def test_release_v2_is_its_plan() -> None:
-    plan = read_plan(ROOT / "zoo" / "plans" / "v2.json")
+@pytest.mark.parametrize(("release", "teams"), [("v2", 198), ("v3", 36)])
+def test_a_release_is_its_plan(release: str, teams: int) -> None:
+    plan = read_plan(ROOT / "zoo" / "plans" / f"{release}.json")
     expected = {
-        f"{group.task}/{group.algorithm}-{member.label}-v2"
+        f"{group.task}/{group.algorithm}-{member.label}-{release}"
         for group in plan.groups
         for member in group.members
     }
-    humans = [e for e in REGISTRY.select(release="v2", role="human") if e.disability != EGO]
+    humans = [e for e in REGISTRY.select(release=release, role="human") if e.disability != EGO]
     assert {entry.team for entry in humans} == expected
-    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, 198)
+    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, teams)
     assert all(entry.self_play for entry in humans)
+
+
+@pytest.mark.parametrize("task", GENTLE_TASKS)
+def test_no_partner_of_a_split_of_v3_is_below_the_bar(task: str) -> None:
+    data = REGISTRY.part("").data
+    teams = partner_teams(data, task, "v3")
+    own = {team: data.teams[team].self_play for team in teams}
+    earned = {team: figure.mean for team, figure in own.items() if figure is not None}
+    assert len(earned) == 36
+    bar = 0.25 * statistics.median(earned.values())
+    fit = {team for team in teams if earned[team] >= bar}
+    splits = [s for s in data.splits if (s.task, s.release) == (task, "v3")]
+    assert {split.rule for split in splits} == {"half", "three-sides"}
+    assert all({*itertools.chain(*split.sides.values())} == fit for split in splits)
+    assert REGISTRY.split(task, release="v3").rule == "three-sides"
 
 
 def test_a_task_has_its_own_default_release() -> None:

@@ -89,7 +89,7 @@ def make_row(making: Making) -> dict[str, Any]:
         "task": making.how.task,
         "command": making.command,
         "split": making.split.id,
-        "seeds": list(making.sizes.seeds),
+        "seeds": [member.seed for run in trainings[:1] for member in run.config.members],
         "robots": len(files),
         "steps": trainings[0].training["steps"] if trainings else 0,
         "total_steps": sum(t.training["steps"] * len(t.config.members) for t in trainings),
@@ -157,7 +157,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
         algorithm=row.algorithm,
         seeds=len(split.train) if alone else sizes.seeds,
         steps=sizes.steps,
-        hyperparameters={**recipe, **row.changes, **sizes.changes},
+        hyperparameters={**recipe, **sizes.changes},
         told=row.told,
     )
     if alone:

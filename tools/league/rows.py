@@ -1,9 +1,9 @@
 """The rows of a league, as a table: how the robots of each come to be."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
+from assistax_envs.preferences import Told
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIXED,
@@ -16,18 +16,11 @@ from evaluation.figures.league import (
     TOLD_RESPONSE,
     ordered,
 )
-from population.config import Told
 from population.hyperparameters import METHODS
 
 # With whom robots train: the training side; the test side; one partner of the test side each; or
 # nobody, because the best published robot is taken, or the best of each four of another row.
 Source = Literal["train", "test", "each", "published", "best-of"]
-
-# What a method changes of the recipe that all rows of a task share.
-OWN: Mapping[str, Mapping[str, Any]] = {
-    # The student's part is the end of a run, where an annealed rate is next to nothing.
-    "rma": {"anneal_lr": False},
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +30,6 @@ class Row:
     name: str
     source: Source
     algorithm: str = PPO
-    changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     told: Told = False
 
     @property
@@ -51,7 +43,7 @@ def rows() -> dict[str, Row]:
 
     Zero, random and script stand in every row's folder as references.
     """
-    methods = [Row(name, "train", name, OWN.get(name, {})) for name in (PPO, "sac", *METHODS)]
+    methods = [Row(name, "train", name) for name in (PPO, "sac", *METHODS)]
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),

@@ -7,7 +7,7 @@ from typing import Any
 from assistax_base.errors import counted
 from assistax_envs.versions import VERSIONS
 from tools.release_page.data import Played
-from tools.release_page.markdown import MISSING, code, spoken, table
+from tools.release_page.markdown import spoken
 from zoo.schema import PolicyEntry, Training
 
 _POLICY = re.compile(r"--policy[ =](\S+)")
@@ -15,32 +15,18 @@ _TASKS = list(VERSIONS)
 HEADINGS = ("what", "how much", "device", "backend", "device minutes")
 
 
-def costs(
-    humans: Sequence[PolicyEntry],
-    trained: Mapping[str, Mapping[str, Any]],
-    played: Mapping[str, Played],
-    page: str = "",
-) -> str:
-    """Return device minutes of every part as a table, then the commands that are known.
-
-    Args:
-        humans: Of the release's teams, whose training is told.
-        trained: Trainings of egos, by what is said of each.
-        played: Cross-plays and evaluations, by what is said of each.
-        page: Command that makes the page.
-    """
-    rows = cost_rows(humans, trained, played)
-    shown = table(HEADINGS, rows, (4,)) if rows else f"{MISSING.capitalize()}."
-    known = commands(trained, played, page)
-    return "\n\n".join([shown, *([code("\n".join(known))] if known else [])])
-
-
 def cost_rows(
     humans: Sequence[PolicyEntry],
     trained: Mapping[str, Mapping[str, Any]],
     played: Mapping[str, Played],
 ) -> list[list[object]]:
-    """Return a row of `HEADINGS` for every part; arguments are those of `costs`."""
+    """Return a row of `HEADINGS` for every part.
+
+    Args:
+        humans: Of the release's teams, whose training is told.
+        trained: Trainings of egos, by what is said of each.
+        played: Cross-plays and evaluations, by what is said of each.
+    """
     return [
         *_team_rows(humans),
         *([f"training {name}", *_ego_cells(run)] for name, run in trained.items()),
@@ -48,12 +34,10 @@ def cost_rows(
     ]
 
 
-def commands(
-    trained: Mapping[str, Mapping[str, Any]], played: Mapping[str, Played], page: str = ""
-) -> list[str]:
-    """Return the commands that are known, each once; arguments are those of `costs`."""
+def commands(trained: Mapping[str, Mapping[str, Any]], played: Mapping[str, Played]) -> list[str]:
+    """Return the commands that are known, each once; arguments are those of `cost_rows`."""
     runs = (*trained.values(), *(result.run for result in played.values()))
-    every = dict.fromkeys([*(run.get("command", "") for run in runs), page])
+    every = dict.fromkeys([*(run.get("command", "") for run in runs)])
     return [_shortened(command) for command in every if command]
 
 

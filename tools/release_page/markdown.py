@@ -46,6 +46,18 @@ def csv_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return out.getvalue()
 
 
+def csv_of(tables: Mapping[str, str], heading: str) -> str:
+    """Return tables of Markdown as one table of CSV, whose first column says of what each is."""
+    lines = []
+    for name, text in tables.items():
+        rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:1] == "|"]
+        if rows:
+            lines += [[heading, *rows[0]], *([name, *row] for row in rows[2:])]
+    first = lines[:1]
+    rows = [line for line in lines if line[:1] != [heading] or line != first[0]]
+    return csv_table([], [*first, *rows]).removeprefix("\n").replace("`", "")
+
+
 def code(text: str) -> str:
     """Return a block of commands."""
     return f"```console\n{text}\n```"

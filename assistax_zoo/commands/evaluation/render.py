@@ -26,13 +26,13 @@ def render(
 ) -> None:
     """Film an episode of a robot and a human, with targets, touches and the reward of each step.
 
-    No display is needed. An .mp4 or .gif runs in real time, a .png shows four moments.
+    No display is needed. An .mp4, .gif or .webp runs in real time, a .png shows four moments.
 
     Args:
         task: Task, such as scratch.
         robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
         human: An id, a .safetensors file, zero, or random.
-        out: File to write: .mp4, .gif or .png.
+        out: File to write: .mp4, .gif, .webp or .png.
         steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
         seed: Of the episode.
         camera: A camera of the scene, such as side, or close to follow the tool.

@@ -19,9 +19,10 @@ def trajectories(
     preference: str | None = None,
     backend: str = "auto",
     registry: str | None = None,
+    format: str = "parquet",
     json: bool = False,
 ) -> None:
-    """Record a robot and a human step by step, as Parquet: for imitation and for studies.
+    """Record a robot and a human step by step: for imitation and for studies.
 
     A row has the observations, actions and reward of a step; docs/trajectories.md lists the
     columns. Who played what is in the file's metadata.
@@ -30,7 +31,7 @@ def trajectories(
         task: Task, such as scratch.
         robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
         human: An id, a .safetensors file, zero, or random.
-        out: File to write.
+        out: File to write; a new folder where the format is not parquet.
         episodes: How many.
         steps: Steps of 20 ms of each; the whole episode of 1000 if not given.
         seed: Seed of the episodes.
@@ -39,6 +40,7 @@ def trajectories(
             given.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
+        format: parquet; or minari or lerobot (version 3.0), each an extra of its name.
         json: Print JSON.
 
     Example:
@@ -61,6 +63,7 @@ def trajectories(
                 preference=preference,
                 backend=backend,
                 zoo=registry,
+                format=format,
                 on_step=lambda: advance(1),
             )
     content = {"out": out, "episodes": episodes, "steps": table.height - episodes}

@@ -121,7 +121,7 @@ def _retry_submission(
             "that it got back; nothing was queued. Give it one more attempt than the season has, "
             "which the ledger will say, or leave the submission as it is",
         )
-    values = {"state": "queued", "reason": None, "finished_at": None}
+    values = {"state": "queued", "reason": None, "finished_at": None, "told_at": None}
     values["attempt"] = "free" if season is None else "reserved"
     again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
     connection.execute(again.values(values))
@@ -228,7 +228,8 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         row = connection.execute(sa.select(schema.submitters).where(where)).first()
         if row is None:
             raise Problem("not_found", f"no submitter {submitter!r}")
-        values = {"name": f"erased-{submitter}", "contact": None, "erased_at": now}
+        values = {"name": f"erased-{submitter}", "contact": None, "webhook": None}
+        values["erased_at"] = now
         connection.execute(sa.update(schema.submitters).where(where).values(values))
         open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))

@@ -29,6 +29,7 @@ submitters = sa.Table(
     sa.Column("contact", sa.String(200)),
     sa.Column("created_at", sa.Float, nullable=False),
     sa.Column("erased_at", sa.Float),
+    sa.Column("webhook", sa.String(500)),  # of the organiser's choice
 )
 
 # A token's secret is never stored, only its sha256: with 256 random bits it needs no slow hash.
@@ -95,6 +96,7 @@ submissions = sa.Table(
     sa.Column("finished_at", sa.Float),
     sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
     *(sa.Column(name, sa.Text) for name in ("about", "link", "citation")),  # of its method
+    sa.Column("told_at", sa.Float),  # when its lab's webhook was told of the end
     sa.UniqueConstraint("submitter", "request"),
 )
 sa.Index("ix_submissions_state", submissions.c.state)

@@ -1,12 +1,13 @@
-"""Posts what the organiser is to know to an address of the organiser's, and checks the ledger.
+"""Posts notices to the organiser's address and scores to labs', and checks the ledger.
 
 Messages are those of Standard Webhooks (standardwebhooks.com): JSON, signed with HMAC-SHA256 by a
-secret that both sides know. A thread beside the server posts them: no request waits for that or
-brings it about, and nobody but the organiser names the address, which may thus be a private one.
+secret that both sides know. Threads beside the server post them: no request waits for that, and
+nobody but the organiser names an address, a lab's neither, which may thus be a private one.
 """
 
 import base64
 import contextlib
+import functools
 import hashlib
 import hmac
 import json
@@ -14,7 +15,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -23,6 +24,7 @@ import httpx2
 
 from assistax_base.files import atomic_write, write_json
 from assistax_board.checking import ledger_pages
+from assistax_board.rules.telling import told, untold
 from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.notices import Notice, list_notices
@@ -32,6 +34,7 @@ PREFIX = "whsec_"  # before the base64 of a secret
 POLL_SECONDS = 10.0
 LONGEST_PAUSE = 3600.0  # between two tries; each is twice as long after the one before
 AGAIN_SECONDS = 3600.0  # between two posts of one notice that goes on happening
+MAX_ADDRESS = 500
 ANSWER_SECONDS = 10.0  # that each step of a post may take
 LEDGER_SECONDS = 86_400.0  # between two checks of the ledger
 _LOG = logging.getLogger("assistax_board")
@@ -50,9 +53,7 @@ class Webhook:
         self._url, self._sent_file = url, data / SENT_FILE
         path = data / SECRET_FILE
         if not path.is_file():
-            atomic_write(
-                path, f"{PREFIX}{base64.b64encode(secrets.token_bytes(32)).decode()}\n".encode()
-            )
+            atomic_write(path, f"{secret_text(secrets.token_bytes(32))}\n".encode())
             path.chmod(0o600)
         self._secret = path.read_text().strip()
         signature(self._secret, "", 0, b"")
@@ -78,31 +79,33 @@ class Webhook:
                 write_json(self._sent_file, self._sent)
 
     def _post(self, notice: Notice) -> None:
-        """Post one; the same one has the same id at every try, by which its receiver knows it."""
-        at = int(time.time())
+        """Post one; the same one has the same id at every try."""
         words = f"{notice.kind} {notice.about} {notice.first_at} {notice.last_at}"
-        id = f"msg_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
-        body = json.dumps(message(notice)).encode()
-        headers = {
-            "Content-Type": "application/json",
-            "webhook-id": id,
-            "webhook-timestamp": str(at),
-            "webhook-signature": signature(self._secret, id, at, body),
-        }
-        try:  # what it answers beside the status is not read
-            with httpx2.stream(
-                "POST",
-                self._url,
-                content=body,
-                headers=headers,
-                timeout=ANSWER_SECONDS,
-                follow_redirects=False,
-            ) as response:
-                status = response.status_code
-        except httpx2.TransportError as error:
-            raise OSError(type(error).__name__) from error
-        if not 200 <= status < 300:
-            raise OSError(f"status {status}")
+        post(self._url, self._secret, words, notice_message(notice))
+
+
+def post(url: str, secret: str, words: str, message: dict[str, object]) -> None:
+    """Post a message, signed; the same words make the same id, by which its receiver knows it.
+
+    Raises:
+        OSError: The address does not take it.
+    """
+    at, body = int(time.time()), json.dumps(message).encode()
+    id = f"msg_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
+    headers = {
+        "Content-Type": "application/json",
+        "webhook-id": id,
+        "webhook-timestamp": str(at),
+        "webhook-signature": signature(secret, id, at, body),
+    }
+    ask = functools.partial(httpx2.stream, "POST", url, content=body, headers=headers)
+    try:  # what it answers beside the status is not read
+        with ask(timeout=ANSWER_SECONDS, follow_redirects=False) as response:
+            status = response.status_code
+    except httpx2.TransportError as error:
+        raise OSError(type(error).__name__) from error
+    if not 200 <= status < 300:
+        raise OSError(f"status {status}")
 
 
 def check_address(url: str | None) -> None:
@@ -112,11 +115,19 @@ def check_address(url: str | None) -> None:
         ValueError: It is not an address of http or https, with a host.
     """
     parts = urlsplit(url or "http://none")
-    if parts.scheme not in ("http", "https") or not parts.hostname:
-        raise ValueError(f"the webhook is {url!r}; give an address of http:// or https://")
+    if parts.scheme not in ("http", "https") or not parts.hostname or len(url or "") > MAX_ADDRESS:
+        raise ValueError(
+            f"the webhook is {url!r}; give an address of http:// or https://, of at most "
+            f"{MAX_ADDRESS} letters"
+        )
 
 
-def message(notice: Notice) -> dict[str, object]:
+def secret_text(secret: bytes) -> str:
+    """Return a secret as Standard Webhooks writes it."""
+    return f"{PREFIX}{base64.b64encode(secret).decode()}"
+
+
+def notice_message(notice: Notice) -> dict[str, object]:
     """Return a notice as Standard Webhooks has messages."""
     at = datetime.fromtimestamp(notice.last_at, UTC).isoformat(timespec="seconds")
     data = {"kind": notice.kind, "about": notice.about, "text": notice.text, "count": notice.count}
@@ -140,30 +151,92 @@ def signature(secret: str, id: str, at: int, body: bytes) -> str:
     )
 
 
+class LabWebhooks:
+    """Tells labs when their submissions have ended, where the organiser gave them an address.
+
+    A thread for each: one that answers slowly keeps no other waiting.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        self._threads: dict[str, threading.Thread] = {}
+        self._pauses: dict[str, float] = {}
+        self._not_before: dict[str, float] = {}
+
+    def post_new(self) -> None:
+        """Begin to post what has ended and was not told, at each address that is not busy."""
+        for lab, (url, ended) in untold(self._service.database).items():
+            thread = self._threads.get(lab)
+            if thread is not None and thread.is_alive():
+                continue
+            if time.monotonic() >= self._not_before.get(lab, 0.0):
+                thread = threading.Thread(target=self._tell, args=(lab, url, ended), daemon=True)
+                self._threads[lab] = thread
+                thread.start()
+
+    def _tell(self, lab: str, url: str, ended: Sequence[str]) -> None:
+        secret = lab_secret(self._service, lab)
+        try:
+            for id in ended:
+                message = end_message(self._service, id)
+                post(url, secret, f"submission {id} {message['timestamp']}", message)
+                told(self._service.database, [id], self._service.clock())
+            self._pauses.pop(lab, None)
+        except Exception as error:
+            pause = min(2 * self._pauses.get(lab, POLL_SECONDS), LONGEST_PAUSE)
+            self._pauses[lab], self._not_before[lab] = pause, time.monotonic() + pause
+            fields = {"error": type(error).__name__, "again_in": pause, "lab": lab}
+            _LOG.warning("not posted", extra={"fields": fields})
+
+
+def lab_secret(service: Service, lab: str) -> str:
+    """Return the secret that signs what is posted to a lab: of all servers with this key."""
+    return secret_text(service.signer.secret(f"webhook {lab}"))
+
+
+def end_message(service: Service, id: str) -> dict[str, object]:
+    """Return how a submission ended, with the means that its page shows."""
+    row = service.queries.submission(id)
+    if row is None:
+        raise OSError(f"no submission {id}")
+    names = ("id", "task", "method", "season", "state", "reason")
+    scores = service.queries.scores(submission=id)
+    means = {score.panel: score.figures["mean"] for score in scores[::-1]}
+    at = datetime.fromtimestamp(row.finished_at or 0.0, UTC).isoformat(timespec="seconds")
+    data = {name: getattr(row, name) for name in names} | {"means": means}
+    return {"type": f"submission.{row.state}", "timestamp": at, "data": data}
+
+
 @contextlib.contextmanager
 def watched(service: Service, data: Path, url: str | None) -> Generator[None]:
-    """Check the ledger once a day, and post what the organiser is to know, until the block ends.
+    """Check the ledger once a day, tell labs of their scores and the organiser of notices.
 
-    Without an address nothing is posted.
+    Until the block ends; without an address notices are not posted.
     """
-    over, webhook = threading.Event(), None if url is None else Webhook(url, data)
-    thread = threading.Thread(target=_watch, args=(over, service, webhook), daemon=True)
-    thread.start()
+    over, checked_at = threading.Event(), -LEDGER_SECONDS
+    webhook, labs = None if url is None else Webhook(url, data), LabWebhooks(service)
+
+    def organiser() -> None:
+        nonlocal checked_at
+        if time.monotonic() - checked_at >= LEDGER_SECONDS:
+            checked_at = time.monotonic()
+            check_ledger(service)
+        if webhook is not None:
+            webhook.post_new(list_notices(service.database), service.clock())
+
+    for step in (organiser, labs.post_new):
+        threading.Thread(target=_watch, args=(over, step), daemon=True).start()
     try:
         yield
     finally:
-        over.set()  # the thread may be waiting for an answer: nobody waits for it
+        over.set()  # a thread may be waiting for an answer: nobody waits for it
 
 
-def _watch(over: threading.Event, service: Service, webhook: Webhook | None) -> None:
-    pause, checked_at = POLL_SECONDS, -LEDGER_SECONDS
+def _watch(over: threading.Event, step: Callable[[], None]) -> None:
+    pause = POLL_SECONDS
     while not over.wait(pause):
         try:
-            if time.monotonic() - checked_at >= LEDGER_SECONDS:
-                checked_at = time.monotonic()
-                check_ledger(service)
-            if webhook is not None:
-                webhook.post_new(list_notices(service.database), service.clock())
+            step()
             pause = POLL_SECONDS
         except Exception as error:  # a receiver or a database that is away comes back
             pause = min(2 * pause, LONGEST_PAUSE)

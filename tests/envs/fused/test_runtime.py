@@ -192,9 +192,38 @@ def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> Non
 
 def test_the_handler_of_gpus_takes_the_drivers_functions() -> None:
     step, bind = toolchain.load(gpu.build_handler(), "toy_gpu", ["fused_step", "fused_bind"])
-    types = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
-    ctypes.CFUNCTYPE(None, *types)(bind)(None, None, 132)
+    types = *[ctypes.c_void_p] * 3, ctypes.c_int
+    ctypes.CFUNCTYPE(None, *types)(bind)(None, None, None, 132)
     assert step
+
+
+@pytest.mark.parametrize(
+    ("status", "name", "words"),
+    [
+        (2, b"CUDA_ERROR_OUT_OF_MEMORY", "CUDA_ERROR_OUT_OF_MEMORY (2); each launch needs memory"),
+        (719, b"CUDA_ERROR_LAUNCH_FAILED", "CUDA_ERROR_LAUNCH_FAILED (719)"),
+        (4711, None, "an unknown error (4711)"),
+    ],
+)
+def test_a_refused_launch_has_cudas_name_and_code(status: int, name, words: str) -> None:
+    handler = gpu.build_handler()
+    _, bind, refusal = toolchain.load(
+        handler, f"toy_gpu_{status}", ["fused_step", "fused_bind", "fused_refusal"]
+    )
+    named = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.POINTER(ctypes.c_char_p))
+
+    @named
+    def error_name(found: int, place) -> int:
+        place[0] = name
+        return int(name is None or found != status)
+
+    types = ctypes.c_void_p, named, ctypes.c_void_p, ctypes.c_int
+    ctypes.CFUNCTYPE(None, *types)(bind)(None, error_name, None, 132)
+    text = ctypes.create_string_buffer(512)
+    ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_char_p)(refusal)(status, text)
+    told = text.value.decode()
+    assert told.startswith(f"fused physics: the CUDA driver refused a launch: {words}")
+    assert ("XLA_PYTHON_CLIENT_MEM_FRACTION" in told) == (status == 2) and len(told) < 480
 
 
 # The kernel on a CPU, a thread after the other; it writes down which thread has which simulation.

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from assistax_envs.versions import GENTLE_TASKS
 from tools.release_page.crossplays import heatmap
 from tools.release_page.data import Played
-from tools.release_page.gentle.data import SERIES, Results
+from tools.release_page.gentle.data import MIRROR, SERIES, Results
 from tools.release_page.gentle.evaluations import REFERENCES
 from tools.release_page.gentle.measures import Comparison, SplitCost
 from tools.release_page.gentle.sections import (
@@ -31,12 +31,31 @@ from tools.release_page.gentle.sections import (
     splits,
 )
 from tools.release_page.making import HEADINGS, commands, cost_rows
-from tools.release_page.markdown import MISSING, code, csv_table, spoken, table
-from zoo.schema import PolicyEntry
+from tools.release_page.markdown import MISSING, code, csv_of, csv_table, spoken, table
+from zoo.schema import PolicyEntry, Split
 
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
 RECURRENT = "ppo-gru"
+MORE = {  # tables beside the page
+    "population.csv": "teams by algorithm, steps of training and disability setting: how many, and "
+    "the IQM of their returns in self-play. Intervals resample teams.",
+    "equal-steps.csv": "self-play of algorithms that trained for equally many steps, within 5%, in "
+    "the settings that all of them have.",
+    "splits.csv": f"every split, the default one first, and its cost. `ppo{MIRROR}` was trained "
+    "with the test side, `ppo` with the training side, and both play with the test partners. "
+    f"*Lost* is the return of `ppo{MIRROR}` minus that of `ppo`, and its share of the former where "
+    "that is surely above zero. Intervals resample the seeds of each, and the partners of both "
+    "together. Custom splits are by behaviour: humans fall into two groups by which robots suit "
+    "them, and the group that earns more is held out.",
+    "methods.csv": "the table of methods above, on all splits.",
+    "differences.csv": "M_test of every two methods on the default splits. p is two-sided, by the "
+    "bootstrap of seeds and partners; the least is 0.001. Holm's correction is for all differences "
+    "of a task.",
+    "series.csv": "mean return with test partners by place in a series of five episodes, on the "
+    "default splits. A recurrent robot remembers its partner within the series; a feed-forward one "
+    "does not.",
+}
 
 
 def make_page(results: Results, pictures: str, command: str) -> str:
@@ -48,18 +67,11 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         command: The command that makes the page, for its last section.
     """
     comparisons = {task: compared(results, task) for task in GENTLE_TASKS}
-    split_costs = {
-        split.id: cost(results, split) for task in GENTLE_TASKS for split in results.splits[task]
-    }
+    split_costs = {name: cost(results, split) for name, split in _splits(results).items()}
     parts = {
         "In short": in_short(results, comparisons, split_costs),
-        "The population": by_task(results, population),
-        "Training for equally many steps": by_task(results, equal_steps),
-        "Splits, and what they cost": by_task(results, partial(splits, split_costs)),
-        "Methods": f"{by_task(results, methods)}\n\n[methods.csv]({results.release}/methods.csv) "
-        "has the same figures on all splits.",
-        "Differences between methods": by_task(results, partial(differences, comparisons)),
-        "Adaptation within a series of episodes": by_task(results, adaptation),
+        "Methods": by_task(results, methods),
+        "More tables": more_tables(results.release),
         "Cross-play": cross_play(results, pictures),
         "Diversity": diverse(results),
         "How this was made": _cost_of_making(results, command),
@@ -73,6 +85,11 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         "played the same starts, so no interval here speaks of other starts."
     )
     return "\n\n".join([head, *(f"## {name}\n\n{text}" for name, text in parts.items())]) + "\n"
+
+
+def more_tables(folder: str) -> str:
+    """Return a list of the tables beside the page: which there are, and how each is measured."""
+    return "\n".join(f"- [{name}]({folder}/{name}): {what}" for name, what in MORE.items())
 
 
 def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
@@ -100,8 +117,8 @@ def in_short(
         "that a robot loses by training with the training side instead of the test side. *Differ*: "
         f"trained methods that are not told the preference, with p below {ALPHA:g} after Holm's "
         "correction, the better one first. The last columns have the value of being told the "
-        "preference, and the gain of a memory within a series. The sections below say how each is "
-        "measured."
+        "preference, and the gain of a memory within a series. [More tables](#more-tables) says "
+        "how each is measured."
     )
 
 
@@ -142,14 +159,31 @@ def tables(results: Results) -> dict[str, str]:
         for split, rows in method_rows(results, task).items()
         for row in rows
     )
+    apart = {
+        "population": population,
+        "equal-steps": equal_steps,
+        "splits": partial(splits, {i: cost(results, s) for i, s in _splits(results).items()}),
+        "differences": partial(
+            differences, {task: compared(results, task) for task in GENTLE_TASKS}
+        ),
+        "series": adaptation,
+    }
+    beside = {
+        f"{name}.csv": csv_of({spoken(t): section(results, t) for t in GENTLE_TASKS}, "task")
+        for name, section in apart.items()
+    }
     parts = [_made(results, task) for task in GENTLE_TASKS]
     rows = (row for part in parts for row in cost_rows(*part))
     lines = (line for _, trained, played in parts for line in commands(trained, played))
-    return {
+    return beside | {
         "methods.csv": csv_table(("task", "split", *METHOD), methods),
         "minutes.csv": csv_table(HEADINGS, rows),
         "commands.txt": "".join(f"{line}\n" for line in lines),
     }
+
+
+def _splits(results: Results) -> dict[str, Split]:
+    return {split.id: split for task in GENTLE_TASKS for split in results.splits[task]}
 
 
 def _cost_of_making(results: Results, command: str) -> str:

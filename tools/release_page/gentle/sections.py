@@ -30,7 +30,7 @@ METHOD += ("gap, mean", "safe success", "violations")
 
 
 def population(results: Results, task: str) -> str:
-    """Return the number of teams and their self-play by setting, algorithm and steps."""
+    """Return the number of teams and their self-play by setting, algorithm and steps, a table."""
     humans = [human for human in results.humans if human.task == task]
     if not humans:
         return NOTHING
@@ -39,10 +39,7 @@ def population(results: Results, task: str) -> str:
     rows = [[setting, *(_teams(humans, kind, [setting]) for kind in kinds)] for setting in settings]
     rows.append(["all", *(_teams(humans, kind, settings) for kind in kinds)])
     headings = ["setting", *(f"{name.upper()}, {steps} steps" for name, steps in kinds)]
-    return (
-        f"{table(headings, rows, range(1, len(headings)))}\n\nOf {len(humans)} teams: how many, "
-        "and the IQM of their returns in self-play. Intervals resample teams."
-    )
+    return table(headings, rows)
 
 
 def equal_steps(results: Results, task: str) -> str:
@@ -66,10 +63,7 @@ def equal_steps(results: Results, task: str) -> str:
     if not rows:
         return NOTHING
     headings = ["steps", "algorithm", "settings", "teams", "self-play IQM [95%]", "mean [95%]"]
-    return (
-        f"{table(headings, rows, (0, 3, 4, 5))}\n\nTeams of algorithms that trained for equally "
-        "many steps, within 5%, in the settings that all of them have. Intervals resample teams."
-    )
+    return table(headings, rows)
 
 
 def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: str) -> str:
@@ -90,14 +84,7 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
         return NOTHING
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
     headings += [*(f"M_test of {name}" for name in TRAINED_WITH), "lost [95%]", "lost, share"]
-    return (
-        f"{table(headings, rows, (2, 3, 5, 6, 7, 8))}\n\n`ppo{MIRROR}` was trained with the test "
-        "side, `ppo` with the training side, and both play with the test partners. *Lost* is the "
-        f"return of `ppo{MIRROR}` minus that of `ppo`, and its share of the former where that is "
-        "surely above zero. The interval resamples the seeds of each separately, and the partners "
-        "of both together. Custom splits are by behaviour: humans fall into two groups by which "
-        "robots suit them, and the group that earns more is held out."
-    )
+    return table(headings, rows)
 
 
 def cost(results: Results, split: Split) -> SplitCost | None:
@@ -148,13 +135,7 @@ def differences(comparisons: Mapping[str, Comparison], results: Results, task: s
         for (a, b), result in comparison.items()
     ]
     headings = ["difference", "M_test, mean [95%]", "partners better with the former", "p"]
-    count = sum(result.p is not None for result in comparison.values())
-    return (
-        f"{table([*headings, 'p, Holm'], rows, range(1, 5))}\n\nOn "
-        f"`{short(results.splits[task][0])}`. p is two-sided, by the bootstrap of seeds and "
-        "partners; the least is 0.001. Holm's correction is for the "
-        f"{count} differences of this table."
-    )
+    return table([*headings, "p, Holm"], rows)
 
 
 def compared(results: Results, task: str) -> Comparison:
@@ -178,12 +159,7 @@ def adaptation(results: Results, task: str) -> str:
         cells = [mean(estimate(scores[place])) if place in scores else "–" for place in places]
         rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain(egos)])
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
-    return (
-        f"{table(headings, rows, range(1, len(headings)))}\n\nMean return with test partners by "
-        f"place in a series, on `{short(results.splits[task][0])}`. A recurrent robot remembers "
-        "its partner within the series; a feed-forward one does not. Intervals resample seeds and "
-        "partners."
-    )
+    return table(headings, rows)
 
 
 def cross_play(results: Results, pictures: str) -> str:

@@ -1,8 +1,11 @@
 """The whole page: sections in order, hand-written reasons in their places."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from tools.release_page.data import Played
-from tools.release_page.making import costs
-from tools.release_page.markdown import spoken
+from tools.release_page.making import HEADINGS, commands, cost_rows
+from tools.release_page.markdown import code, csv_of, csv_table, spoken
 from tools.release_page.paper import population, sections
 from tools.release_page.paper.claims import check_claims
 from tools.release_page.paper.data import Results
@@ -33,8 +36,17 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         "curves": ("Learning curves: Figure 3", sections.curves(results, picture)),
         "cross-play": ("Cross-play: Figures 4 and 5", sections.cross_play(results, picture)),
         "zsc": ("Zero-shot coordination: Figures 6 and 14", sections.zero_shot(results, picture)),
-        "claims": ("The paper's claims, criterion by criterion", sections.claim_table(claims)),
-        "made": ("How this was made", _made(results, command)),
+        "claims": (
+            "The paper's claims, criterion by criterion",
+            f"[claims.csv]({results.release}/claims.csv) has every criterion: what was found, its "
+            f"threshold and the outcome.\n\n{sections.CLAIM_WORDS}",
+        ),
+        "made": (
+            "How this was made",
+            f"[minutes.csv]({results.release}/minutes.csv) has the device minutes of every part, "
+            f"[commands.txt]({results.release}/commands.txt) its command. This command makes the "
+            f"page:\n\n{code(command)}",
+        ),
     }
     texts = [_head(results)]
     for key, (title, text) in parts.items():
@@ -45,8 +57,16 @@ def make_page(results: Results, pictures: str, command: str) -> str:
 
 
 def tables(results: Results) -> dict[str, str]:
-    """Return the files beside the page: none, it holds all of its tables."""
-    return {}
+    """Return the files beside the page, in a folder named after the release."""
+    trained, played = _made(results)
+    lines = commands(trained, played)
+    return {
+        "claims.csv": csv_of(
+            {results.release: sections.claim_table(check_claims(results))}, "release"
+        ),
+        "minutes.csv": csv_table(HEADINGS, cost_rows(results.humans, trained, played)),
+        "commands.txt": "".join(f"{line}\n" for line in lines),
+    }
 
 
 def _head(results: Results) -> str:
@@ -59,8 +79,8 @@ def _head(results: Results) -> str:
     )
 
 
-def _made(results: Results, command: str) -> str:
-    """Return device minutes of every part, then the commands; `command` makes the page."""
+def _made(results: Results) -> tuple[dict[str, Mapping[str, Any]], dict[str, Played]]:
+    """Return trainings and plays, as `cost_rows` takes them."""
     named: dict[str, Played] = {
         f"cross-play of {spoken(task)}": played for task, played in results.crossplay.items()
     }
@@ -68,9 +88,9 @@ def _made(results: Results, command: str) -> str:
         f"evaluation of {m.upper()} egos, {spoken(t)}": egos
         for (t, m), egos in results.egos.items()
     }
-    trained = {
+    trained: dict[str, Mapping[str, Any]] = {
         f"{spoken(task)} {method.upper()} egos": egos.training
         for (task, method), egos in results.egos.items()
         if egos.training
     }
-    return costs(results.humans, trained, named, command)
+    return trained, named

@@ -16,7 +16,7 @@ from tools.release_page.paper.measures import variance_shares
 from tools.release_page.paper.population import ALGORITHMS, Picture
 from tools.release_page.paper.training import RISING, gained_last, training_curves
 
-_MEANINGS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
+CLAIM_WORDS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
 where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
 
 - *Lose with each other*: mean return of one branch's robots with the other's humans, the better of the two ways,
@@ -226,7 +226,7 @@ def claim_table(claims: Sequence[Claim]) -> str:
             rows.append([*name, "–", "–", "–", MISSING])
         rows += [[*name, c.what, c.value, c.threshold, _bold(c.outcome)] for c in claim.criteria]
     headings = ["claim", "task", "criterion", "found", "threshold", "outcome"]
-    return f"{table(headings, rows)}\n\n{_MEANINGS}"
+    return table(headings, rows)
 
 
 def _teams(results: Results, task: str) -> str:

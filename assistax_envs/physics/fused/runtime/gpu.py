@@ -24,9 +24,10 @@ def register(name: str, key: str, source: Callable[[], str]) -> None:
     """
     kernel = _load_kernel(build_cubin(key, source, architecture()))
     step, bind = toolchain.load(build_handler(), f"{name}_gpu", ["fused_step", "fused_bind"])
-    launch = ctypes.cast(_driver().cuLaunchKernel, ctypes.c_void_p)
-    types = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
-    ctypes.CFUNCTYPE(None, *types)(bind)(launch, kernel, _processors())
+    functions = _driver().cuLaunchKernel, _driver().cuGetErrorName
+    calls = [ctypes.cast(function, ctypes.c_void_p) for function in functions]
+    types = *[ctypes.c_void_p] * 3, ctypes.c_int
+    ctypes.CFUNCTYPE(None, *types)(bind)(*calls, kernel, _processors())
     register_call(name, step, "CUDA")
 
 
