@@ -3,6 +3,7 @@
 Anybody may have damaged a file: it is read, or refused in one line.
 """
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -83,7 +84,9 @@ def check_readable(paths: Sequence[Path]) -> None:
     room = _ROOM + 30 * sum(path.stat().st_size for path in unread)
     names = [str(path.absolute()) for path in unread]
     command = [sys.executable, "-P", "-c", _TRY, str(room), *names]
-    done = subprocess.run(command, capture_output=True, check=False)
+    # Each thread reserves addresses, which on a machine of many cores are more than the limit.
+    environment = os.environ | {"POLARS_MAX_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
+    done = subprocess.run(command, capture_output=True, check=False, env=environment)
     read = len(done.stdout.splitlines())
     if read < len(unread):
         raise _damaged(unread[read], "another process could not read it")

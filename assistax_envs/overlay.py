@@ -17,6 +17,7 @@ MEANINGS = {
     "section": "where to hold the arm",
     "waist": "where the arm goes",
     "mouth": "where the spoon goes",
+    "place": "what is brushed next",
 }  # of targets' names
 SMALLEST = 100  # pixels: what is lower has no room for words
 MOST_WITH_TERMS, MOST_WITH_NAMES = 0.42, 1 / 3  # of a picture's height, for words

@@ -7,6 +7,7 @@ not, and the reward of both depends on it.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 from assistax_envs.registered import REGISTERED
 
@@ -36,6 +37,9 @@ PLACES = (0.1, 0.2, 0.3)  # m
 WAITS = (0.04, 0.08, 0.16)  # m
 DEPTHS = (0.012, 0.02, 0.028)  # m
 PRESSES = (0.5, 1.0, 2.0)  # N
+# What robots are told that no robot may observe, for rows to compare with: nothing, what the human
+# likes, or all numbers of a person.
+Told = bool | Literal["partner"]
 # What of it matters in a task, and is observed there.
 WISHES: dict[str, tuple[str, ...]] = {
     name: task.wishes for name, task in REGISTERED.items() if task.wishes

@@ -74,7 +74,7 @@ def write_minari(table: "pl.DataFrame", folder: Path, name: str, about: Mapping[
     from minari.dataset.minari_storage import MinariStorage
 
     def space(kind: str, bound: float) -> Dict:
-        sizes = {role: table[f"{role}_{kind}"].dtype.shape for role in ROLES}  # ty: ignore[unresolved-attribute]
+        sizes = {role: table[f"{role}_{kind}"].dtype.shape for role in ROLES}  # ty: ignore[missing-attribute]
         return Dict({role: Box(-bound, bound, size, np.float32) for role, size in sizes.items()})
 
     (folder / "data").mkdir(parents=True)

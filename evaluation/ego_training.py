@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.files import atomic_write
+from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
-from population.config import MIXED, Member, Told, TrainConfig, check_names, make_run, numbered
+from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
 from population.hyperparameters import TrainerConfig, robot_preset
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
@@ -93,8 +94,7 @@ def prepare(
             the split's training half, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched at once; default the algorithm's.
-        told: Whether robots observe what the human likes, or "partner" for all numbers of a person:
-            rows to compare with.
+        told: What robots observe, for rows to compare with; "partner": all numbers of a person.
 
     Raises:
         ValueError: An argument is not allowed, or the simulations cannot be shared out.

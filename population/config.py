@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from assistax_base.validated import Many, validated
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.preferences import WISHES, check_preferences
+from assistax_envs.preferences import WISHES, Told, check_preferences
 from assistax_envs.versions import TASKS
 from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 
@@ -17,8 +17,6 @@ from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 MIXED = "mixed"
 
 Precision = Literal["float32", "float16"]
-# What robots observe that no robot may: nothing, what the human likes, or all numbers of a person.
-Told = bool | Literal["partner"]
 
 
 @validated

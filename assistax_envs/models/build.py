@@ -34,7 +34,7 @@ def build_model(task: str) -> mujoco.MjModel:
 def build_dressed(task: str) -> mujoco.MjModel:
     """Compile the same scene for pictures: what collides is hidden behind what it stands for."""
     scene = _scene(task)
-    dress(scene, SCENES.get(task, task))
+    dress(scene, SCENES.get(task, task), REGISTERED[task].tool)
     return scene.compile()
 
 

@@ -87,10 +87,7 @@ class GentleBrushing:
     """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
 
     name = "gentle_brushing"
-    target_colours: ClassVar = {
-        "place": (0.95, 0.05, 0.55, 1.0),
-        "ends": (0.10, 0.35, 0.95, 1.0),
-    }
+    target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
 
     def __init__(
         self,
@@ -144,14 +141,14 @@ class GentleBrushing:
         )
 
     def targets(self, task_state: BrushState, readings: MouthReadings) -> dict[str, jax.Array]:
-        """See `Task.targets`: the place, and its ends."""
+        """See `Task.targets`: the ends of the place."""
         spot = self._spot(task_state, readings)
-
-        def world(point: jax.Array) -> jax.Array:
-            return readings.mouth_position + rotate(readings.mouth_orientation, point)
-
-        ends = [world(spot.middle + side * HALF * spot.along) for side in (1.0, -1.0)]
-        return {"place": world(spot.middle)[:, None], "ends": jnp.stack(ends, axis=1)}
+        ends = [
+            readings.mouth_position
+            + rotate(readings.mouth_orientation, spot.middle + side * HALF * spot.along)
+            for side in (1.0, -1.0)
+        ]
+        return {"place": jnp.stack(ends, axis=1)}
 
     def transition(
         self, task_state: BrushState, readings: MouthReadings

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
+from assistax_envs.preferences import Told
 from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
@@ -18,7 +19,6 @@ from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
-from population.config import Told
 from population.networks.seat import Seat
 from population.networks.stack import stack_policies
 from population.networks.tensors import flatten, row_sha256

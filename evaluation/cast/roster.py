@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
-from population.config import Told
+from assistax_envs.preferences import Told
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from zoo.met.published import NOT_KNOWN, Met, met_in_training

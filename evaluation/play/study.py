@@ -65,7 +65,7 @@ def make_job(
 def _with_numbers(env: "Env", *, persons: bool) -> Any:
     """Return an environment that tells the robot its person's numbers, by its place among all."""
     from assistax_envs.persons import persons as rows
-    from population.methods.hidden import ToldNumbers
+    from population.environment import ToldNumbers
 
     return ToldNumbers(env, rows(env.task) if persons else None)
 

@@ -48,7 +48,7 @@ def run_training(
     optional("optax", "training", "train")
     optional("orbax.checkpoint", "training", "train")
     from assistax_envs import make
-    from population.methods.hidden import ToldNumbers
+    from population.environment import ToldNumbers
     from population.runs.train import train
 
     folder = Path(folder or tempfile.mkdtemp(prefix=f"assistax-{config.task}-"))

@@ -218,6 +218,7 @@ def test_a_program_gets_json_of_an_error(http: TestClient, path: str) -> None:
 @pytest.mark.parametrize("after", ["1" + 23 * "0", "-5", "7"])
 def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> None:
     assert http.get(f"/ledger?after={after}").status_code == 200
+    assert http.get(f"/api/ledger?after={after}").status_code == (200 if after == "7" else 422)
 
 
 @pytest.mark.parametrize(

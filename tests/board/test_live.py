@@ -343,6 +343,7 @@ def test_who_comes_and_goes_without_playing_is_gone_after_a_day(tmp_path: Path) 
         service.lease("w", FakeScorer().versions(), places)
         assert shown(service, id).state == "queued"
         advance(service, 3600.0)
+    places.leave(id, places.take(id, "lab"), 0.0)
     service.lease("w", FakeScorer().versions(), places)
     assert (shown(service, id).state, shown(service, id).reason) == ("failed", "client_gone")
 

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 from assistax_base.files import atomic_path
+from assistax_base.parquet import check_readable, write_parquet
 from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
 from evaluation.record.columns import BEHAVIOUR, GENTLE, SCHEMA, TOUCH, validate_episodes
@@ -194,6 +195,15 @@ def test_a_full_disk_is_called_so_and_leaves_the_old_file(
     with pytest.raises(OSError, match=r"the disk is full: .*episodes.parquet needs \d+ bytes"):
         tables.write_episodes(small(), path)
     assert tables.read_episodes(path).height == small().height
+
+
+def test_tables_are_readable_on_a_machine_of_many_cores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Polars would start a thread a core, each with addresses of its own, beyond the limit."""
+    monkeypatch.setenv("POLARS_MAX_THREADS", "512")
+    write_parquet(pl.DataFrame({"a": range(1000)}), tmp_path / "t.parquet")
+    check_readable([tmp_path / "t.parquet"])
 
 
 READ = """

@@ -10,8 +10,8 @@ import pytest
 import assistax_envs
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
 from population.config import MIXED, Member, TrainConfig
+from population.environment import ToldNumbers
 from population.hyperparameters import PPOConfig
-from population.methods.hidden import ToldNumbers
 from population.runs.train import initial_state, make_trainer
 from population.trainers.drawn_persons import (
     DrawnPersons,

@@ -62,9 +62,7 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert tuple(sorted(release.persons)) == tuple(sorted(GENTLE_TASKS))
     assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
     assert {table.count for table in release.persons.values()} == {COUNT}
-    assert (
-        official.release == "v2" and official.release_of(TASK) == "v2"
-    )  # v3 is newer and not the default
+    assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
     assert {name: official.root(name) for name in ROOTS} == ROOTS
 
 

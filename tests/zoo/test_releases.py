@@ -93,7 +93,9 @@ def test_a_release_is_its_plan(release: str, teams: int) -> None:
 def test_no_partner_of_a_split_of_v3_is_below_the_bar(task: str) -> None:
     data = REGISTRY.part("").data
     teams = partner_teams(data, task, "v3")
-    earned = {team: data.teams[team].self_play.mean for team in teams}
+    own = {team: data.teams[team].self_play for team in teams}
+    earned = {team: figure.mean for team, figure in own.items() if figure is not None}
+    assert len(earned) == 36
     bar = 0.25 * statistics.median(earned.values())
     fit = {team for team in teams if earned[team] >= bar}
     splits = [s for s in data.splits if (s.task, s.release) == (task, "v3")]

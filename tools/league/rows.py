@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+from assistax_envs.preferences import Told
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIXED,
@@ -15,7 +16,6 @@ from evaluation.figures.league import (
     TOLD_RESPONSE,
     ordered,
 )
-from population.config import Told
 from population.hyperparameters import METHODS
 
 # With whom robots train: the training side; the test side; one partner of the test side each; or

@@ -33,8 +33,11 @@ def palettes() -> list[dict[str, list[float]]]:
     return look("person")["palettes"]
 
 
-def dress(scene: mujoco.MjSpec, furniture: str) -> None:
-    """Put what pictures show onto a scene, and hide what it stands for. In place."""
+def dress(scene: mujoco.MjSpec, furniture: str, tool: str) -> None:
+    """Put what pictures show onto a scene, and hide what it stands for. In place.
+
+    Shapes that are `only` for a tool are left out with others.
+    """
     cameras: dict[str, Any] = {}
     head = "mouth" if scene.body("human_jaw") else "head"
     for name in ("room", "panda", "person", FURNITURE[furniture], head):
@@ -49,7 +52,8 @@ def dress(scene: mujoco.MjSpec, furniture: str) -> None:
             for geom in scene.body(body).geoms:
                 geom.group = 1 if geom.name.startswith("look-") else HIDDEN
             for index, shape in enumerate(parts["shapes"][given["shapes"]]):
-                _add(scene, body, given, shape, f"look-{name}-{body}-{index}")
+                if shape.get("only", tool) == tool:
+                    _add(scene, body, given, shape, f"look-{name}-{body}-{index}")
         cameras |= parts.get("cameras", {})
     for camera, (position, target, fovy) in cameras.items():
         if scene.camera(camera):

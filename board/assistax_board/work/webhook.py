@@ -7,6 +7,7 @@ nobody but the organiser names an address, a lab's neither, which may thus be a 
 
 import base64
 import contextlib
+import functools
 import hashlib
 import hmac
 import json
@@ -97,9 +98,9 @@ def post(url: str, secret: str, words: str, message: dict[str, object]) -> None:
         "webhook-timestamp": str(at),
         "webhook-signature": signature(secret, id, at, body),
     }
-    options = {"timeout": ANSWER_SECONDS, "follow_redirects": False}
+    ask = functools.partial(httpx2.stream, "POST", url, content=body, headers=headers)
     try:  # what it answers beside the status is not read
-        with httpx2.stream("POST", url, content=body, headers=headers, **options) as response:
+        with ask(timeout=ANSWER_SECONDS, follow_redirects=False) as response:
             status = response.status_code
     except httpx2.TransportError as error:
         raise OSError(type(error).__name__) from error
