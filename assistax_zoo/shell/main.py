@@ -154,7 +154,6 @@ def build_app() -> App:
         name="assistax-zoo",
         help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
         version=_version,
-        help_format="plaintext",  # Markdown would take the asterisks of globs
         default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
         suppress_keyboard_interrupt=False,
     )

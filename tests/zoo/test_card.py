@@ -69,8 +69,8 @@ def test_a_hub_reads_the_card(figures: dict[str, Any] | None) -> None:
 
 
 def test_a_card_that_a_hub_cannot_read_is_noticed() -> None:
-    text = markdown_card([CARD]).replace("model-index:", "model-index: 3 #")
-    with pytest.raises(ValueError, match="model-index"):
+    text = markdown_card([CARD]).replace("  results:", "  figures:")
+    with pytest.raises(ValueError, match="results"):
         ModelCard(text)
 
 
