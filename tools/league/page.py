@@ -22,6 +22,13 @@ from tools.league.results import Played, results_page
 from tools.league.rows import rows
 
 
+FIGURES = {
+    "league": "returns of all rows",
+    "validation": "learning curves",
+    "partners": "who fails with whom",
+}
+
+
 def write_page(
     folder: Path, out: Path, images: Path, contrasts: Path | None = None, text: Path | None = None
 ) -> list[Path]:
@@ -74,8 +81,9 @@ def write_page(
         written.append(path)
     if text is not None:
         near = {"images": images, "tables": out}
+        shown = {name: what for name, what in FIGURES.items() if curves or name != "validation"}
         links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
-        atomic_write(text, results_page(played, tested, records, links).encode())
+        atomic_write(text, results_page(played, tested, records, links, shown).encode())
         written.append(text)
     return written
 

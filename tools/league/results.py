@@ -58,6 +58,7 @@ def results_page(
     contrasts: Sequence[ContrastFigure],
     records: pl.DataFrame,
     places: Mapping[str, str],
+    figures: Mapping[str, str],
 ) -> str:
     """Return the page in Markdown.
 
@@ -66,6 +67,7 @@ def results_page(
         contrasts: Those that were named, with their figures.
         records: A row of each row's making: `steps` and `device_minutes_in_all`.
         places: Links: "images" and "tables", relative to the page.
+        figures: What they show, by name.
     """
     images, tables = places["images"], places["tables"]
     said = "\n".join(
@@ -82,9 +84,7 @@ def results_page(
         "*This page is made from the rows' files by `python -m tools.league page`. "
         "[A league](league.md) says what its words mean.*",
         said,
-        f"![returns of all rows]({images}/league.png)",
-        f"![learning curves]({images}/validation.png)",
-        f"![who fails with whom]({images}/partners.png)",
+        *(f"![{what}]({images}/{name}.png)" for name, what in figures.items()),
         "## Tables",
         _contrast_lines(contrasts),
         f"As CSV, in `{tables}`: all rows, the return with each partner, learning curves, "
