@@ -21,7 +21,6 @@ from tools.league.making import RECORD, RUNS
 from tools.league.results import Played, results_page
 from tools.league.rows import rows
 
-
 FIGURES = {
     "league": "returns of all rows",
     "validation": "learning curves",
