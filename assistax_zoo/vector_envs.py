@@ -31,19 +31,19 @@ def vector_env(
     weights: Mapping[str, float] | None = None,
     zoo: "str | Path | Zoo | None" = None,
 ) -> Any:
-    """Return an environment in which a robot trains with the partners of a split's training half.
+    """Return an environment in which a robot trains with the partners of a split's training side.
 
     Every episode brings each simulation the next partner, under its own disability setting.
-    Partners of the test half are refused.
+    Partners of the test side are refused.
 
     Args:
         task: Task, such as "gentle_scratch".
         num_envs: N, simulations; 512 keep two cores busy.
-        partners: Teams of the training half, such as ("scratch/ippo-d1-s1-v1",), or patterns of
+        partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
             them; default all. Or "persons": a new one of 7,200 each episode.
-        split: Split whose training half is meant; default the release's own.
+        split: Split whose training side is meant; default the release's own.
         preferences: What the humans of a gentle task like, such as ("p2", "p3"), drawn for each
-            episode; default those of the split's training half, or all. Persons have their own.
+            episode; default those of the split's training side, or all. Persons have their own.
         form: "gymnasium", a `VectorEnv`; "sb3", a `VecEnv` of Stable-Baselines3; "pettingzoo", a
             `ParallelEnv` of batches; or "jaxmarl", pure functions of batches.
         arrays: "numpy" or "jax", whose arrays `torch.from_dlpack` takes without a copy.
@@ -53,7 +53,7 @@ def vector_env(
 
     Raises:
         ValueError: An argument is not allowed.
-        ZooError: There is no such split, a partner is not of its training half, or cannot be read.
+        ZooError: There is no such split, a partner is not of its training side, or cannot be read.
         ImportError: The form's package is not installed.
 
     Examples:
@@ -102,9 +102,9 @@ def _published(
     preferences: Sequence[str],
     zoo: "str | Path | Zoo | None",
 ) -> "tuple[Partners, int | None]":
-    """Return partners of a split's training half, and the version of the environment they play.
+    """Return partners of a split's training side, and the version of the environment they play.
 
-    Nothing of the test half is loaded.
+    Nothing of the test side is loaded.
     """
     from assistax_envs.preferences import PREFERENCES
     from evaluation.ego_training import load_partners, older_version
@@ -124,10 +124,10 @@ def _published(
 
 
 def _of_training_half(split: "Split", patterns: Sequence[str]) -> list[str]:
-    """Return the teams of a split's training half that match.
+    """Return the teams of a split's training side that match.
 
     Raises:
-        SplitError: A pattern matches none, or is the name of a team outside the training half.
+        SplitError: A pattern matches none, or is the name of a team outside the training side.
     """
     teams: dict[str, None] = {}
     for pattern in patterns:
@@ -137,8 +137,8 @@ def _of_training_half(split: "Split", patterns: Sequence[str]) -> list[str]:
             tested = fnmatch.filter(split.test, team)
             raise SplitError(
                 f"partner {shorten(pattern)}",
-                f"of the training half of {split.id}, such as {listing(split.train, 2)}",
-                "one of its test half" if tested else "none there",
+                f"of the training side of {split.id}, such as {listing(split.train, 2)}",
+                "one of its test side" if tested else "none there",
                 "name others, or choose another split",
                 "nothing was loaded",
             )

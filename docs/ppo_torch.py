@@ -84,7 +84,7 @@ def train(task: str, partners: str | None, envs: int, steps: int, rollout: int =
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", default="gentle_scratch")
-    parser.add_argument("--partners", help="teams of the training half, or persons; default all")
+    parser.add_argument("--partners", help="teams of the training side, or persons; default all")
     parser.add_argument("--envs", type=int, default=512)
     parser.add_argument("--steps", type=int, default=6_000_000)
     parser.add_argument("--out", default="agent.pt")

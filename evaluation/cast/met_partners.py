@@ -172,7 +172,7 @@ def source_notes(met: MetPartners) -> list[str]:
         whose = f" of {listing(met.unknown, 3)}" if met.unknown else ""
         notes.append(f"{UNKNOWN}{whose}; figures may count some; trained_with declares them")
     if "declared" in met.sources:
-        notes.append("partners met in training: as declared")
+        notes.append("partners met in training: as declared, not checked")
     if "file" in met.sources:
         notes.append("partners met in training: as the robot's file claims")
     return notes

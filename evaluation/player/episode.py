@@ -38,6 +38,9 @@ WISH_WORDS = {
     "speed": (100.0, "cm/s", "strokes at {} cm/s"),
     "distance": (100.0, "cm", "the hook {} cm away once the arm lies"),
     "place": (100.0, "cm", "the arm {} cm across the waist"),
+    "wait": (100.0, "cm", "the tool waits {} cm before the mouth"),
+    "depth": (1000.0, "mm", "the tool {} mm deep in the mouth"),
+    "press": (1.0, "N", "the brush at {} N"),
 }
 GOALS = {
     "scratch": "The robot scratches an itch on the person's arm.",
@@ -46,6 +49,8 @@ GOALS = {
     "gentle_scratch": "The robot strokes an itch on the person's arm, to and fro.",
     "gentle_bath": "The robot wipes points on the arm of a person in bed.",
     "gentle_lift": "The robot lays the arm of a person in bed across its waist.",
+    "gentle_feeding": "The robot brings a spoon to the mouth that its person opens.",
+    "gentle_brushing": "The robot brushes the teeth of a person who opens the mouth.",
 }
 LEVEL_WORDS = ("a gentle touch", "more than a gentle touch", "more than a frail person bears")
 

@@ -85,7 +85,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
         _tile_envs(job.backend, manifest),
         (
             *_parts(summary, registry, job, split, partners),
-            *["partners met in training: as declared"] * bool(declared),
+            *["partners met in training: as declared, not checked"] * bool(declared),
         ),
     )
 

@@ -35,7 +35,7 @@ def test_the_test_half_is_refused_and_never_read(monkeypatch: pytest.MonkeyPatch
     env.reset(seed=0)
     assert {name.removesuffix("/human") for name in env.partner_names()} <= set(split.train)
     for name in (split.test[0], f"{split.test[0]}/human", [split.train[0], split.test[0]]):
-        with pytest.raises(SplitError, match=f"of the training half of {split.id}.*its test half"):
+        with pytest.raises(SplitError, match=f"of the training side of {split.id}.*its test side"):
             az.vector_env(TASK, 2, partners=name, backend="native")
     with pytest.raises(SplitError, match="found none there"):
         az.vector_env(TASK, 2, partners="scratch/nobody-*", backend="native")

@@ -228,7 +228,7 @@ def test_what_is_not_known_is_said_with_every_figure(
     options = {"trained_with": "half", "out": tmp_path / "b"}
     declared = evaluate(still, registry, split=f"{D1}:both", **options)
     assert declared.met == dataclasses.replace(result.met, source="declared")
-    assert "partners met in training: as declared" in declared.notes
+    assert "partners met in training: as declared, not checked" in declared.notes
     assert "not known" not in repr(declared)
     manifest = read_manifest(tmp_path / "b")
     assert manifest is not None and manifest["met"]["declared"] == ["half"]

@@ -17,8 +17,16 @@ from playwright.sync_api import Browser, Page, expect
 import assistax_zoo as az
 from assistax_base.digest import sha256
 from assistax_base.files import METADATA_KEY
+from assistax_envs.preferences import WISHES
+from assistax_envs.registered import REGISTERED
 from assistax_envs.render import picture_model
-from evaluation.player.episode import Episode, episode_content, read_episode
+from evaluation.player.episode import (
+    GOALS,
+    WISH_WORDS,
+    Episode,
+    episode_content,
+    read_episode,
+)
 from evaluation.player.page import pack, write_episode
 from evaluation.player.viewer import LEFT, RIGHT, SPACE, Clock
 from tests.board.browser import browsing, opened
@@ -354,3 +362,8 @@ def test_without_webgl_the_curves_are_there(
 def test_what_is_packed_is_what_was_shown(episode: Episode) -> None:
     content = episode_content(episode)
     assert json.loads(zlib.decompress(pack(content))) == json.loads(json.dumps(content))
+
+
+def test_every_task_and_wish_has_its_words():
+    assert set(GOALS) >= set(REGISTERED)
+    assert set(WISH_WORDS) >= {wish for wishes in WISHES.values() for wish in wishes}

@@ -56,7 +56,7 @@ def test_a_command_ends_with_its_example(built: Path) -> None:
 
 
 def test_a_picture_opens_at_its_own_size(built: Path) -> None:
-    for name in ("images/gentle_lift.gif", "images/speed.png", "images/my_robot-1.png"):
+    for name in ("images/gentle_lift.webp", "images/speed.png", "images/my_robot-1.png"):
         pages = [path.read_text(encoding="utf-8") for path in built.rglob("*.html")]
         linked = rf'<a href="(?P<to>(\.\./)?{name})"><img [^>]*src="(?P=to)"'
         assert any(re.search(linked, page) for page in pages), name

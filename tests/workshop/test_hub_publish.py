@@ -98,6 +98,28 @@ def test_the_card_has_results_as_evaluation_entries(hub: Hub, cache: Path, teams
     assert "| scratch | ippo | d9 | 4 | 950.5 |" in card.text
 
 
+def test_licence_and_film_stand_in_the_card_and_stay(
+    hub: Hub, cache: Path, teams, tmp_path: Path
+) -> None:
+    from huggingface_hub import ModelCard
+
+    (tmp_path / "lift.webp").write_bytes(b"film")
+    for to in (ZOO, str(tmp_path / "zoo")):
+        put(teams(), to, license="cc-by-4.0", film=tmp_path / "lift.webp")
+        put(teams(seeds=range(6)), to)
+    published = files(hub)
+    written = {
+        path.name: path.read_bytes() for path in (tmp_path / "zoo").iterdir() if path.is_file()
+    }
+    for place in (published, written):
+        card = ModelCard(place["README.md"].decode())
+        assert card.data.to_dict()["license"] == "cc-by-4.0"
+        assert card.data.to_dict()["pipeline_tag"] == "reinforcement-learning"
+        assert "](film.webp)" in card.text and place["film.webp"] == b"film"
+    with pytest.raises(ValueError, match=r"lift\.txt is no film; allowed are .gif, .webp, .mp4"):
+        put(teams(), film=tmp_path / "lift.txt")
+
+
 def test_a_card_of_ones_own_stays(hub: Hub, cache: Path, teams, tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("# ours\n")
     hub.put("org/zoo", tmp_path)

@@ -1,6 +1,9 @@
 import dataclasses
 from typing import Any
 
+import pytest
+from huggingface_hub import ModelCard, ModelCardData
+
 from assistax_workshop.press.model_card import model_card
 from zoo.exports.card import markdown_card
 from zoo.registry import Registry
@@ -32,7 +35,7 @@ HUMAN = {
 
 def test_a_team_s_card_has_all_that_is_known() -> None:
     text = markdown_card([CARD, HUMAN], "pictures/robot at work.png")
-    assert text.startswith(
+    assert text.split("---\n")[2].startswith(
         "# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n"
     )
     facts = (
@@ -50,10 +53,25 @@ def test_a_team_s_card_has_all_that_is_known() -> None:
 def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
     text = markdown_card([{**CARD, "self_play": None, "splits": {}}])
     assert (
-        text.startswith("# scratch/ippo-d3-s5-v0/robot\n\n|")
+        text.split("---\n")[2].startswith("# scratch/ippo-d3-s5-v0/robot\n\n|")
         and "not measured" in text
         and "human" not in text
     )
+
+
+@pytest.mark.parametrize("figures", [CARD["self_play"], None])
+def test_a_hub_reads_the_card(figures: dict[str, Any] | None) -> None:
+    card = ModelCard(markdown_card([{**CARD, "self_play": figures}]))
+    assert isinstance(card.data, ModelCardData)
+    assert (card.data.license, card.data.pipeline_tag) == ("apache-2.0", "reinforcement-learning")
+    results = [(entry.metric_type, entry.metric_value) for entry in card.data.eval_results or []]
+    assert results == ([("mean_reward", 999.11)] if figures else [])
+
+
+def test_a_card_that_a_hub_cannot_read_is_noticed() -> None:
+    text = markdown_card([CARD]).replace("  results:", "  figures:")
+    with pytest.raises(ValueError, match="results"):
+        ModelCard(text)
 
 
 def test_text_from_elsewhere_stays_in_its_cell() -> None:

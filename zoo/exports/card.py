@@ -14,6 +14,7 @@ from zoo.persons.registered import registered_person
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
+LICENSE = "apache-2.0"  # of the partners of this project
 _SPEC_WORDS = {
     "observation_size": "observations",
     "action_size": "actions",
@@ -119,6 +120,7 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
     ]
     return render(
         "card.md",
+        head=_head(first),
         cards=cards,
         image=image,
         title=first["team"] if many else first["id"],
@@ -126,6 +128,30 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
         policies=policies,
         training=_flat(first["training"]),
     )
+
+
+def _head(card: Mapping[str, Any]) -> str:
+    """Return what hubs read of a card: licence, kind and the return in self-play."""
+    from huggingface_hub import EvalResult, ModelCardData
+
+    task, figures = card["id"].split("/")[0], card.get("self_play")
+    measured = figures and EvalResult(
+        task_type="reinforcement-learning",
+        dataset_type=f"assistax-{task}",
+        dataset_name=f"{task}, disability setting {card['disability']['setting']}",
+        metric_type="mean_reward",
+        metric_name="self-play return",
+        metric_value=round(figures["mean"], 3),
+    )
+    data = ModelCardData(
+        license=LICENSE,
+        library_name="assistax-zoo",
+        pipeline_tag="reinforcement-learning",
+        tags=["zero-shot-coordination", "assistive-robotics"],
+        model_name=card["team"],
+        eval_results=[measured] if measured else None,
+    )
+    return data.to_yaml()
 
 
 def _figures(card: Mapping[str, Any]) -> dict[str, str]:

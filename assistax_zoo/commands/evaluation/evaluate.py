@@ -106,7 +106,7 @@ def crossplay(
     Args:
         how: How they play.
         out: Folder for the tables and the figure.
-        egos: Glob over robots, such as 'scratch/ippo-*/robot'; repeat it for more; all if not
+        egos: Glob over robots, such as `'scratch/ippo-*/robot'`; repeat it for more; all if not
             given.
         partners: Glob over humans; repeat it for more; persons for persons; all if not given.
         persons: How many persons to draw; default 200.

@@ -24,8 +24,7 @@ def trajectories(
 ) -> None:
     """Record a robot and a human step by step: for imitation and for studies.
 
-    A row has the observations, actions and reward of a step; docs/trajectories.md lists the
-    columns. Who played what is in the file's metadata.
+    docs/trajectories.md lists the columns. Who played what is in the file's metadata.
 
     Args:
         task: Task, such as scratch.
@@ -36,8 +35,7 @@ def trajectories(
         steps: Steps of 20 ms of each; the whole episode of 1000 if not given.
         seed: Seed of the episodes.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; drawn for each episode if not
-            given.
+        preference: What the human of a gentle task likes, p1 to p9; else drawn each episode.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         format: parquet; or minari or lerobot (version 3.0), each an extra of its name.

@@ -34,7 +34,7 @@ def list_policies(
     """List the published policies.
 
     Args:
-        pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; a team's id lists both its
+        pattern: Glob over policy ids, such as `'scratch/ippo-*/human'`; a team's id lists both its
             policies.
         task: Only this task.
         algorithm: Only this algorithm.

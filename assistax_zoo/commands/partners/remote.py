@@ -43,7 +43,7 @@ def fetch(
     it was.
 
     Args:
-        pattern: Glob over policy ids, such as 'scratch/ippo-*/human'; everything if not given.
+        pattern: Glob over policy ids, such as `'scratch/ippo-*/human'`; everything if not given.
         from_: Folder, https://..., hf://org/name or hf://org/name@revision; default
             $ASSISTAX_ZOO_REMOTE, or what `assistax-zoo config remote` set.
         task: Only this task.

@@ -32,9 +32,9 @@ def list_splits(
         split for release in loaded.data.releases.values() for split in release.splits.values()
     }
     table = [{**_brief(split), "default": split.id in defaults} for split in splits]
-    names = ("id", "rule", "n_train", "n_validation", "n_test")
+    names = ("id", "n_train", "n_validation", "n_test")
     rows = [(*(str(row[name]) for name in names), "yes" * row["default"]) for row in table]
-    columns = ("split", "rule", "train", "validation", "test", "default")
+    columns = ("split", "train", "valid.", "test", "default")
     answer(json, table, *table_lines(columns, rows, counted(len(splits), "split")))
 
 

@@ -42,7 +42,7 @@ def population(
         plan: JSON file of the plan, such as zoo/plans/v1.json; docs/population.md describes it.
         out: Folder of the runs, one folder for each.
         registry: Registry to publish to; default your own zoo, as for `publish`.
-        groups: Only these groups: comma-separated globs over their names, such as 'scratch-*'.
+        groups: Only these groups: comma-separated globs over their names, such as `'scratch-*'`.
         backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
         dry_run: Print what is there, what is missing and what it will cost, and do nothing.
         train: Train; --no-train adopts and publishes only, with finished runs that need no

@@ -2,8 +2,8 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from cyclopts import Parameter
 from pydantic import ValidationError
 
 from assistax_base.errors import counted
@@ -13,8 +13,44 @@ from zoo.locations import OWN, own_registry
 from zoo.saving import writable_registry
 from zoo.schema import Citation
 
-if TYPE_CHECKING:
-    pass
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cited:
+    """How others cite a release.
+
+    Attributes:
+        author: Author of the release for `cite`; repeat it for more, in order.
+        title: Title by which `cite` calls the release.
+        url: Address of the release or its paper, for `cite`.
+    """
+
+    author: tuple[str, ...] = ()
+    title: str = ""
+    url: str = ""
+
+    def given(self) -> Citation | None:
+        """Return it where anything of it is given."""
+        if not (self.author or self.title or self.url):
+            return None
+        try:
+            return Citation(authors=self.author, title=self.title, url=self.url)
+        except ValidationError as error:
+            raise ValueError(f"citation: {first_problem(error)}") from None
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Card:
+    """What a remote's card says and shows.
+
+    Attributes:
+        license: Licence of the policies, as hubs name it; default apache-2.0.
+        film: Film for the card: .gif, .webp or .mp4, as `assistax-zoo render` writes it.
+    """
+
+    license: str = ""
+    film: Path | None = None
 
 
 def publish(
@@ -24,9 +60,8 @@ def publish(
     registry: Path | None = None,
     date: str | None = None,
     description: str = "",
-    author: tuple[str, ...] = (),
-    title: str = "",
-    url: str = "",
+    cited: Cited = Cited(),
+    card: Card = Card(),
     key: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -42,9 +77,8 @@ def publish(
         registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
-        author: Author of the release for `cite`; repeat it for more, in order.
-        title: Title by which `cite` calls the release.
-        url: Address of the release or its paper, for `cite`.
+        cited: How others cite the release.
+        card: What the card says and shows.
         key: Ed25519 private key, PEM, to sign the release with.
         json: Print JSON.
 
@@ -62,8 +96,8 @@ def publish(
         )
     teams = [team for run in runs for team in read_run(run)]
     place = to or writable_registry(registry) or own_registry()
-    about = {"date": date, "description": description, "citation": _citation(author, title, url)}
-    done = publish_to(teams, str(place), release, **about, key=key)
+    about = {"date": date, "description": description, "citation": cited.given()}
+    done = publish_to(teams, str(place), release, **about, **vars(card), key=key)
     new = counted(len(done.added), "new policy")
     published = f"published {new} in release {release} of {done.registry}"
     lines = [f"{published}; it holds {done.policies}"]
@@ -71,13 +105,3 @@ def publish(
         done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))
         lines.append(f"they are {OWN}:... everywhere: assistax-zoo list '{OWN}:*'")
     answer(json, vars(done), *lines)
-
-
-def _citation(authors: tuple[str, ...], title: str, url: str) -> Citation | None:
-    """Return how a release is to be cited, where anything of it is given."""
-    if not (authors or title or url):
-        return None
-    try:
-        return Citation(authors=authors, title=title, url=url)
-    except ValidationError as error:
-        raise ValueError(f"citation: {first_problem(error)}") from None

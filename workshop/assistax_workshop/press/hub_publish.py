@@ -28,6 +28,7 @@ from zoo.transport.hub import HubRemote, hub_errors
 from zoo.transport.remotes import TransientError, open_remote, read_file, with_retries
 
 MAX_CARD_BYTES = 1024 * 1024
+FILMS = (".gif", ".webp", ".mp4")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +44,13 @@ class Publication:
 
 
 def publish_to(
-    teams: Sequence[TrainedTeam], to: str, release: str, **arguments: Any
+    teams: Sequence[TrainedTeam],
+    to: str,
+    release: str,
+    *,
+    license: str = "",
+    film: Path | None = None,
+    **arguments: Any,
 ) -> Publication:
     """Publish teams and egos to a folder or a hub repository: what everything published goes by.
 
@@ -52,6 +59,8 @@ def publish_to(
         to: A folder, or `hf://org/name`, which is made if it does not exist; or a registry.json,
             beside which no card is written.
         release: Release that they join.
+        license: Of the policies, for the card; see `model_card`.
+        film: .gif, .webp or .mp4 that the card shows; it is published beside it.
         **arguments: `date`, `description` and the others of
         `assistax_workshop.press.publish.publish`.
 
@@ -59,6 +68,7 @@ def publish_to(
         PublishError: The teams are refused, or somebody else published meanwhile.
         RemoteError: The hub cannot be reached, or does not let this user write.
     """
+    shown = _Shown(license, film)
     if not to.startswith("hf://"):
         if "://" in to:
             raise PublishError(
@@ -67,7 +77,7 @@ def publish_to(
                 "a remote that can only be read",
                 "use one",
             )
-        return _publish_to_folder(teams, Path(to), release, **arguments)
+        return _publish_to_folder(teams, Path(to), release, shown, **arguments)
     remote = open_remote(to)
     assert isinstance(remote, HubRemote)
     if remote.ref != "main":
@@ -77,25 +87,45 @@ def publish_to(
             f"revision {remote.ref}",
             "leave it out",
         )
-    return _publish_to_hub(teams, remote, release, **arguments)
+    return _publish_to_hub(teams, remote, release, shown, **arguments)
+
+
+class _Shown:
+    """What a card has that the registry does not: licence and film."""
+
+    def __init__(self, license: str, film: Path | None) -> None:
+        if film is not None and film.suffix.lower() not in FILMS:
+            raise ValueError(f"{film.name} is no film; allowed are {', '.join(FILMS)}")
+        self.license = license
+        self.files = {f"film{film.suffix.lower()}": film.read_bytes()} if film else {}
+
+    def card(self, registry: Registry, name: str, before: str) -> bytes:
+        return model_card(registry, name, self.license, next(iter(self.files), ""), before).encode()
 
 
 def _publish_to_folder(
-    teams: Sequence[TrainedTeam], to: Path, release: str, **arguments: Any
+    teams: Sequence[TrainedTeam], to: Path, release: str, shown: _Shown, **arguments: Any
 ) -> Publication:
     """Publish to a folder with the layout of a remote, its card last; or to a registry alone."""
     path = to if to.suffix == ".json" else to / "registry.json"
     before = _ids(path)
     registry = publish(teams, path, release, **arguments)
     card = to / "README.md"
-    if to != path and (not card.exists() or MARK in card.read_text("utf-8", errors="replace")):
-        atomic_write(card, model_card(registry, to.resolve().name).encode())
+    text = card.read_text("utf-8", errors="replace") if card.exists() else ""
+    if to != path and (not card.exists() or MARK in text):
+        for name, data in shown.files.items():
+            atomic_write(to / name, data)
+        atomic_write(card, shown.card(registry, to.resolve().name, text))
     added = tuple(entry.id for entry in registry.policies if entry.id not in before)
     return Publication(str(path), release, added, len(registry.policies))
 
 
 def _publish_to_hub(
-    teams: Sequence[TrainedTeam], remote: HubRemote, release: str, **arguments: Any
+    teams: Sequence[TrainedTeam],
+    remote: HubRemote,
+    release: str,
+    shown: _Shown,
+    **arguments: Any,
 ) -> Publication:
     api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as temporary:
@@ -108,8 +138,8 @@ def _publish_to_hub(
         registry = publish(teams, path, release, **arguments)
         added = tuple(entry.id for entry in registry.policies if entry.id not in before)
         commit = remote.revision
-        if path.read_bytes() != published:
-            commit = _commit(api, remote, _files(remote, registry), release, len(added))
+        if path.read_bytes() != published or shown.files or shown.license:
+            commit = _commit(api, remote, _files(remote, registry, shown), release, len(added))
         tag = _tag(api, remote, release, commit)
     return Publication(f"{remote.name}@{tag}", release, added, len(registry.policies), commit, tag)
 
@@ -134,7 +164,7 @@ def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
         return None
 
 
-def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
+def _files(remote: HubRemote, registry: Registry, shown: _Shown) -> dict[str, bytes]:
     """Return what the commit adds: new shards, the registry, and the card if it is ours."""
     root = registry.path.parent
     files = {
@@ -145,7 +175,8 @@ def _files(remote: HubRemote, registry: Registry) -> dict[str, bytes]:
     files["registry.json"] = registry.path.read_bytes()
     card = _read_optional(remote, "README.md", MAX_CARD_BYTES)
     if card is None or MARK.encode() in card:
-        files["README.md"] = model_card(registry, remote.repo).encode()
+        before = (card or b"").decode(errors="replace")
+        files |= {**shown.files, "README.md": shown.card(registry, remote.repo, before)}
     return files
 
 

@@ -1,11 +1,12 @@
 """A remote's card, its README.md: what is in it, how to fetch it, and its self-play results."""
 
+import re
 import statistics
 from collections.abc import Iterator
 
 import yaml
 
-from zoo.exports.card import render
+from zoo.exports.card import LICENSE, render
 from zoo.ids import release_number
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
@@ -13,11 +14,26 @@ from zoo.schema import PolicyEntry
 MARK = "library_name: assistax-zoo"  # a README.md without it is somebody's own and stays
 
 
-def model_card(registry: Registry, name: str) -> str:
-    """Return the card's text for a remote of that name; the same registry gives the same text."""
+def model_card(
+    registry: Registry, name: str, license: str = "", film: str = "", before: str = ""
+) -> str:
+    """Return the card's text for a remote of that name; the same registry gives the same text.
+
+    Args:
+        registry: What is published.
+        name: Of the remote.
+        license: Of the policies, as hubs name it; that of `before`, or else Apache-2.0.
+        film: Name of a film beside the card; that of `before` if not given.
+        before: The card that this one replaces.
+    """
+    was_licensed = re.search(r"^license: ([\w.-]+)$", before, re.MULTILINE)
+    was_filmed = re.search(r"\]\((film\.\w+)\)", before)
+    license = license or (was_licensed[1] if was_licensed else LICENSE)
+    metadata = {"license": license, **_metadata(registry, name)}
     return render(
         "model_card.md",
-        head=yaml.safe_dump(_metadata(registry, name), sort_keys=False, allow_unicode=True),
+        head=yaml.safe_dump(metadata, sort_keys=False, allow_unicode=True),
+        film=film or (was_filmed[1] if was_filmed else ""),
         name=name,
         releases=registry.data.releases,
         policies=registry.policies,
@@ -40,7 +56,11 @@ def _metadata(registry: Registry, name: str) -> dict[str, object]:
         for task, algorithm, disability, _, mean in _measured(registry)
     ]
     tags = ["reinforcement-learning", "zero-shot-coordination", "assistive-robotics"]
-    card: dict[str, object] = {"library_name": MARK.partition(": ")[2], "tags": tags}
+    card: dict[str, object] = {
+        "library_name": MARK.partition(": ")[2],
+        "pipeline_tag": "reinforcement-learning",
+        "tags": tags,
+    }
     model = {"name": name.rpartition("/")[2], "results": results}
     return {**card, "model-index": [model]} if results else card
 
