@@ -15,29 +15,26 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, SEAT
+from assistax_envs.models.teeth import INNER, PLACES, SHOWN_BY
 from assistax_envs.persons import noise, reaction
 from assistax_envs.persons.parameters import SPARED, index
+from assistax_envs.persons.senses import AT_MOUTH, MOUTH_UNIT
 from assistax_envs.tasks.base import human_joints
 from assistax_envs.tasks.gentle_base import FELT, STEP
-from assistax_envs.tasks.gentle_brushing import OPENED, TURNED
-from assistax_envs.tasks.gentle_feeding import BESIDE, FARTHEST, LEAVING, SLOWLY, TAKING, WAITING
-from assistax_envs.tasks.teeth import INNER, PLACES, SHOWN_BY
+from assistax_envs.tasks.mouth import (
+    BESIDE,
+    FARTHEST,
+    LEAVING,
+    OPENED,
+    SLOWLY,
+    TAKING,
+    TURNED,
+    WAITING,
+)
 
 JOINTS = len(SEAT)
 LEAN, PITCH, YAW, ROLL, JAW = range(JOINTS)
 LATEST = 16  # steps that a person remembers: 300 ms and now
-# Where in a human's observation the parts stand that a person reads, by task.
-COLUMNS: dict[str, dict[str, slice]] = {
-    "gentle_feeding": {
-        "tool": slice(30, 33), "progress": slice(37, 42), "touch": slice(45, 46),
-        "closed": slice(42, 43),
-    },
-    "gentle_brushing": {
-        "tool": slice(30, 33), "progress": slice(50, 62), "touch": slice(67, 68),
-        "closed": slice(63, 64),
-    },
-}  # fmt: skip
-TOUCH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
 WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
 RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as it is liked
 SOON = 0.25  # s that a spoon has to wait at the liked place, beside the slow start
@@ -54,6 +51,7 @@ LATE = 0.3  # of that, the share that waits for the delay
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
 MUSCLE = (0.05, 0.08)  # s, time constants of the second family
 
+Numbers = dict[str, jax.Array]  # [N] each, by name
 LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}
 
 
@@ -98,18 +96,16 @@ class Head:
         joints = [model.joint(f"human_{name}") for name in SEAT]
         read = human_joints(model)
         self._read = np.array([read.index(joint.name) for joint in joints])
-        self._speeds = self._read + len(read)
-        gear = [model.actuator(joint.name).gear[0] for joint in joints]
-        self._gear = np.array(gear, np.float32)  # N m, with the sign of what is forward
+        # N m, with the sign of what is forward.
+        self._gear = np.array([model.actuator(j.name).gear[0] for j in joints], np.float32)
         ids = [joint.id for joint in joints]
         self._range = np.array(model.jnt_range[ids], np.float32)
         self._spring = np.array(model.jnt_stiffness[ids], np.float32).reshape(-1)
-        rest = [model.qpos_spring[joint.qposadr[0]] for joint in joints]
-        self._rest = np.array(rest, np.float32)
+        self._rest = np.array([model.qpos_spring[joint.qposadr[0]] for joint in joints], np.float32)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        dofs = [joint.dofadr[0] for joint in joints]
-        self._weight = np.array(data.qfrc_bias[dofs], np.float32)  # N m that hold head and jaw
+        # N m that hold head and jaw.
+        self._weight = np.array(data.qfrc_bias[[j.dofadr[0] for j in joints]], np.float32)
         self._place, self._spared = index(task), SPARED[task]
 
     def initial(self, n: int) -> Mind:
@@ -120,21 +116,12 @@ class Head:
             age=jnp.zeros(n, jnp.int32),
             past=jnp.zeros((n, LATEST, JOINTS + 6), jnp.float32),
             tool=jnp.zeros((n, 3), jnp.float32),
-            moving=zero,
             reaction=reaction.calm(n, JOINTS),
             stopped=jnp.zeros(n, bool),
             place=jnp.full(n, -1, jnp.int32),
-            willing=zero,
-            lapsed=zero,
-            aim=none,
-            begin=none,
-            way=zero,
-            time=zero,
-            intended=none,
-            activation=none,
-            shaken=none,
-            bitten=zero,
-            tired=zero,
+            bitten=zero - 1.0,
+            **dict.fromkeys(("moving", "willing", "lapsed", "way", "time", "tired"), zero),
+            **dict.fromkeys(("aim", "begin", "intended", "activation", "shaken"), none),
         )
 
     def act(
@@ -149,13 +136,13 @@ class Head:
             first: [N] whether an episode begins; then the carry is forgotten.
         """
         numbers = {name: row[:, place] for name, place in self._place.items()}
-        parts = {name: obs[:, where] for name, where in COLUMNS[self.task].items()}
+        parts = {name: obs[:, where] for name, where in AT_MOUTH[self.task].items()}
         now = obs[:, self._read]
         mind = self._begun(mind, row, obs, parts, first)
         tool = 0.1 * parts["tool"]
         drift = jnp.linalg.norm(tool - mind.tool, axis=-1) / STEP
         moving = mind.moving + STEP / SMOOTHED * (drift - mind.moving)
-        seen = [tool, TOUCH_UNIT[self.task] * parts["touch"], moving[:, None], parts["closed"]]
+        seen = [tool, MOUTH_UNIT[self.task] * parts["touch"], moving[:, None], parts["closed"]]
         newest = jnp.concatenate([now, *seen], axis=-1)
         past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
         steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
@@ -169,12 +156,7 @@ class Head:
         return self._move(mind, now, late, numbers, noise.normal(chance[:, :JOINTS]))
 
     def _begun(
-        self,
-        mind: Mind,
-        row: jax.Array,
-        obs: jax.Array,
-        parts: dict[str, jax.Array],
-        first: jax.Array,
+        self, mind: Mind, row: jax.Array, obs: jax.Array, parts: Numbers, first: jax.Array
     ) -> Mind:
         """Forget all where an episode begins; its chance comes from the bits of the start."""
         now = obs[:, self._read]
@@ -201,7 +183,7 @@ class Head:
         return jax.tree.map(choose, fresh, mind)
 
     def _felt(
-        self, mind: Mind, late: jax.Array, place: jax.Array, numbers: dict[str, jax.Array]
+        self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers
     ) -> reaction.Felt:
         """Return what is felt, of a delay ago."""
         tool, force, moving = late[:, JOINTS : JOINTS + 3], late[:, JOINTS + 3], late[:, JOINTS + 4]
@@ -228,12 +210,7 @@ class Head:
         return reaction.Felt(force, hurts, liked, unit, speed, near, away)
 
     def _intend(
-        self,
-        mind: Mind,
-        late: jax.Array,
-        place: jax.Array,
-        numbers: dict[str, jax.Array],
-        chance: jax.Array,
+        self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers, chance: jax.Array
     ) -> Mind:
         """Decide where head and jaw should be, and move on towards it by minimum jerk."""
         discomfort, limit = mind.reaction.discomfort, numbers["limit"]
@@ -257,9 +234,8 @@ class Head:
         aim = jnp.where(starts[:, None], wanted, mind.aim)
         begin = jnp.where(starts[:, None], mind.intended, mind.begin)
         far = jnp.abs(aim - begin).max(axis=1)
-        time = jnp.where(
-            starts, REACTS + 0.5 * numbers["pace"] * jnp.log2(1.0 + far / AIM), mind.time
-        )
+        fitts = REACTS + 0.5 * numbers["pace"] * jnp.log2(1.0 + far / AIM)
+        time = jnp.where(starts, fitts, mind.time)
         way = jnp.where(starts, 0.0, jnp.where(lapsed > 0.0, mind.way, mind.way + STEP))
         share = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
         share = share * share * share * (10.0 + share * (6.0 * share - 15.0))
@@ -277,12 +253,7 @@ class Head:
         )
 
     def _eats(
-        self,
-        mind: Mind,
-        late: jax.Array,
-        stage: jax.Array,
-        numbers: dict[str, jax.Array],
-        eager: jax.Array,
+        self, mind: Mind, late: jax.Array, stage: jax.Array, numbers: Numbers, eager: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Return how ripe the wish to open is [N], s, and the posture wanted [N, 5]."""
         tool, moving, closed = (
@@ -312,12 +283,7 @@ class Head:
         return jnp.where(ready[:, None], shown, aim)
 
     def _move(
-        self,
-        mind: Mind,
-        now: jax.Array,
-        late: jax.Array,
-        numbers: dict[str, jax.Array],
-        normal: jax.Array,
+        self, mind: Mind, now: jax.Array, late: jax.Array, numbers: Numbers, normal: jax.Array
     ) -> tuple[Mind, jax.Array]:
         """Return the carry and the actions [N, 5] that muscles, noise, tremor and reflexes make."""
         strength = (1.0 - (1.0 - self._spared) * (1.0 - numbers["strength"])) * (1.0 - mind.tired)
@@ -337,9 +303,8 @@ class Head:
         torque = torque + jnp.asarray(self._weight)[None]
         activation = mind.activation
         if self._muscle:  # a muscle follows its command late
-            constant = MUSCLE[0] + (MUSCLE[1] - MUSCLE[0]) * jnp.clip(
-                (numbers["settle"] - 0.15) / 0.45, 0.0, 1.0
-            )
+            slow = jnp.clip((numbers["settle"] - 0.15) / 0.45, 0.0, 1.0)
+            constant = MUSCLE[0] + (MUSCLE[1] - MUSCLE[0]) * slow
             activation = activation + (STEP / constant)[:, None] * (torque - activation)
             torque = activation
         fresh = float(np.sqrt(1.0 - CORRELATED**2))

@@ -19,8 +19,9 @@ from assistax_envs.gentle_scripts import script_of
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import INNER, persons
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import FELT
-from assistax_envs.versions import GENTLE_TASKS
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS
 
 # Column of the robot's observation that holds the force, of scripts that keep to one.
 FORCE = {"gentle_scratch": 43, "gentle_bath": 37}
@@ -33,6 +34,7 @@ TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths 
 LEAST_READ = 9  # persons
 ANSWER = 20  # steps in which an arm answers
 CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
+CAMERAS |= dict.fromkeys(CARE_TASKS, "face")
 
 
 # A robot with a memory: from N to its memory before the first observation, and from memory,
@@ -72,6 +74,8 @@ def _program(
             "success": state.measures.success & ~stopped,
             "violated": state.measures.violated,
             "discomfort": carry.reaction.discomfort,
+            # At the mouth a person shows what it likes before anybody touches it.
+            "met": (state.measures.force > FELT) | (REGISTERED[task].seat == "mouth"),
             "obs": obs["robot"],
         }
         return (state, carry, memory), seen
@@ -111,7 +115,8 @@ def episodes(
         seed: of the episodes' starts.
 
     Returns:
-        Arrays [T, N] "reward", "force", "success", "violated", "discomfort" and [T, N, O] "obs".
+        Arrays [T, N] "reward", "force", "success", "violated", "discomfort", "met" (whether what a
+        person shows may be read) and [T, N, O] "obs".
     """
     _, begin, play = _program(task, robot, human, family, steps)
     keys = jax.random.split(jax.random.key(seed), len(rows))
@@ -138,8 +143,8 @@ def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
 def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[float, int]:
     """Return in which share of unseen persons a linear reader finds the third of a wish.
 
-    It sees means, spreads and changes of what the robot observes from the first touch on, and how
-    the arm answered to light and to hard touches.
+    It sees means, spreads and changes of what the robot observes from the first touch on, at the
+    mouth from the start on, and how the arm answered to light and to hard touches.
 
     Args:
         seen: of `episodes`.
@@ -150,7 +155,7 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
         The share, and of how many persons; a third is chance. 0 of 0 if hardly anybody was touched
         for so long.
     """
-    obs, force, touched = seen["obs"], seen["force"], seen["force"] > FELT
+    obs, force, touched = seen["obs"], seen["force"], seen["met"]
     begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
     enough = touched.any(axis=0) & (begin + length <= len(obs))
     if enough.sum() < LEAST_READ:
@@ -223,7 +228,7 @@ def main() -> None:
     """Run one of the module's commands."""
     parser = argparse.ArgumentParser(prog="python -m assistax_envs.persons.measure")
     parser.add_argument("what", choices=("play", "read", "film"))
-    parser.add_argument("task", choices=GENTLE_TASKS)
+    parser.add_argument("task", choices=(*GENTLE_TASKS, *CARE_TASKS))
     parser.add_argument("path", nargs="?", default="persons.png")
     parser.add_argument("--count", type=int)
     parser.add_argument("--family", choices=("spring", "muscle"), default="spring")

@@ -59,6 +59,18 @@ LAYOUT: dict[str, tuple[tuple[str, int], ...]] = {
         ("known", 3),
     ),
 }
+# Where in a human's observation the parts stand that a person at the mouth reads.
+AT_MOUTH: dict[str, dict[str, slice]] = {
+    "gentle_feeding": {
+        "tool": slice(30, 33), "progress": slice(37, 42), "touch": slice(45, 46),
+        "closed": slice(42, 43),
+    },
+    "gentle_brushing": {
+        "tool": slice(30, 33), "progress": slice(50, 62), "touch": slice(67, 68),
+        "closed": slice(63, 64),
+    },
+}  # fmt: skip
+MOUTH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
 TOUCH_UNIT = 10.0  # N of an observed touch of 1
 _ARM = np.array([HUMAN_JOINTS.index(joint) for joint in HUMAN_ACTUATORS])
 

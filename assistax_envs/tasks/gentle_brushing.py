@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, TEETH
+from assistax_envs.models.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
 from assistax_envs.tasks.base import (
     ROBOT_JOINTS,
     Measures,
@@ -32,8 +33,7 @@ from assistax_envs.tasks.gentle_base import (
 )
 from assistax_envs.tasks.gentle_feeding import START, WAY
 from assistax_envs.tasks.gentle_rules import NEWEST, RULES
-from assistax_envs.tasks.mouth import MouthReadings, MouthSensors
-from assistax_envs.tasks.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
+from assistax_envs.tasks.mouth import OPENED, TURNED, MouthReadings, MouthSensors
 
 HALF = 0.008  # m, from a place's middle to either end of its strokes
 AT_END = 0.004  # m along the row, how near the brush comes to an end
@@ -42,13 +42,13 @@ BESIDE = 0.007  # m across the row, how far the brush may be from where it shoul
 LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
 STROKES = 4  # of a place: ten, as a dentist may want, would take a minute and a half in all
 ASKED = 6  # places that are success
-HALF_OPEN, OPENED = 0.25, 0.4  # rad of the jaw: inside can be brushed; what a mouth opens to
-SHOWN, TURNED = 0.3, 0.5  # rad of the neck's yaw: a side can be brushed; what a head turns to
+HALF_OPEN = 0.25  # rad of the jaw, from where on the inside can be brushed
+SHOWN = 0.3  # rad of the neck's yaw, likewise a side
 JAW_WAY, TURN_WAY = 0.2, 0.1  # m of a place's way that a radian of jaw and neck counts for
 GATE = np.array([0.0, 0.0, -0.005], np.float32)  # between the lips, where a brush goes in and out
 WITHIN = -0.002  # m: a brush that is farther out than this is before the mouth
 WHATEVER = 0.2  # share of a stroke's pay that no liking changes
-FARTHEST = 5  # rows of `WAY` in which episodes start before the mouth
+BEFORE = 5  # rows of `WAY` in which episodes start before the mouth
 # The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of
 # who shows them.
 AT = (
@@ -115,9 +115,9 @@ class GentleBrushing:
         """Draw the start pose [nq], the first place and, where it is not given, the preference."""
         pose_key, likes_key, place_key, start_key, side_key = jax.random.split(key, 5)
         place = jax.random.randint(place_key, (), 0, PLACES)
-        out = jax.random.uniform(start_key, maxval=2.0 * (FARTHEST - 1))
-        there = out > FARTHEST - 1  # half of the episodes start at the place itself
-        rows, way = jnp.arange(FARTHEST), jnp.asarray(WAY, jnp.float32)[:FARTHEST]
+        out = jax.random.uniform(start_key, maxval=2.0 * (BEFORE - 1))
+        there = out > BEFORE - 1  # half of the episodes start at the place itself
+        rows, way = jnp.arange(BEFORE), jnp.asarray(WAY, jnp.float32)[:BEFORE]
         before = jnp.stack([jnp.interp(out, rows, joint) for joint in way.T])
         arm = jnp.where(there, jnp.asarray(AT, jnp.float32)[place], before)
         pose = self.pose.draw(pose_key)

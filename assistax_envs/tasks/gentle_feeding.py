@@ -25,7 +25,19 @@ from assistax_envs.tasks.gentle_base import (
     with_preference,
 )
 from assistax_envs.tasks.gentle_rules import NEWEST, RULES
-from assistax_envs.tasks.mouth import MouthReadings, MouthSensors
+from assistax_envs.tasks.mouth import (
+    BESIDE,
+    ENTERING,
+    FARTHEST,
+    FULL,
+    LEAVING,
+    OPENED,
+    SLOWLY,
+    TAKING,
+    WAITING,
+    MouthReadings,
+    MouthSensors,
+)
 
 # m before the lips, and the robot's joints there, rad: the bowl level on the mouth's axis. Episodes
 # start anywhere on the way in, and on the way back until it is 10 cm away.
@@ -41,10 +53,7 @@ WAY = (
 )
 START = {joint: (angle, -0.08, 0.08) for joint, angle in zip(ROBOT_JOINTS, WAY[0], strict=True)}
 START |= {f"human_neck_{way}": (0.0, -0.05, 0.05) for way in ("pitch", "yaw", "roll")}
-WAITING, ENTERING, TAKING, LEAVING, FULL = range(5)  # stages of a bite, and after the meal
 BEFORE = 0.02  # m before the lips, from where on a spoon waits, and does not enter yet
-FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
-SLOWLY = 0.1  # m/s, likewise
 HALF = 0.25  # rad of the jaw: open for a bowl
 CLOSING = 0.35  # rad: above it nobody has closed on a bowl that lies as low as it may
 SHUT = 0.12  # rad: below it the mouth was closed between two bites
@@ -61,7 +70,6 @@ ASKED, MEAL = 3, 6  # bites that are success, and that are paid
 OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
 WIDE = 0.006  # m, how the pay for a depth falls off
 WHATEVER = 0.2  # share of the pay that no liking changes
-OPENED = 0.4  # rad, the jaw of a start in the mouth, and what a mouth opens to for a spoon
 JAW_WAY = 0.2  # m of a stage's way that a radian of the jaw counts for
 
 

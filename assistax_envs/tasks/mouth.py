@@ -13,6 +13,12 @@ from assistax_envs.tasks.base import Pose, human_joints, rotate
 from assistax_envs.tasks.gentle_base import TouchReadings, TouchSensors
 from assistax_envs.tasks.gentle_rules import Rules
 
+WAITING, ENTERING, TAKING, LEAVING, FULL = range(5)  # stages of a bite, and after the meal
+FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
+SLOWLY = 0.1  # m/s, likewise
+OPENED = 0.4  # rad, what a mouth opens to for a spoon or a brush
+TURNED = 0.5  # rad of the neck's yaw, what a head turns to for a brush
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)

@@ -13,57 +13,63 @@ from evaluation.plots import style
 FAILED = 0.25  # of the best row's return with a partner: below it a row fails with the partner
 
 
-def league_chart(table: pl.DataFrame, task: str) -> Figure:
-    """Draw the mean of each row with its 95% interval, the first row on top.
+def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
+    """Draw the mean of each row with its 95% interval, the first row on top, a panel for each task.
 
     Args:
-        table: Of `evaluation.figures.league.league_table`.
-        task: Whose.
+        tables: By task, of `evaluation.figures.league.league_table`.
     """
-    height = 1.4 + 0.28 * table.height
-    figure = style.titled_figure(f"League: {task}", "Mean, 95% interval.", 6.4, height)
-    axes = figure.add_axes((0.26, 0.75 / height, 0.7, 1 - 1.35 / height))
-    for place, row in enumerate(table.iter_rows(named=True)):
-        fixed = row["row"] in (*FIRST, *LAST)
-        colour = style.MUTED if fixed else style.ALGORITHMS["ippo"]
-        if row["low"] is not None:
-            axes.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=1.6)
-        axes.plot([row["mean"]], [place], "o", color=colour, markersize=5)
-    axes.set_yticks(range(table.height), table["row"].to_list(), fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlabel("return of an episode", fontsize=9)
-    axes.tick_params(axis="x", labelsize=8)
-    axes.grid(axis="x", color=style.GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
+    height = 1.4 + 0.28 * max(table.height for table in tables.values())
+    title = f"League: {', '.join(tables)}"
+    figure = style.titled_figure(title, "Mean, 95% interval.", _width(tables), height)
+    panels = _panels(tables, 0.26 * 6.4, 0.75 / height, 1 - 1.35 / height)
+    for (left, bottom, width, tall), (task, table) in zip(panels, tables.items(), strict=True):
+        axes = figure.add_axes((left, bottom, width, tall))
+        for place, row in enumerate(table.iter_rows(named=True)):
+            fixed = row["row"] in (*FIRST, *LAST)
+            colour = style.MUTED if fixed else style.ALGORITHMS["ippo"]
+            if row["low"] is not None:
+                axes.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=1.6)
+            axes.plot([row["mean"]], [place], "o", color=colour, markersize=5)
+        axes.set_yticks(range(table.height), table["row"].to_list(), fontsize=8)
+        axes.invert_yaxis()
+        axes.set_xlabel(f"{task}: return of an episode", fontsize=9)
+        axes.tick_params(axis="x", labelsize=8)
+        axes.grid(axis="x", color=style.GRID, linewidth=0.6)
+        axes.set_axisbelow(True)
     return figure
 
 
-def validation_curves(curves: Mapping[str, pl.DataFrame], task: str) -> Figure:
+def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figure:
     """Draw the IQM over seeds with the validation side against steps, and its 95% band.
 
     Args:
-        curves: By row: columns `seed`, `steps`, `return`, as `evaluation.validation` writes them.
-        task: Whose.
+        curves: By task and row: columns `seed`, `steps`, `return`, as `evaluation.validation`
+            writes them.
     """
-    figure = style.titled_figure(
-        f"Validation: {task}", "IQM over seeds; band: pointwise 95% bootstrap.", 6.4, 4.2
-    )
-    axes = figure.add_axes((0.12, 0.2, 0.85, 0.65))
+    caption = "IQM over seeds; band: pointwise 95% bootstrap."
+    figure = style.titled_figure(f"Validation: {', '.join(curves)}", caption, _width(curves), 4.2)
     palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
-    for place, name in enumerate(ordered(curves)):
-        wide = curves[name].pivot("seed", index="steps", values="return").sort("steps")
-        values = wide.drop("steps").to_numpy().T
-        steps, colour = wide["steps"].to_numpy() / 1e6, palette[place % len(palette)]
-        band = curve_band(values)
-        centre = band[0] if band else values.mean(axis=0)
-        axes.plot(steps, centre, color=colour, label=name, marker="o", markersize=3)
-        if band:
-            axes.fill_between(steps, band[1], band[2], color=colour, alpha=0.15, linewidth=0)
-    axes.set_xlabel("million environment steps of a robot", fontsize=9)
-    axes.set_ylabel("return with validation partners", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.grid(color=style.GRID, linewidth=0.6)
-    axes.legend(fontsize=7, frameon=False)
+    names = ordered({name for rows in curves.values() for name in rows})
+    for rect, (task, rows) in zip(_panels(curves, 0.75, 0.2, 0.65), curves.items(), strict=True):
+        axes = figure.add_axes(rect)
+        for name in ordered(rows):
+            wide = rows[name].pivot("seed", index="steps", values="return").sort("steps")
+            values = wide.drop("steps").to_numpy().T
+            steps, colour = (
+                wide["steps"].to_numpy() / 1e6,
+                palette[names.index(name) % len(palette)],
+            )
+            band = curve_band(values)
+            centre = band[0] if band else values.mean(axis=0)
+            axes.plot(steps, centre, color=colour, label=name, marker="o", markersize=3)
+            if band:
+                axes.fill_between(steps, band[1], band[2], color=colour, alpha=0.15, linewidth=0)
+        axes.set_xlabel(f"{task}: million environment steps of a robot", fontsize=9)
+        axes.set_ylabel("return with validation partners", fontsize=9)
+        axes.tick_params(labelsize=8)
+        axes.grid(color=style.GRID, linewidth=0.6)
+        axes.legend(fontsize=7, frameon=False)
     return figure
 
 
@@ -81,27 +87,48 @@ def failures(by_partner: pl.DataFrame) -> pl.DataFrame:
     return joined.with_columns(share.alias("share"), (share < FAILED).alias("fails"))
 
 
-def failure_chart(shares: pl.DataFrame, task: str) -> Figure:
+def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
     """Draw who fails with whom: rows by partners, the partner that fails most rows on the left.
 
     Args:
-        shares: Of `failures`.
-        task: Whose.
+        shares: By task, of `failures`.
     """
-    rows = ordered(shares["row"].unique().to_list())
-    order = shares.group_by("partner").agg(pl.col("share").mean()).sort("share", "partner")
-    wide = shares.pivot("partner", index="row", values="share")
-    wide = wide.with_columns(pl.col("row").cast(pl.Enum(rows))).sort("row")
-    matrix = wide.select(order["partner"].to_list()).cast(pl.Float64).to_numpy()
-    height = 1.7 + 0.26 * len(rows)
+    most = max(table["row"].n_unique() for table in shares.values())
+    height = 1.7 + 0.26 * most
     caption = "Share of the best row's return with the same partner; white: not played."
-    figure = style.titled_figure(f"Who fails with whom: {task}", caption, 6.4, height)
-    axes = figure.add_axes((0.26, 0.9 / height, 0.62, 1 - 1.5 / height))
-    drawn = np.ma.masked_invalid(np.clip(matrix, 0.0, 1.0))
-    image = axes.imshow(drawn, aspect="auto", vmin=0, vmax=1, cmap="viridis")
-    axes.set_yticks(range(len(rows)), rows, fontsize=8)
-    axes.set_xticks([])
-    axes.set_xlabel(f"{matrix.shape[1]} partners, the hardest first", fontsize=9)
-    bar = figure.colorbar(image, cax=figure.add_axes((0.9, 0.9 / height, 0.02, 1 - 1.5 / height)))
-    bar.ax.tick_params(labelsize=7)
+    title = f"Who fails with whom: {', '.join(shares)}"
+    figure = style.titled_figure(title, caption, _width(shares), height)
+    panels = _panels(shares, 0.26 * 6.4, 0.9 / height, 1 - 1.5 / height, right=0.6)
+    image = None
+    for rect, (task, table) in zip(panels, shares.items(), strict=True):
+        rows = ordered(table["row"].unique().to_list())
+        order = table.group_by("partner").agg(pl.col("share").mean()).sort("share", "partner")
+        wide = table.pivot("partner", index="row", values="share")
+        wide = wide.with_columns(pl.col("row").cast(pl.Enum(rows))).sort("row")
+        matrix = wide.select(order["partner"].to_list()).cast(pl.Float64).to_numpy()
+        axes = figure.add_axes(rect)
+        drawn = np.ma.masked_invalid(np.clip(matrix, 0.0, 1.0))
+        image = axes.imshow(drawn, aspect="auto", vmin=0, vmax=1, cmap="viridis")
+        axes.set_yticks(range(len(rows)), rows, fontsize=8)
+        axes.set_xticks([])
+        axes.set_xlabel(f"{task}: {matrix.shape[1]} partners, the hardest first", fontsize=9)
+    assert image is not None
+    place = 1 - 0.5 / _width(shares), 0.9 / height, 0.13 / _width(shares), 1 - 1.5 / height
+    figure.colorbar(image, cax=figure.add_axes(place)).ax.tick_params(labelsize=7)
     return figure
+
+
+def _width(tasks: Mapping[str, object]) -> float:
+    return 6.4 if len(tasks) == 1 else 5.6 * len(tasks)
+
+
+def _panels(
+    tasks: Mapping[str, object], left: float, bottom: float, height: float, right: float = 0.15
+) -> list[tuple[float, float, float, float]]:
+    """Return where the panels of tasks stand, side by side: `left` inches are before each."""
+    whole, count = _width(tasks), len(tasks)
+    each = (whole - right) / count
+    return [
+        ((place * each + left) / whole, bottom, (each - left - 0.15) / whole, height)
+        for place in range(count)
+    ]

@@ -166,7 +166,7 @@ def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
         .render(
             summary={**vars(league.context), **{name: getattr(league, name) for name in counts}},
             notes=notes,
-            image=_embedded(league_chart(table, league.context.task)),
+            image=_embedded(league_chart({league.context.task: table})),
             rows=table.rows(named=True),
             contrasts=contrasts,
             episodes=(),

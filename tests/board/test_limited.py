@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from assistax_board.api import desk
 from assistax_board.client import Client
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots import admission
@@ -173,6 +174,25 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
         threading.Timer(0.5, go_on.set).start()
         assert hand_in(other)
         assert len({row.result()["id"] for row in answers}) == 4
+
+
+def test_a_live_robot_does_not_wait_for_files(tmp_path: Path) -> None:
+    service, go_on = new_service(tmp_path), threading.Event()
+    object.__setattr__(service, "admit", lambda data, task: str(go_on.wait(60)))
+    with served(service) as server, ThreadPoolExecutor(desk.WAITING) as pool:
+        labs = [server.client("submit", f"lab {number}") for number in range(desk.WAITING)]
+        answers = [pool.submit(hand_in, lab) for lab in labs]
+        late, live = server.client("submit", "late"), server.client("submit", "live")
+        time.sleep(2.0)
+        # Patience ends while they wait: the argument is for the start alone.
+        late._patience = live._patience = 0.0
+        with pytest.raises(OSError, match="503"):
+            hand_in(late)
+        fields = {"task": TASK, "method": "m", "request_id": "request-1", "kind": "live"}
+        assert live.submit(b"", **fields)["state"] == "queued"
+        assert not go_on.is_set()
+        go_on.set()
+        assert len({row.result() for row in answers}) == desk.WAITING
 
 
 def test_a_busy_machine_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

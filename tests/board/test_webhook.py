@@ -158,7 +158,7 @@ def test_pauses_grow_while_a_receiver_is_away(
 
     service.note("too_full", "files")
     hook = Webhook("http://127.0.0.1:9/", tmp_path)  # nobody is there
-    posting._watch(Over(), lambda: post(hook, service))
+    posting._watch(Over(), lambda: post(hook, service))  # private: the loop that threads run
     assert pauses[:4] == [10.0, 20.0, 40.0, 80.0] and max(pauses) == 3600.0
 
 

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, EnvState, disability_params, make
+from assistax_envs.models.care_scenes import OPEN
+from assistax_envs.models.teeth import INNER, SHOWN_BY
 from assistax_envs.scripted import scripted_robot
-from assistax_envs.tasks.gentle_brushing import TURNED
-from assistax_envs.tasks.gentle_feeding import OPEN, TAKING, WAITING
-from assistax_envs.tasks.teeth import INNER, SHOWN_BY
+from assistax_envs.tasks.mouth import TAKING, TURNED, WAITING
 
 STATES = Path(__file__).parent / "fused"
 SIMULATIONS, STEPS, TIMES = 72, 400, (60, 140, 230, 399)

@@ -12,18 +12,17 @@ import pytest
 from assistax_envs import disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import TEETH
+from assistax_envs.models.teeth import INNER, OFF, ORDER, PLACES, SHOWN_BY, places
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.gentle_brushing import (
     ASKED,
     AT,
     HALF,
-    OPENED,
     STROKE,
     STROKES,
-    TURNED,
     BrushState,
 )
-from assistax_envs.tasks.teeth import INNER, OFF, ORDER, PLACES, SHOWN_BY, places
+from assistax_envs.tasks.mouth import OPENED, TURNED
 from tests.envs.conftest import compiled, environment
 from tests.envs.mouth import meal
 

@@ -16,17 +16,19 @@ from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, human_actuators, human_joints
 from assistax_envs.tasks.gentle_feeding import (
     ASKED,
-    ENTERING,
-    FULL,
-    LEAVING,
     MEAL,
     SERVE,
     SPILT,
-    TAKING,
-    WAITING,
     FeedState,
 )
-from assistax_envs.tasks.mouth import MouthReadings
+from assistax_envs.tasks.mouth import (
+    ENTERING,
+    FULL,
+    LEAVING,
+    TAKING,
+    WAITING,
+    MouthReadings,
+)
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from tests.envs.conftest import compiled, environment
 from tests.envs.mouth import meal

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.persons.head import COLUMNS, JAW, LEAN, TOUCH_UNIT, WIDE, YAW, Mind
+from assistax_envs.models.teeth import ORDER
+from assistax_envs.persons.head import JAW, LEAN, WIDE, YAW, Mind
 from assistax_envs.persons.measure import earned, episodes
 from assistax_envs.persons.parameters import PARAMETERS, WIDTH
 from assistax_envs.persons.player import PersonPlayer
 from assistax_envs.persons.rows import INNER, persons
-from assistax_envs.tasks.gentle_brushing import TURNED
-from assistax_envs.tasks.gentle_feeding import ENTERING, TAKING, WAITING
-from assistax_envs.tasks.teeth import ORDER
+from assistax_envs.persons.senses import AT_MOUTH, MOUTH_UNIT
+from assistax_envs.tasks.mouth import ENTERING, TAKING, TURNED, WAITING
 from tests.envs.conftest import start
 
 NOBODY = {  # numbers of somebody without impairment or chance
@@ -50,12 +50,12 @@ def met(
     player, act = acting(task, family)
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     rows = jnp.asarray(np.resize(np.array(row, np.float32), (BATCH, WIDTH)))
-    seen, where = at_rest(task).copy(), COLUMNS[task]
+    seen, where = at_rest(task).copy(), AT_MOUTH[task]
     seen[where["tool"]] = 10.0 * np.array(tool)
     seen[where["progress"]] = 0.0
     seen[where["progress"].start + stage] = 1.0
     seen[where["closed"]] = 1.0
-    seen[where["touch"]] = touch / TOUCH_UNIT[task]
+    seen[where["touch"]] = touch / MOUTH_UNIT[task]
     obs, mind = jnp.asarray(np.tile(seen, (BATCH, 1))), player.initial_carry((BATCH,))
     action = jnp.zeros((BATCH, 5))
     for step in range(steps):

@@ -175,12 +175,12 @@ def test_who_fails_with_whom(league: Path) -> None:
 
 def test_figures_have_a_place_for_every_row(league: Path) -> None:
     found = read_league(league)
-    labels = [t.get_text() for t in league_chart(league_table(found), "scratch").axes[0].get_yticklabels()]  # fmt: skip # noqa: E501
+    labels = [t.get_text() for t in league_chart({"scratch": league_table(found)}).axes[0].get_yticklabels()]  # fmt: skip # noqa: E501
     assert labels == [row.row for row in found.rows]
-    chart = failure_chart(failures(found.by_partner), "scratch")
+    chart = failure_chart({"scratch": failures(found.by_partner)})
     assert len(chart.axes[0].get_yticklabels()) == len(found.rows)
     curve = pl.DataFrame(
         {"seed": [0, 0, 1, 1], "steps": [10, 20, 10, 20], "return": [1.0, 2.0, 3.0, 4.0]}
     )
-    lines = validation_curves({"ppo": curve, "gru": curve}, "scratch").axes[0].lines
+    lines = validation_curves({"scratch": {"ppo": curve, "gru": curve}}).axes[0].lines
     assert [list(line.get_ydata()) for line in lines] == [[2.0, 3.0]] * 2

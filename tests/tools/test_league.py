@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -10,6 +11,8 @@ from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
 from population.hyperparameters import METHODS
 from tests import untrained
+from tests.evaluation.test_contrasts import NAMED
+from tests.evaluation.test_league import put
 from tools.league.__main__ import run
 from tools.league.rows import named, rows
 from zoo.parameters.storage import read_policy_file
@@ -158,3 +161,21 @@ def test_a_told_best_response_of_a_gentle_task(
 
 def _partners(folder: Path) -> list[str]:
     return sorted(Record.read(folder).returns.partners["partner_team"])
+
+
+def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
+    put(tmp_path / "league/scratch", "ppo", np.full((4, 10), 200.0), baselines=True)
+    put(tmp_path / "league/scratch", "gru", np.full((4, 10), 300.0))
+    put(tmp_path / "league/scratch", "told-preference", np.full((4, 10), 350.0))
+    contrasts, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
+    contrasts.write_text(NAMED)
+    words = ["page", str(tmp_path / "league"), "--contrasts", str(contrasts), "--text", str(text)]
+    places = ["--out", str(tmp_path / "docs/data"), "--images", str(tmp_path / "docs/images")]
+    assert run([*words, *places]) == 0, capsys.readouterr().err
+    page = text.read_text()
+    assert "1. **Of the methods `gru` earns most in `scratch`**: 300" in page
+    assert "told the preference 350" in page and "`gru` wins 67% of 150 points" in page
+    assert "In `scratch` choose `gru` for all" in page and "with 0 of 10 persons" in page
+    assert page.count("](images/") == 2  # nobody was validated, so there are no curves
+    first_screen = page[: page.index("![")]
+    assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10

@@ -130,21 +130,24 @@ def page(
     out: Path = Path("docs/data/league"),
     images: Path = Path("docs/images/league"),
     contrasts: Path | None = None,
+    text: Path | None = None,
 ) -> None:
-    """Write the tables of the results' page as CSV, and its figures.
+    """Write the results' page, its tables as CSV, and its figures.
 
     Args:
         folder: Of the league, which `row` fills.
         out: Folder of the tables.
         images: Folder of the figures.
         contrasts: File of named contrasts.
+        text: Page to write; none if not given.
 
     Example:
         python -m tools.league page league --contrasts docs/data/league/contrasts.toml
+        --text docs/results.md
     """
-    from tools.league.page import write_tables
+    from tools.league.page import write_page
 
-    for path in write_tables(folder, out, images, contrasts):
+    for path in write_page(folder, out, images, contrasts, text):
         print(path)
 
 

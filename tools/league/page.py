@@ -1,6 +1,7 @@
-"""The tables and figures of a league's page, from folders of rows."""
+"""The results' page with its tables and figures, from folders of rows."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,75 +11,95 @@ from matplotlib.figure import Figure
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
 from assistax_zoo.comparing import compare_named
-from evaluation.figures.contrasts import ContrastFigures
+from evaluation.figures.contrasts import ContrastFigure, ContrastFigures
 from evaluation.figures.league import league_table, ordered, read_league, row_folders
 from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
 from evaluation.plots.style import save_figure
 from evaluation.record import tables
 from evaluation.validation import CURVE
 from tools.league.making import RECORD, RUNS
+from tools.league.results import Played, results_page
 from tools.league.rows import rows
 
+FIGURES = {
+    "league": "returns of all rows",
+    "validation": "learning curves",
+    "partners": "who fails with whom",
+}
 
-def write_tables(
-    folder: Path, out: Path, images: Path, contrasts: Path | None = None
+
+def write_page(
+    folder: Path, out: Path, images: Path, contrasts: Path | None = None, text: Path | None = None
 ) -> list[Path]:
-    """Write CSV tables and figures of every task of a folder, and return their paths.
+    """Write tables as CSV, three figures and the page of all tasks of a folder; return their paths.
 
     Of each task: `TASK-league.csv`, `TASK-partners.csv` (who fails with whom), and
     `TASK-validation.csv`; of all tasks: `rows.csv` (steps and device minutes) and, with a file of
-    contrasts, `contrasts.csv`. Figures have the names of their tables.
+    contrasts, `contrasts.csv`; the figures `league.png`, `validation.png` and `partners.png`.
 
     Args:
         folder: Has a folder for each task, with one for each row, as `row` fills it.
         out: Of the tables.
         images: Of the figures.
         contrasts: File of named contrasts.
+        text: The page to write.
 
     Raises:
         FileNotFoundError: The folder has no row of any task.
     """
-    tasks = sorted(place for place in folder.glob("*") if row_folders(place))
-    if not tasks:
+    places = sorted(place for place in folder.glob("*") if row_folders(place))
+    if not places:
         raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
-    written = []
-    for task in tasks:
-        written += _task(task, out, images)
-    written.append(_csv(pl.DataFrame(_records(tasks)), out / "rows.csv"))
+    played = [Played(read_league(place), place) for place in places]
+    league = {task.task: league_table(task.league) for task in played}
+    shares = {task.task: failures(task.league.by_partner) for task in played}
+    curves = {task.task: _curves(task.folder) for task in played}
+    curves = {task: some for task, some in curves.items() if some}
+    records = pl.DataFrame(_records(places))
+    named = {"league": league, "partners": shares}
+    named["validation"] = {task: _long(some) for task, some in curves.items()}
+    written = [
+        _csv(table, out / f"{task}-{what}.csv")
+        for what, by_task in named.items()
+        for task, table in by_task.items()
+    ]
+    written += _figure(league_chart(league), images / "league.png")
+    written += _figure(failure_chart(shares), images / "partners.png")
+    if curves:
+        written += _figure(validation_curves(curves), images / "validation.png")
+    written.append(_csv(records, out / "rows.csv"))
+    tested: tuple[ContrastFigure, ...] = ()
     if contrasts is not None:
-        all_rows = [place for task in tasks for place in row_folders(task).values()]
-        figures = compare_named(contrasts, all_rows)
+        methods = [place for task in places for place in row_folders(task).values()]
+        figures = compare_named(contrasts, methods)
+        tested = figures.contrasts
         written.append(_csv(_contrast_table(figures), out / "contrasts.csv"))
         about = {"file": figures.file, "sha256": figures.sha256, "notes": list(figures.notes)}
         path = out / "contrasts.json"
         atomic_write(path, (json.dumps(about, indent=1) + "\n").encode())
         written.append(path)
+    if text is not None:
+        near = {"images": images, "tables": out}
+        shown = {name: what for name, what in FIGURES.items() if curves or name != "validation"}
+        links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
+        atomic_write(text, results_page(played, tested, records, links, shown).encode())
+        written.append(text)
     return written
 
 
-def _task(task: Path, out: Path, images: Path) -> list[Path]:
-    league = read_league(task)
-    table, shares = league_table(league), failures(league.by_partner)
-    name = league.context.task
-    written = [
-        _csv(table, out / f"{name}-league.csv"),
-        _csv(shares, out / f"{name}-partners.csv"),
-        *_figure(league_chart(table, name), images / f"{name}-league.png"),
-        *_figure(failure_chart(shares, name), images / f"{name}-partners.png"),
-    ]
-    curves = {
+def _curves(task: Path) -> dict[str, pl.DataFrame]:
+    """Return the learning curves of a task's rows."""
+    return {
         row: tables.read_parquet(path)
         for row in ordered(place.name for place in (task / RUNS).glob("*"))
         if (path := task / RUNS / row / "training" / CURVE).is_file()
     }
-    if curves:
-        long = pl.concat(
-            curve.select(pl.lit(row).alias("row"), pl.all()) for row, curve in curves.items()
-        )
-        written.append(_csv(long, out / f"{name}-validation.csv"))
-        drawn = validation_curves(curves, name)
-        written += _figure(drawn, images / f"{name}-validation.png")
-    return written
+
+
+def _long(curves: dict[str, pl.DataFrame]) -> pl.DataFrame:
+    return pl.concat(
+        curve.select(pl.lit(row).alias("row"), pl.all()) for row, curve in curves.items()
+    )
 
 
 def _figure(figure: Figure, path: Path) -> list[Path]:

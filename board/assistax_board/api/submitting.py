@@ -4,6 +4,7 @@ import dataclasses
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
+from starlette.concurrency import run_in_threadpool
 
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
@@ -47,7 +48,7 @@ async def submit(
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
     submission. `about`, `link` and `citation` are shown on the method's page.
     """
-    with request.app.state.desk.place(str(principal.submitter)):
+    with request.app.state.desk.place(str(principal.submitter), has_file=kind == "file"):
         body = await whole_body(request)
         data = body if body or kind == "file" else None
         words = {"about": about, "link": link, "citation": citation}
@@ -59,7 +60,9 @@ async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submi
     """Take in what a token's owner drafted; its season may be given by name."""
     state = request.app.state
     state.limiter.hit(SUBMIT, principal.token)
-    return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
+    # A live robot has no file to be looked at, and waits for nobody's.
+    run = run_in_threadpool if draft.data is None else state.desk.run
+    return await run(_hand_in, state.service, str(principal.submitter), draft)
 
 
 def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:

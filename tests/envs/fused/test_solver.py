@@ -37,6 +37,7 @@ GOLDEN = {
     "gentle_bath": "37683527b54034a9",
     "gentle_lift": "20901736454a8e61",
     "gentle_feeding": "b9827dcc729e5a3c",
+    "gentle_brushing": "626aecf2c1617d94",
 }
 
 
