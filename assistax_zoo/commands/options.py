@@ -61,8 +61,9 @@ class Against:
         split: Partners: test (default), train or both sides of the default split, or another
             split's id (ID:both); validation of persons and of splits of three sides.
         partners: Glob over partners, to play only some of those sides, such as
-            `'scratch/ippo-d9-*'`; repeat it for more. Where all that match are of one release, its default split is meant.
-            persons for persons, or a glob such as `'gentle_scratch/person-08*-v3'`.
+            `'scratch/ippo-d9-*'`; repeat it for more. Where all that match are of one release, its
+            default split is meant. persons for persons, or a glob such as
+            `'gentle_scratch/person-08*-v3'`.
         persons: How many persons to draw; default 200.
         include_own: Count partners that were trained with one of the robots; else they are played
             and kept in the tables, and no figure is about them.

@@ -16,6 +16,7 @@ from assistax_envs.tasks import TASK_CLASSES
 from evaluation.player.episode import Episode, is_felt, scene_of, seconds_of
 
 SPACE, RIGHT, LEFT = 32, 262, 263  # GLFW's keys
+DISTANCE = 2.0  # m from the camera to what a mouse turns it about
 LENGTH, LENGTH_A_NEWTON = 0.1, 0.012  # m of an arrow, as on the page
 
 
@@ -45,7 +46,10 @@ def view(episode: Episode) -> None:
     wear(model, f"human {episode.about['person']}")
     data, clock = mujoco.MjData(model), Clock(len(episode.poses), seconds_of(episode))
     viewer: Any = importlib.import_module("mujoco.viewer")
-    with viewer.launch_passive(model, data, key_callback=clock.press) as window:
+    panels = {"show_left_ui": False, "show_right_ui": False}
+    with viewer.launch_passive(model, data, key_callback=clock.press, **panels) as window:
+        mujoco.mj_forward(model, data)
+        look(model, data, window.cam)
         while window.is_running():
             step = clock.step(time.monotonic())
             with window.lock():
@@ -53,6 +57,16 @@ def view(episode: Episode) -> None:
                 draw_marks(model, data, window.user_scn, episode, step)
             window.sync()
             time.sleep(clock.seconds)
+
+
+def look(model: mujoco.MjModel, data: mujoco.MjData, camera: Any) -> None:
+    """Bring a free camera to the scene's default one, about what it looks at."""
+    away = data.cam_xmat[0].reshape(3, 3)[:, 2]
+    camera.azimuth = np.degrees(np.arctan2(-away[1], -away[0]))
+    camera.elevation = np.degrees(np.arcsin(-away[2]))
+    camera.distance = DISTANCE
+    camera.lookat[:] = data.cam_xpos[0] - DISTANCE * away
+    model.vis.global_.fovy = model.cam_fovy[0]
 
 
 class Clock:

@@ -42,9 +42,11 @@ class Window:
 
     def __init__(self, frames: int) -> None:
         self.left, self.poses, self.marks = frames, [], []
+        self.cam = mujoco.MjvCamera()
         self.user_scn = SimpleNamespace(ngeom=0, geoms=[mujoco.MjvGeom() for _ in range(100)])
 
-    def launch_passive(self, model: Any, data: Any, key_callback: Any) -> Any:
+    def launch_passive(self, model: Any, data: Any, key_callback: Any, **panels: bool) -> Any:
+        assert not any(panels.values())
         self.model, self.data, self.press = model, data, key_callback
         return contextlib.nullcontext(self)
 

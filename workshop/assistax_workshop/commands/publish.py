@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 from cyclopts import Parameter
 from pydantic import ValidationError
@@ -96,7 +97,7 @@ def publish(
         )
     teams = [team for run in runs for team in read_run(run)]
     place = to or writable_registry(registry) or own_registry()
-    about = {"date": date, "description": description, "citation": cited.given()}
+    about: dict[str, Any] = {"date": date, "description": description, "citation": cited.given()}
     done = publish_to(teams, str(place), release, **about, **vars(card), key=key)
     new = counted(len(done.added), "new policy")
     published = f"published {new} in release {release} of {done.registry}"
