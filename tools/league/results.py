@@ -77,8 +77,8 @@ def results_page(
         f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
         for task in tasks
     ]
-    minutes = records["device_minutes_in_all"].drop_nulls()
-    cost = f"{minutes.sum():.0f} minutes of processes for {len(minutes)} rows"
+    minutes = [taken for taken in records["device_minutes_in_all"] if taken is not None]
+    cost = f"{sum(minutes):.0f} minutes of processes for {len(minutes)} rows"
     parts = [
         "# Results",
         "*This page is made from the rows' files by `python -m tools.league page`. "
@@ -110,7 +110,7 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
         some = [c for c in contrasts if c.named and (c.found and c.difference.mean > 0) == found]
         if some:
             said = [_contrast(contrast, detectable=not found) for contrast in some]
-            yield f"{words} at Holm's 5% over {_named(contrasts)} named contrasts: {listing(said)}."
+            yield f"{words} at Holm's 5% over all named contrasts: {listing(said)}."
     gaps = [said for task in tasks if (said := _gap(task))]
     if gaps:
         yield f"Of what being told the preference is worth, {listing(gaps)}."
@@ -127,10 +127,6 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
 def _figure(row: LeagueRow) -> str:
     ends = row.mean.mean_ci
     return f"{row.mean.mean:.0f}" + (f" [{ends[0]:.0f}, {ends[1]:.0f}]" if ends else "")
-
-
-def _named(contrasts: Sequence[ContrastFigure]) -> int:
-    return sum(contrast.named for contrast in contrasts)
 
 
 def _contrast(contrast: ContrastFigure, *, detectable: bool) -> str:
@@ -167,12 +163,15 @@ def _whom(task: Played) -> str:
         if same
         else f"choose {listing([f'`{row}` for `{name}`' for name, row in winners.items()])}"
     )
-    safe = best.safe_success.mean if best.safe_success else float("nan")
-    hurt = best.violations.mean if best.violations else float("nan")
+    touch = ""
+    if best.safe_success and best.violations:
+        safe, hurt = best.safe_success.mean, best.violations.mean
+        touch = (
+            f"is safe and successful in {safe:.0%} of episodes, presses too hard in {hurt:.0%}, "
+        )
     return (
-        f"In `{task.task}` {choice}: `{best.row}` earns {apart}, is safe and successful in "
-        f"{safe:.0%} of episodes, presses too hard in {hurt:.0%}, and fails (below {FAILED:.0%} of "
-        f"the best row) with {count} of {fails.height} persons."
+        f"In `{task.task}` {choice}: `{best.row}` earns {apart}, {touch}and fails (below "
+        f"{FAILED:.0%} of the best row) with {count} of {fails.height} persons."
     )
 
 
