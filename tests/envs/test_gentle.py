@@ -293,9 +293,9 @@ def test_names_go_through_all_forces_and_speeds() -> None:
     assert {(preference.force, preference.speed) for preference in PREFERENCES.values()} == {
         (force, speed) for force in FORCES for speed in SPEEDS
     }
-    # Any two values of a task meet once; force and wait, speed and depth are of different ones.
-    for first, other in itertools.chain(
-        itertools.combinations(list(VALUES)[:4], 2), itertools.combinations(list(VALUES)[2:], 2)
+    # Any two values that matter in one task meet once.
+    for first, other in itertools.chain.from_iterable(
+        itertools.combinations(wishes, 2) for wishes in WISHES.values()
     ):
         pairs = {
             (getattr(preference, first), getattr(preference, other))

@@ -76,10 +76,12 @@ class Table:
 
     def __init__(self, preference: str = "p5", place: int = 1) -> None:
         env = environment(TASK, "native")
+        # The task alone, whose readings no public door takes.
         self.task: Any = env._task
         params = disability_params(["d1"], [preference])
         begun = compiled(TASK, "native")[0](jax.random.split(jax.random.key(0), 1), params)
         self.likes = PREFERENCES[preference]
+        # What the sensors say at the start, the ground of readings that a test changes.
         self._read = env._sensors.read(
             env._physics.forward(begun.physics, env._joint_range(params))
         )
@@ -104,6 +106,7 @@ class Table:
             self._read,
             bowl=middle + at * along + (OFF + aside) * normal,
             jaw=jnp.array([jaw], jnp.float32),
+            # The column of the neck's yaw, which the task alone knows.
             human_position=self._read.human_position.at[:, self.task._read_yaw].set(yaw),
             felt=jnp.zeros((1, len(TEETH))).at[:, row].set(force),
             tool_velocity=jnp.zeros((1, 3)),
