@@ -172,7 +172,8 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
         now = time.monotonic()
         text = f"{description}: {figures()}, {now - start:.0f} s"
         first = first or (now, done)  # compilation comes before it, and is not part of the speed
-        if done > first[1]:
+        # Of a twentieth on, since another program may compile between two of the first counts.
+        if done - first[1] >= total / 20:
             text += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
         line.show(text, last=done >= total)
 
