@@ -15,12 +15,15 @@ if [ ! -e "$folder/.installed" ]; then
     "$folder/bin/python" -m pip install --quiet 'torch==2.13.0' 'stable-baselines3==2.9.2'
     touch "$folder/.installed"
 fi
-# LeRobot wants other versions of what the project uses, so it has nothing of .venv. Its own bound of
-# PyTorch would bring the CUDA build of an older one; the datasets need none of the rest of its list.
-lerobot=build/lerobot
+# LeRobot wants other versions of what the project uses, so it has nothing of .venv, and of the other
+# environment what it lacks, PyTorch above all. Its own bound of PyTorch would bring the CUDA build of
+# an older one; the datasets need none of the rest of its list.
+lerobot=build/lerobot  # after the first: it has PyTorch from there
 if [ ! -e "$lerobot/.installed" ]; then
     rm -rf "$lerobot"
     .venv/bin/python -m venv "$lerobot"
+    "$folder/bin/python" -c 'import site; print(site.getsitepackages()[0])' \
+        >"$("$lerobot/bin/python" -c 'import site; print(site.getsitepackages()[0])')/torch.pth"
     "$lerobot/bin/python" -m pip install --quiet 'torch==2.13.0' 'torchvision==0.28.*' 'datasets==4.8.5' \
         'huggingface-hub==0.35.3' 'numpy<2.3' 'pandas<3' 'packaging<26' 'av==15.1.0' 'draccus==0.10.0' \
         accelerate deepdiff einops gymnasium imageio jsonlines pillow requests termcolor
