@@ -18,7 +18,7 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
         json: Print JSON.
 
     Example:
-        assistax-zoo service failures --data board
+        assistax-zoo service failures --data my-board
     """
     print_answer([dataclasses.asdict(row) for row in open_folder(data, database).failures()], json)
 
@@ -39,7 +39,7 @@ def service_retry(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo service retry 7kq2mz4a --data board
+        assistax-zoo service retry 7kq2mz4a --data my-board
     """
     open_folder(data, database).retry(submission, extra_attempt=extra_attempt)
 
@@ -56,7 +56,7 @@ def service_notices(
         json: Print JSON.
 
     Example:
-        assistax-zoo service notices --data board
+        assistax-zoo service notices --data my-board
     """
     from assistax_board.store.notices import clear_notices, list_notices
 
@@ -89,7 +89,7 @@ def season_disqualify(season: str, lab: str, /, *, data: Path, database: str | N
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season disqualify spring 'Lab of Ada' --data board
+        assistax-zoo season disqualify spring 'Lab of Ada' --data my-board
     """
     count = open_folder(data, database).disqualify(season, lab)
     print(f"{counted(count, 'submission')} of {lab} left season {season}")
@@ -107,6 +107,6 @@ def season_extend(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season extend spring --closes 2026-12-15T12:00 --data board
+        assistax-zoo season extend spring --closes 2026-12-15T12:00 --data my-board
     """
     open_folder(data, database).extend_season(name, seconds_of(closes))

@@ -90,7 +90,7 @@ def season_create(
         artefacts: Address, if they are not in the folder.
 
     Example:
-        assistax-zoo season create spring --task scratch --release private --data board
+        assistax-zoo season create spring --task scratch --release private --data my-board
     """
     from assistax_board.rules import seasons
     from zoo.registry import load_registry
@@ -113,7 +113,7 @@ def season_open(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
+        assistax-zoo season open spring --closes 2026-12-01T12:00 --data my-board
     """
     service = open_folder(data, database)
     print(service.open_season(name, seconds_of(closes) if closes else None))
@@ -131,7 +131,7 @@ def season_close(name: str, /, *, data: Path, database: str | None = None) -> No
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season close spring --data board
+        assistax-zoo season close spring --data my-board
     """
     open_folder(data, database).close_season(name)
 
