@@ -101,8 +101,14 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     data, environment = board["data"], board["environment"]
     private = release(tmp_path / "private", 100, 4).parent
     season = ("spring", "--data", data)
-    command("season", "create", *season, "--task", "scratch", "--release", private, "--small")
-    root = command("season", "open", *season).strip()
+    made = command(
+        "season", "create", *season, "--task", "scratch", "--release", private, "--small"
+    )
+    assert "season spring is made" in made and "4 partners of trained teams (4 ippo)" in made
+    opened = command("season", "open", *season).splitlines()
+    assert opened[0].startswith("season spring is open; announce its Merkle root: ")
+    assert opened[1].startswith("it closes by itself at ")
+    root = opened[0].split()[-1]
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
     by = ("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--method")

@@ -20,7 +20,11 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
     Example:
         assistax-zoo service failures --data my-board
     """
-    print_answer([dataclasses.asdict(row) for row in open_folder(data, database).failures()], json)
+    rows = [dataclasses.asdict(row) for row in open_folder(data, database).failures()]
+    if not rows and not json:
+        print("no submission has jobs that failed")
+    else:
+        print_answer(rows, json)
 
 
 def service_retry(
@@ -72,7 +76,10 @@ def service_notices(
         }
         for notice in notices
     ]
-    print_answer(rows, json)
+    if not rows and not json:
+        print("no notices: nothing has failed, and no season has closed, since they were cleared")
+    else:
+        print_answer(rows, json)
     if clear and notices:
         clear_notices(service.database, notices[0].last_at)
 
@@ -109,4 +116,7 @@ def season_extend(
     Example:
         assistax-zoo season extend spring --closes 2026-12-15T12:00 --data my-board
     """
-    open_folder(data, database).extend_season(name, seconds_of(closes))
+    at = seconds_of(closes)
+    open_folder(data, database).extend_season(name, at)
+    date = datetime.fromtimestamp(at, UTC)
+    print(f"season {name} now closes by itself at {date:%Y-%m-%d %H:%M} UTC")
