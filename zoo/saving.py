@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from assistax_base.errors import ImmutableError, PublishError, listing
-from assistax_base.files import atomic_write
+from assistax_base.files import atomic_path, atomic_write
 from zoo.history.merkle import lost_leaves, with_roots
 from zoo.history.official import is_official, is_official_file
 from zoo.history.own_splits import SplitsFile, read_splits
@@ -40,7 +40,10 @@ def save_registry(data: RegistryFile, path: Path) -> Registry:
         before = read_registry(path).data
         check_writable(before, path)
         check_grown(before, registry.data)
-    atomic_write(path, text.encode())
+    has_secret = any(table.secret for r in data.releases.values() for table in r.persons.values())
+    with atomic_path(path) as temporary:
+        temporary.touch(mode=0o600 if has_secret else 0o666)
+        temporary.write_bytes(text.encode())
     return registry
 
 

@@ -9,6 +9,7 @@ import httpx2
 
 from assistax_board.problems import CODES, Problem
 from assistax_board.rules.scoring import Work
+from assistax_board.vocabulary import TOKEN_VARIABLE
 
 PATIENCE = 60.0  # seconds for which a server that does not answer is asked again
 _AGAIN = (502, 503, 504)
@@ -53,7 +54,7 @@ class Client:
                 is_text = response.headers.get("content-type", "").startswith("text/plain")
                 later |= response.status_code == 500 and is_text
                 if response.status_code not in _AGAIN and not later:
-                    return _checked(response)
+                    return _checked(response, self.token)
                 error = f"it answered {response.status_code}"
             except httpx2.TransportError as failure:
                 error = type(failure).__name__
@@ -146,7 +147,7 @@ class Client:
         return self.call(method, f"/api/work/{work.job}/{what}", headers=headers, **options)
 
 
-def _checked(response: Any) -> Any:
+def _checked(response: Any, token: str | None) -> Any:
     if response.status_code < 400:
         return response
     try:
@@ -154,6 +155,9 @@ def _checked(response: Any) -> Any:
         code, message = str(error["code"]), str(error["message"])
     except (ValueError, KeyError, TypeError):
         code, message = "invalid", f"the server answered {response.status_code}"
+    if code == "not_signed_in" and not token:
+        given = f"{TOKEN_VARIABLE} is empty" if token == "" else "no token is given"
+        message = f"{given}; write the organiser's token to it, or name its file by --token-file"
     raise Problem(code if code in CODES else "invalid", message)
 
 

@@ -22,7 +22,7 @@ from assistax_board.rules import (
 )
 from assistax_board.rules.catalogue import CHUNK, PUBLIC_SEED, Catalogue, panel_episodes
 from assistax_board.rules.scoring import Work
-from assistax_board.rules.submissions import Draft
+from assistax_board.rules.submissions import Admitted, Draft
 from assistax_board.store import notices, schema
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
@@ -31,7 +31,7 @@ from assistax_board.store.receipts import Signer
 from assistax_board.store.schema import JOB, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
-Admit = Callable[[bytes, str], str]  # (file, task) -> format; raises Refusal
+Admit = Callable[[bytes, str], Admitted]  # (file, task); raises Refusal
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,6 +21,7 @@ from assistax_board.rules.catalogue import (
     panel_episodes,
     version_id,
 )
+from assistax_board.rules.played import warning_of
 from assistax_board.rules.scoring import Work, cut
 from assistax_board.rules.submissions import MAX_BYTES
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
@@ -75,7 +76,7 @@ def check_file(
     sizes = robot_sizes(loaded)
     if task not in sizes:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
-    format = Admission(sizes)(data, task)
+    format, said = Admission(sizes)(data, task)
     catalogue = ZooCatalogue(loaded, BACKEND)
     panel = catalogue.public_panel(task)
     if whole:
@@ -94,6 +95,8 @@ def check_file(
         "mean_return": round(float(table["return"].to_numpy().mean()), 1),
         "nonfinite": int(table["nonfinite"].sum()),
     }
+    if warning := warning_of(said, catalogue.identity(task)["env_version"], None):
+        answer["warning"] = warning
     if not whole:
         return answer | {"note": "a few episodes say that it plays, not how well"}
     note = "on a processor of the server's kind these are its figures of the public half"
@@ -109,6 +112,8 @@ def hand_in(
     set_fields = {name: value for name, value in fields.items() if value is not None}
     kind = "live" if live else "file"
     submission = client.submit(data, request_id=new_id(20), kind=kind, **set_fields)
+    if submission["warning"]:
+        print(f"warning: {submission['warning']}", file=sys.stderr, flush=True)
     if live:
         from assistax_board.live.client import play_live
 
@@ -161,7 +166,7 @@ def limits_for_reader(limits: dict[str, Any]) -> dict[str, Any]:
     for season in limits["seasons"]:
         shown[f"season {season['name']}"] = (
             f"{season['left']} of {season['budget']} attempts left on {season['task']}, "
-            f"{season['spent']} made, {season['reserved']} under way"
+            f"{season['spent']} made, {season['reserved']} under way; {season['plays']}"
         )
     return shown
 

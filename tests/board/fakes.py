@@ -10,7 +10,7 @@ import polars as pl
 from assistax_board.problems import Refusal
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.scoring import Work, encode_table
-from assistax_board.rules.submissions import Draft
+from assistax_board.rules.submissions import Admitted, Draft
 from assistax_board.rules.tokens import authenticate
 from assistax_board.service import Service
 from assistax_board.store.artefacts import Artefacts
@@ -89,10 +89,10 @@ def noise(*words: Any) -> float:
     return float(np.float32(value / 2**32))
 
 
-def admit(data: bytes, task: str) -> str:
+def admit(data: bytes, task: str) -> Admitted:
     if not data.startswith((b"robot ", b"broken")):
         raise Refusal("unknown_format")
-    return "fake"
+    return Admitted("fake")
 
 
 def new_service(folder: Path, url: str | None = None, *, version: int = 1) -> Service:

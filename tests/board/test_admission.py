@@ -50,7 +50,7 @@ def at_the_server(service: Service, submitter: str, request: str, data: bytes) -
         return submission.reason
     admitted = service.admit(service.artefacts.get(str(submission.artefact)), TASK)
     assert submission.state == "queued"
-    return admitted
+    return admitted.format
 
 
 def disagreements(service: Service, registry: Path, path: Path) -> tuple[list[Any], Counter[str]]:

@@ -13,11 +13,17 @@ from typing import Any
 import httpx2
 import pytest
 import sqlalchemy as sa
+from starlette.testclient import TestClient
 
-from assistax_board.serve import open_service
+from assistax_board.app import create_app
+from assistax_board.client import Client
+from assistax_board.commands.opening import open_client
+from assistax_board.problems import Problem
+from assistax_board.serve import check_folder, open_service
 from assistax_board.store.schema import JOB
 from assistax_board.submitting import for_reader
 from assistax_zoo.shell.main import run
+from tests.board.fakes import new_service
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file
 
@@ -95,8 +101,14 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     data, environment = board["data"], board["environment"]
     private = release(tmp_path / "private", 100, 4).parent
     season = ("spring", "--data", data)
-    command("season", "create", *season, "--task", "scratch", "--release", private, "--small")
-    root = command("season", "open", *season).strip()
+    made = command(
+        "season", "create", *season, "--task", "scratch", "--release", private, "--small"
+    )
+    assert "season spring is made" in made and "4 partners of trained teams (4 ippo)" in made
+    opened = command("season", "open", *season).splitlines()
+    assert opened[0].startswith("season spring is open; announce its Merkle root: ")
+    assert opened[1].startswith("it closes by itself at ")
+    root = opened[0].split()[-1]
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
     by = ("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--method")
@@ -144,7 +156,11 @@ def _wait_for_proof(root: str, environment: dict[str, str]) -> dict[str, Any]:
 
 def test_a_server_stops_with_its_workers(board: dict[str, Any]) -> None:
     """The fixture holds it to exit code 0, within a minute."""
-    assert (board["data"] / "worker-token").stat().st_mode & 0o077 == 0
+    for name in ("worker-token", "organiser-token"):
+        assert (board["data"] / name).stat().st_mode & 0o777 == 0o600
+    kept = board["data"] / "organiser-token"
+    assert kept.read_text().strip() == board["environment"]["ASSISTAX_ZOO_TOKEN"]
+    assert f"`cat {kept}` prints it" in next(board["lines"])
 
 
 @pytest.mark.slow
@@ -165,6 +181,51 @@ def test_a_folder_that_is_no_service_is_refused(
 ) -> None:
     assert run(["token", "list", "--data", str(tmp_path)]) == 1
     assert "is not a service's folder" in capsys.readouterr().err
+
+
+def test_no_service_is_made_beside_other_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A checkout has a folder `board`, which is the package."""
+    (tmp_path / "pyproject.toml").touch()
+    before = tmp_path.stat().st_mode
+    assert run(["serve", "--data", str(tmp_path), "--port", "0"]) == 1
+    error = capsys.readouterr().err
+    assert "(pyproject.toml)" in error and "--data my-board" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["pyproject.toml"]
+    assert tmp_path.stat().st_mode == before
+
+
+def test_a_folder_of_a_service_is_taken_again(tmp_path: Path) -> None:
+    check_folder(tmp_path / "new")
+    (tmp_path / "service.db-wal").touch()  # of a start that was killed
+    (tmp_path / "artefacts").mkdir()
+    check_folder(tmp_path)
+    (tmp_path / "notes").touch()
+    with pytest.raises(ValueError, match=r"\(notes\)"):
+        check_folder(tmp_path)
+    open_service(tmp_path)
+    check_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("token", "said"), [("", "ASSISTAX_ZOO_TOKEN is empty"), (None, "no token is given")]
+)
+def test_an_empty_token_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None, said: str
+) -> None:
+    monkeypatch.delenv("ASSISTAX_ZOO_TOKEN", raising=False)
+    if token is not None:
+        monkeypatch.setenv("ASSISTAX_ZOO_TOKEN", token)
+    with TestClient(create_app(new_service(tmp_path / "board"))) as http:
+        client = Client("http://testserver", open_client(None, None).token, transport=http)
+        with pytest.raises(Problem, match=said):
+            client.limits()
+        with pytest.raises(Problem, match="this token is not valid"):
+            Client("http://testserver", "azt_no", transport=http).limits()
+    (tmp_path / "token").touch()
+    with pytest.raises(ValueError, match="token is empty"):
+        open_client(None, tmp_path / "token")
 
 
 def test_a_refused_file_says_why_at_home(

@@ -19,6 +19,7 @@ from assistax_board.problems import Problem, Refusal
 from assistax_board.robots import admission
 from assistax_board.robots.admission import Admission
 from assistax_board.robots.limited import BusyError, DiedError, OverBudgetError, run_limited
+from assistax_board.rules.submissions import Admitted
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
 from tests.board.fakes import TASK, admit, new_service, shown
@@ -117,7 +118,7 @@ def test_many_operators_of_unlike_shapes_are_compiled_at_once() -> None:
 def test_admission_says_what_a_file_took_too_much_of(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = PolicySpec("robot", OBS, ACT, hidden=(8,))
     good = to_onnx(spec, params_of(spec, 0))
-    assert Admission(SIZES)(good, TASK) == "onnx"
+    assert Admission(SIZES)(good, TASK).format == "onnx"
     with monkeypatch.context() as patch, pytest.raises(Refusal) as refusal:
         patch.setattr(admission, "BYTES", MIB)
         Admission(SIZES)(good, TASK)
@@ -133,7 +134,7 @@ def test_readers_do_not_wait_for_files_that_are_looked_at(tmp_path: Path) -> Non
     """Forty threads answer all requests; a file that takes long must keep none of them."""
     service, go_on = new_service(tmp_path), threading.Event()
 
-    def slow(data: bytes, task: str) -> str:
+    def slow(data: bytes, task: str) -> Admitted:
         go_on.wait(30)
         return admit(data, task)
 
@@ -158,7 +159,7 @@ def hand_in(client: Client) -> str:
 
 def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
     service, go_on = new_service(tmp_path), threading.Event()
-    object.__setattr__(service, "admit", lambda data, task: str(go_on.wait(30)))
+    object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(30))))
     with served(service) as server, ThreadPoolExecutor(4) as pool:
         many, other = server.client("submit", "many"), server.client("submit", "other")
         fields = {"task": TASK, "method": "m"}
@@ -178,7 +179,7 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
 
 def test_a_live_robot_does_not_wait_for_files(tmp_path: Path) -> None:
     service, go_on = new_service(tmp_path), threading.Event()
-    object.__setattr__(service, "admit", lambda data, task: str(go_on.wait(60)))
+    object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(60))))
     with served(service) as server, ThreadPoolExecutor(desk.WAITING) as pool:
         labs = [server.client("submit", f"lab {number}") for number in range(desk.WAITING)]
         answers = [pool.submit(hand_in, lab) for lab in labs]

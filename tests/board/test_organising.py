@@ -213,6 +213,8 @@ def test_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     [notice] = json.loads(printed("service", "notices", "--clear", "--json"))
     assert (notice["about"], notice["count"]) == ("7kq2", 1) and "retry" in notice["text"]
     assert json.loads(printed("service", "notices", "--json")) == []
+    assert printed("service", "notices").startswith("no notices: nothing has failed")
+    assert printed("service", "failures") == "no submission has jobs that failed\n"
     for words, message in (
         (["service", "retry", "x"], "no submission 'x'"),
         (["season", "disqualify", "spring", "lab"], "no season 'spring'"),

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import re
 import subprocess
 import sys
 import time
@@ -36,6 +37,8 @@ def test_a_season_is_rehearsed(tmp_path: Path, capsys: pytest.CaptureFixture[str
     words += ["--minutes", "4"]  # where others use the machine too
     assert run(words) == 0, capsys.readouterr().err
     lines = capsys.readouterr().out
+    stages = re.findall(r"stage (\d) of 6: ", lines)
+    assert stages == list("123456")
     for text in (
         "trained 4 hidden teams",
         "drew 4 hidden persons from a secret",

@@ -69,6 +69,7 @@ def test_a_command_hides_persons_for_its_owner_alone(
     assert run(words) == 0
     assert "hides 6 persons; keep it secret" in capsys.readouterr().out
     assert folder.stat().st_mode & 0o077 == 0
+    assert (folder / "registry.json").stat().st_mode & 0o777 == 0o600
     registry = load_registry(folder / "registry.json")
     people = hidden_partners(registry, TASK)
     assert [entry.seed for entry in people] == list(range(COUNT, COUNT + 6)), "nobody's public id"

@@ -300,7 +300,7 @@ def test_a_live_robot_is_a_callable(registry: Registry) -> None:
 
 def test_admission_reads_both_formats(registry: Registry, files: dict[str, bytes]) -> None:
     admission = Admission(robot_sizes(registry))
-    assert [admission(files[name], TASK) for name in files] == ["safetensors", "onnx"]
+    assert [admission(files[name], TASK).format for name in files] == ["safetensors", "onnx"]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
 from assistax_board.problems import Problem
+from assistax_board.rules.played import plays_in_words
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
 from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
@@ -51,7 +52,7 @@ async def submit(
     with request.app.state.desk.place(str(principal.submitter), has_file=kind == "file"):
         body = await whole_body(request)
         data = body if body or kind == "file" else None
-        words = {"about": about, "link": link, "citation": citation}
+        words: dict[str, Any] = {"about": about, "link": link, "citation": citation}
         draft = Draft(task, method, request_id, licence, season, kind, data, **words)
         return await hand_in(request, principal, draft)
 
@@ -82,11 +83,12 @@ def limits(request: Request, principal: Submitter) -> Limits:
 def limits_of(request: Request, principal: Principal) -> Limits:
     """Return what a token's owner may still hand in; nothing is spent by asking."""
     state, submitter = request.app.state, str(principal.submitter)
-    queries = state.service.queries
+    queries, catalogue = state.service.queries, state.service.catalogue
     seasons = [
         SeasonLimit(
             *(season.id, season.name, season.task, season.closes_at),
             *(attempts.spent, attempts.reserved, attempts.budget, attempts.left),
+            plays_in_words(season.hidden, catalogue.identity(season.task).get("env_version")),
         )
         for season in queries.seasons()
         if season.state == "open"

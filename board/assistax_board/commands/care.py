@@ -43,7 +43,7 @@ def service_check(
         json: Print JSON.
 
     Example:
-        assistax-zoo service check --data board
+        assistax-zoo service check --data my-board
     """
     from assistax_board.checking import check_service
 
@@ -66,7 +66,7 @@ def service_backup(target: Path, /, *, data: Path) -> None:
         data: Folder of the service.
 
     Example:
-        assistax-zoo service backup board.zip --data board
+        assistax-zoo service backup my-board.zip --data my-board
     """
     from assistax_board.store.backup import back_up
 
@@ -82,7 +82,7 @@ def service_restore(source: Path, /, *, data: Path) -> None:
         data: Folder to make.
 
     Example:
-        assistax-zoo service restore board.zip --data board2
+        assistax-zoo service restore my-board.zip --data my-board2
     """
     from assistax_board.store.backup import restore as restore_backup
 
@@ -98,7 +98,7 @@ def service_erase(submitter: str, /, *, data: Path, database: str | None = None)
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo service erase 'Lab of Ada' --data board
+        assistax-zoo service erase 'Lab of Ada' --data my-board
     """
     from assistax_board.pages.videos import FILMS_FOLDER, erase_robots
     from assistax_board.rules.tokens import submitter_id

@@ -45,7 +45,11 @@ def open_client(url: str | None, token_file: Path | None) -> "Client":
     from assistax_board.client import Client
 
     address = url or os.environ.get(SERVER_VARIABLE) or SERVER
-    token = token_file.read_text().strip() if token_file else os.environ.get(TOKEN_VARIABLE)
+    if token_file is None:
+        token = os.environ.get(TOKEN_VARIABLE)
+        return Client(address, None if token is None else token.strip())
+    if not (token := token_file.read_text().strip()):
+        raise ValueError(f"{token_file} is empty; it holds a token, such as azt_...")
     return Client(address, token)
 
 

@@ -18,9 +18,13 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
         json: Print JSON.
 
     Example:
-        assistax-zoo service failures --data board
+        assistax-zoo service failures --data my-board
     """
-    print_answer([dataclasses.asdict(row) for row in open_folder(data, database).failures()], json)
+    rows = [dataclasses.asdict(row) for row in open_folder(data, database).failures()]
+    if not rows and not json:
+        print("no submission has jobs that failed")
+    else:
+        print_answer(rows, json)
 
 
 def service_retry(
@@ -39,7 +43,7 @@ def service_retry(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo service retry 7kq2mz4a --data board
+        assistax-zoo service retry 7kq2mz4a --data my-board
     """
     open_folder(data, database).retry(submission, extra_attempt=extra_attempt)
 
@@ -56,7 +60,7 @@ def service_notices(
         json: Print JSON.
 
     Example:
-        assistax-zoo service notices --data board
+        assistax-zoo service notices --data my-board
     """
     from assistax_board.store.notices import clear_notices, list_notices
 
@@ -72,7 +76,10 @@ def service_notices(
         }
         for notice in notices
     ]
-    print_answer(rows, json)
+    if not rows and not json:
+        print("no notices: nothing has failed, and no season has closed, since they were cleared")
+    else:
+        print_answer(rows, json)
     if clear and notices:
         clear_notices(service.database, notices[0].last_at)
 
@@ -89,7 +96,7 @@ def season_disqualify(season: str, lab: str, /, *, data: Path, database: str | N
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season disqualify spring 'Lab of Ada' --data board
+        assistax-zoo season disqualify spring 'Lab of Ada' --data my-board
     """
     count = open_folder(data, database).disqualify(season, lab)
     print(f"{counted(count, 'submission')} of {lab} left season {season}")
@@ -107,6 +114,9 @@ def season_extend(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season extend spring --closes 2026-12-15T12:00 --data board
+        assistax-zoo season extend spring --closes 2026-12-15T12:00 --data my-board
     """
-    open_folder(data, database).extend_season(name, seconds_of(closes))
+    at = seconds_of(closes)
+    open_folder(data, database).extend_season(name, at)
+    date = datetime.fromtimestamp(at, UTC)
+    print(f"season {name} now closes by itself at {date:%Y-%m-%d %H:%M} UTC")

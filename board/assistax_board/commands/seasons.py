@@ -1,7 +1,6 @@
 """Seasons, for their organiser."""
 
 import contextlib
-import sys
 import tempfile
 import time
 from datetime import UTC, datetime
@@ -90,15 +89,20 @@ def season_create(
         artefacts: Address, if they are not in the folder.
 
     Example:
-        assistax-zoo season create spring --task scratch --release private --data board
+        assistax-zoo season create spring --task scratch --release private --data my-board
     """
     from assistax_board.rules import seasons
+    from assistax_board.rules.played import hidden_in_words
     from zoo.registry import load_registry
 
     text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")
     plan = seasons.Plan(name, task, budget, text, small)
     service = open_folder(data, database, artefacts)
-    print(service.create_season(plan, release, load_registry()))
+    id = service.create_season(plan, release, load_registry())
+    season = service.queries.season(id)
+    hidden = season.hidden if season else None
+    print(f"season {name} is made, id {id}: it hides {hidden_in_words(hidden)}")
+    print("nobody sees it until you open it: `assistax-zoo season open`")
 
 
 def season_open(
@@ -113,13 +117,14 @@ def season_open(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season open spring --closes 2026-12-01T12:00 --data board
+        assistax-zoo season open spring --closes 2026-12-01T12:00 --data my-board
     """
     service = open_folder(data, database)
-    print(service.open_season(name, seconds_of(closes) if closes else None))
+    root = service.open_season(name, seconds_of(closes) if closes else None)
+    print(f"season {name} is open; announce its Merkle root: {root}")
     opened = service.queries.season(name)
     date = datetime.fromtimestamp(opened.closes_at, UTC) if opened and opened.closes_at else None
-    print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC", file=sys.stderr)
+    print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC")
 
 
 def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
@@ -131,9 +136,10 @@ def season_close(name: str, /, *, data: Path, database: str | None = None) -> No
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo season close spring --data board
+        assistax-zoo season close spring --data my-board
     """
     open_folder(data, database).close_season(name)
+    print(f"season {name} is closing: nothing more is taken, and panel B is played")
 
 
 def season_rehearse(

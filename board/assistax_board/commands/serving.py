@@ -25,7 +25,7 @@ def serve(
 ) -> None:
     """Run the evaluation service: a web server, its data in a folder, and a local worker.
 
-    Prints the organiser's token once, when the folder is new.
+    When the folder is new it makes the organiser's token, and keeps it in `organiser-token` there.
 
     Args:
         data: Folder for the database, the artefacts and the signing key; made if it is new.
@@ -43,13 +43,14 @@ def serve(
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
 
     Example:
-        assistax-zoo serve --data board
+        assistax-zoo serve --data my-board
     """
     from assistax_board import serve as serving
     from assistax_board.work.webhook import check_address, watched
 
     serving.check_proxy(proxy)
     check_address(webhook)
+    serving.check_folder(data)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
@@ -61,8 +62,11 @@ def serve(
             serving.add_references_later(service)
         address = f"http://{host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-        if token := serving.first_token(service):
-            print(f"organiser's token, shown once: {token}", file=sys.stderr, flush=True)
+        kept = data / serving.ORGANISER_TOKEN_FILE
+        if token := serving.first_token(service, data):
+            print(f"organiser's token: {token}", file=sys.stderr, flush=True)
+        if kept.is_file():
+            print(f"the token is in {kept}; `cat {kept}` prints it", file=sys.stderr, flush=True)
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
         local = address.replace("0.0.0.0", "127.0.0.1")
         watching = watched(service, data, webhook)

@@ -141,7 +141,12 @@ def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool
     """
     from assistax_board.submitting import verify_revealed
 
-    print_answer(verify_revealed(open_client(url, None), name, root), json)
+    proof = verify_revealed(open_client(url, None), name, root)
+    if json:
+        print_answer(proof, json)
+    else:
+        partners = f"the {proof['partners']} partners that season {proof['season']} revealed"
+        print(f"proved: {partners} are those of the root with which it opened")
 
 
 def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:

@@ -30,7 +30,7 @@ def token_create(
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo token create submit --submitter 'Lab of Ada' --data board
+        assistax-zoo token create submit --submitter 'Lab of Ada' --data my-board
     """
     from assistax_board.rules.telling import set_webhook
     from assistax_board.work.webhook import check_address, lab_secret
@@ -55,7 +55,7 @@ def token_list(*, data: Path, database: str | None = None, json: bool = False) -
         json: Print JSON.
 
     Example:
-        assistax-zoo token list --data board
+        assistax-zoo token list --data my-board
     """
     from assistax_board.rules.tokens import list_tokens
 
@@ -72,7 +72,7 @@ def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None
         database: URL, if it is not in the folder.
 
     Example:
-        assistax-zoo token revoke 7kq2mz4a --data board
+        assistax-zoo token revoke 7kq2mz4a --data my-board
     """
     from assistax_board.rules.tokens import revoke_token
 

@@ -14,6 +14,8 @@ from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
 from assistax_board.pages.videos import Videos
+from assistax_board.rules.catalogue import public_entries
+from assistax_board.rules.played import in_version
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Submission
 from zoo.registry import Registry
@@ -46,6 +48,12 @@ class Site:
         if task not in self.tasks:
             raise NotFoundError(f"There is no task {task!r}; there are {', '.join(self.tasks)}.")
         return task
+
+    def public_in_words(self, task: str) -> str:
+        """Return what a task's public half is: how many partners, in which version."""
+        entries = public_entries(self.registry, task)
+        version = in_version([self.registry.env_version(entries[0])])
+        return f"{len(entries)} partners of trained teams, {version}"
 
     def crossplay(self, task: str) -> CrossPlay:
         """Return a task's cross-play."""

@@ -1,6 +1,7 @@
 """What may be handed in. The server and `submit --check` at home run this very code."""
 
 import dataclasses
+import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.limited import BusyError, DiedError, OverBudgetError, run_limited
 from assistax_board.robots.robot_cost import MOST, nanoseconds
-from assistax_board.rules.submissions import MAX_BYTES
+from assistax_board.rules.submissions import MAX_BYTES, Admitted
 from population.networks.seat import Seat
 
 SAFETENSORS, ONNX = "safetensors", "onnx"
@@ -26,6 +27,7 @@ class Robot:
     format: str
     spec: Seat  # of a network of ours, or of an ONNX graph
     params: dict[str, Any]  # without a stacked axis
+    env_version: int | None = None  # in which it was trained, as its file says
 
 
 class Admission:
@@ -35,8 +37,8 @@ class Admission:
         """Prepare to admit; `sizes` are a robot's observations and actions by task."""
         self._sizes = sizes
 
-    def __call__(self, data: bytes, task: str) -> str:
-        """Return the format of a robot's file; it is read in a process of its own.
+    def __call__(self, data: bytes, task: str) -> Admitted:
+        """Return what a robot's file is; it is read in a process of its own.
 
         Raises:
             Refusal: It cannot be scored, and why.
@@ -56,7 +58,7 @@ class Admission:
             raise Problem("unavailable", "the server is busy; try again soon") from None
         if refusal := answer.get("refusal"):
             raise Refusal(*refusal)
-        return answer["format"]
+        return Admitted(**answer)
 
     def read(self, data: bytes, task: str) -> Robot:
         """Return the robot in a file.
@@ -85,7 +87,8 @@ def _admit(sizes: dict[str, tuple[int, int]], data: bytes, task: str) -> dict[st
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_compilation_cache_dir", None)  # strangers' programs are not kept
     try:
-        return {"format": Admission(sizes).read(data, task).format}
+        robot = Admission(sizes).read(data, task)
+        return {"format": robot.format, "env_version": robot.env_version}
     except Refusal as refusal:
         return {"refusal": (refusal.code, refusal.detail[:300])}
     except MemoryError:
@@ -117,6 +120,7 @@ def is_onnx(data: bytes) -> bool:
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
     from assistax_base.errors import ZooError
     from population.networks.tensors import flatten
+    from zoo.met.claims import claimed_version
     from zoo.parameters.encoding import check_params
     from zoo.parameters.storage import read_policy_file
 
@@ -124,7 +128,7 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
         path = Path(folder) / "robot.safetensors"
         path.write_bytes(data)
         try:
-            spec, params, _ = read_policy_file(path)
+            spec, params, metadata = read_policy_file(path)
         except (ZooError, ValueError, TypeError) as error:
             raise Refusal("malformed", str(error)[:300]) from None
     if spec.role != "robot":
@@ -137,17 +141,23 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
         check_params(spec, flatten(params), "this file")
     except (ZooError, ValueError, TypeError) as error:
         raise Refusal("wrong_parameters", str(error)[:300]) from None
-    return Robot(SAFETENSORS, spec, params)
+    return Robot(SAFETENSORS, spec, params, claimed_version(metadata))
 
 
 def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
     from evaluation.cast.onnx_robots.admission import admit_onnx
-    from evaluation.cast.onnx_robots.ego import UntrustedModelError
+    from evaluation.cast.onnx_robots.ego import UntrustedModelError, read_metadata
+    from zoo.met.claims import claimed_version
 
     try:
-        return Robot(ONNX, *admit_onnx(data, observation_size, action_size))
+        spec, params = admit_onnx(data, observation_size, action_size)
     except UntrustedModelError as error:
         raise Refusal(error.code, str(error)) from None
+    try:
+        said = json.loads(read_metadata(data) or "{}")
+    except (ValueError, RecursionError):  # of others, in a form of their own
+        said = {}
+    return Robot(ONNX, spec, params, claimed_version(said) if isinstance(said, dict) else None)
 
 
 def _check_cost(robot: Robot) -> None:

@@ -36,6 +36,14 @@ def version_id(identity: dict[str, Any]) -> str:
     return json_sha256(identity)
 
 
+def public_entries(registry: Any, task: str) -> list[Any]:
+    """Return the public test partners: one spec after another compiles least."""
+    split = registry.split(task)
+    humans = registry.of_task(task, "human")
+    chosen = [entry for entry in humans if split.side(entry.team) == "test"]
+    return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
+
+
 def panel_episodes(task: str, panel: str) -> int:
     """Return how many episodes each partner of a panel plays: all its wishes equally often."""
     from evaluation.play.how import default_episodes
@@ -63,7 +71,7 @@ class ZooCatalogue:
 
     @functools.cache  # noqa: B019
     def public_panel(self, task: str) -> tuple[str, ...]:
-        """Return the ids of the public test partners: one spec after another compiles least."""
+        """Return the ids of the public test partners."""
         return tuple(entry.id for entry in self._entries(task))
 
     @functools.cache  # noqa: B019
@@ -119,7 +127,4 @@ class ZooCatalogue:
         return methods | {ego.team.partition("/")[2]: f"{ego.algorithm} ego" for ego in egos}
 
     def _entries(self, task: str) -> list[Any]:
-        split = self._registry.split(task)
-        humans = self._registry.of_task(task, "human")
-        chosen = [entry for entry in humans if split.side(entry.team) == "test"]
-        return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
+        return public_entries(self._registry, task)

@@ -19,6 +19,7 @@ from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
+from assistax_board.rules.played import describe_hidden
 from assistax_board.rules.release_pack import (
     check_program,
     hidden_partners,
@@ -41,7 +42,8 @@ OPEN_SECONDS = 90 * 86_400.0  # of a season whose closing date is not given
 MAX_OPEN_SECONDS = 3 * 366 * 86_400.0
 ENOUGH_IN_B = 60  # partners, so that panel B's interval is narrow enough to name a winner
 DEFAULT_RULES = (
-    "One lab, one name. Train on public partners as you like. Scores on panel A are shown when "
+    "One lab, one name. Train on public partners as you like: the public half may be trained with. "
+    "Scores on panel A are shown when "
     "they beat your last shown one beyond chance; panel B decides, once, when the season closes. "
     "Files are kept for the season and used for scoring alone, unless their licence says more."
 )
@@ -97,6 +99,7 @@ def create_season(
         "release": artefacts.put(packed),
         "secret": {"leaves": leaves},
         "panel_sizes": sizes,
+        "hidden": describe_hidden(private, entries),
         "created_at": now,
     }
     with database.write() as connection:
@@ -149,7 +152,9 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
         raise Problem("not_found", f"no season {name!r}")
     if row.state != "closed":
         raise Problem(
-            "too_late", f"season {row.name} is {row.state}; it is revealed when it closed"
+            "too_late",
+            f"season {row.name} is {row.state}; its partners are revealed, and can be verified, "
+            "when it has closed",
         )
     statement = {"season": row.id, "name": row.name, "task": row.task, "root": row.root}
     return {**statement, "release": row.release, "leaves": row.secret["leaves"]}

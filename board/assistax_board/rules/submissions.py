@@ -11,7 +11,7 @@ Everything that happens at once to a submission happens in one transaction, with
 
 import dataclasses
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -19,6 +19,7 @@ from assistax_board.ids import new_id
 from assistax_board.problems import Problem, Refusal
 from assistax_board.rules import jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
+from assistax_board.rules.played import warning_of
 from assistax_board.rules.scoring import cut
 from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
@@ -34,6 +35,13 @@ LICENCES = ("Apache-2.0", "MIT", "BSD-3-Clause", "CC-BY-4.0", "CC0-1.0", "evalua
 DESCRIPTION = {"about": 600, "link": 200, "citation": 1000}
 
 
+class Admitted(NamedTuple):
+    """What admission found in a file."""
+
+    format: str
+    env_version: int | None = None  # in which its robot was trained, as it says
+
+
 @dataclasses.dataclass(frozen=True)
 class Draft:
     """A submission as it was handed in."""
@@ -47,6 +55,7 @@ class Draft:
     data: bytes | None = None  # of a file alone
     format: str | None = None  # as admission found it; of a reference its name
     refusal: str | None = None  # as admission found it
+    env_version: int | None = None  # in which it was trained, as its file says
     about: str | None = None  # what the submitter says of the method, on its page
     link: str | None = None
     citation: str | None = None
@@ -118,7 +127,9 @@ def submit(
             _check_budget(connection, season, submitter)
         if kept is not None and draft.data is not None:
             record_artefact(connection, kept, len(draft.data), now)
+        public = catalogue.identity(draft.task).get("env_version")
         row = _row(connection, submitter, draft, kept, now)
+        row["warning"] = warning_of(draft.env_version, public, season)
         connection.execute(sa.insert(schema.submissions).values(row))
         if draft.refusal is None:
             plan_jobs(connection, catalogue, row, season, now)
@@ -316,6 +327,6 @@ def admitted(admit: Any, draft: Draft) -> Draft:
     if draft.data is None:
         return draft
     try:
-        return dataclasses.replace(draft, format=admit(draft.data, draft.task))
+        return dataclasses.replace(draft, **admit(draft.data, draft.task)._asdict())
     except Refusal as refusal:
         return dataclasses.replace(draft, refusal=refusal.code)

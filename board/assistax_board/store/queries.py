@@ -10,6 +10,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from assistax_board.rules.played import NOT_PEOPLE
 from assistax_board.store import schema
 from assistax_board.store.database import Database
 from assistax_board.store.queue import Queue
@@ -36,8 +37,8 @@ from assistax_board.store.shown import (
 )
 
 STATEMENT = (
-    "The partners are trained policies in simulation. They are not validated models of people: "
-    "a place on this board says nothing about safety or benefit for a person."
+    "The partners are simulated: trained policies, and in some seasons persons made of numbers. "
+    f"{NOT_PEOPLE}"
 )
 
 

@@ -61,6 +61,7 @@ class Queue:
             about=row.about,
             link=row.link,
             citation=row.citation,
+            warning=row.warning,
         )
 
     def _left(self, submission: str) -> int:

@@ -72,6 +72,7 @@ seasons = sa.Table(
     sa.Column("opened_at", sa.Float),
     sa.Column("closes_at", sa.Float),  # announced; then it closes by itself
     sa.Column("closed_at", sa.Float),
+    sa.Column("hidden", sa.JSON),  # how many partners of which kind: see `rules.played`
 )
 
 submissions = sa.Table(
@@ -97,6 +98,7 @@ submissions = sa.Table(
     sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
     *(sa.Column(name, sa.Text) for name in ("about", "link", "citation")),  # of its method
     sa.Column("told_at", sa.Float),  # when its lab's webhook was told of the end
+    sa.Column("warning", sa.Text),  # of another environment version
     sa.UniqueConstraint("submitter", "request"),
 )
 sa.Index("ix_submissions_state", submissions.c.state)

@@ -32,6 +32,7 @@ class Submission:
     about: str | None  # what its submitter says of the method
     link: str | None
     citation: str | None
+    warning: str | None  # it was trained in another environment version than it plays
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Season:
     rules: str
     root: str | None
     panel_sizes: dict[str, int]
+    hidden: dict[str, Any] | None  # how many partners of which kind, in which versions
     opened_at: float | None
     closes_at: float | None  # by itself
     closed_at: float | None
@@ -105,6 +107,7 @@ class SeasonLimit:
     reserved: int  # of submissions that are under way
     budget: int
     left: int
+    plays: str  # what is hidden, and in which version it and the public half are played
 
 
 @dataclasses.dataclass(frozen=True)

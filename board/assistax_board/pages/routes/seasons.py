@@ -13,7 +13,8 @@ from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.store.shown import PartnerScore, Score, Submission
+from assistax_board.rules.played import hidden_in_words, statement_of
+from assistax_board.store.shown import PartnerScore, Score, Season, Submission
 
 _ENTRIES = 200  # of the ledger on one page
 LAST_ENTRY = 2**31 - 1  # that a database counts to
@@ -84,8 +85,11 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     receipt = site.queries.receipt(submission.id)
     partners = site.queries.partner_scores([submission.id], versions[0]) if versions else []
     means = [_mean(partner) for partner in partners]
+    season = site.queries.season(submission.season) if submission.season else None
     return {
         "submission": submission,
+        "season": season,
+        "played": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
@@ -116,6 +120,8 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
     drawn = [row for row, entry in rows if not entry.is_reference] or [row for row, _ in rows]
     return {
         "season": season,
+        "statement": statement_of(season.hidden),
+        "played": played_rows(site, season.task, season),
         "now": time.time(),
         "attempts": {row.submitter: row for row in site.queries.attempts(season.id)},
         "entered": _entered(site, season.id),
@@ -126,6 +132,12 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
         "axis": axis_over(end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)),
         "is_gentle": any(entry.violations is not None for _, entry in rows),
     }
+
+
+def played_rows(site: Site, task: str, season: Season | None) -> list[tuple[str, str]]:
+    """Return what is played, as rows of name and value: the public half, and what is hidden."""
+    rows = [("public half", site.public_in_words(task))]
+    return rows if season is None else [*rows, ("hidden", hidden_in_words(season.hidden))]
 
 
 def _entered(site: Site, season: str) -> dict[str, list[Submission]]:

@@ -1,0 +1,95 @@
+"""What a season plays, in words: labs must know what to train for, and readers who is no network.
+
+How many of which kind are hidden is public; who they are is not.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from zoo.registry import Registry
+    from zoo.schema import PolicyEntry
+
+NOT_PEOPLE = (
+    "They are not validated models of people: a place on this board says nothing about safety or "
+    "benefit for a person."
+)
+TRAINED = "trained policies"
+PERSONS = "persons made of numbers, who were trained with no robot"
+
+
+def describe_hidden(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
+    """Return what is told of hidden partners: how many of which kind, in which version."""
+    from zoo.ids import OWN
+
+    def count(persons: bool) -> dict[str, int]:
+        kinds = Counter(e.algorithm for e in entries if (e.disability == OWN) is persons)
+        return dict(sorted(kinds.items()))
+
+    versions = {registry.env_version(entry) for entry in entries}
+    return {"env_versions": sorted(versions), "persons": count(True), "teams": count(False)}
+
+
+def hidden_in_words(hidden: Mapping[str, Any] | None) -> str:
+    """Return what is hidden, such as "200 persons (100 muscle, 100 spring), environment version 3".
+
+    A season that was made before this was recorded says so.
+    """
+    if not hidden:
+        return "kinds not recorded"
+    names = {"persons": "persons", "teams": "partners of trained teams"}
+    parts = [
+        f"{sum(hidden[kind].values())} {name} "
+        f"({', '.join(f'{count} {what}' for what, count in hidden[kind].items())})"
+        for kind, name in names.items()
+        if hidden[kind]
+    ]
+    return f"{' and '.join(parts)}, {in_version(hidden['env_versions'])}"
+
+
+def plays_in_words(hidden: Mapping[str, Any] | None, public: int | None) -> str:
+    """Return what a season plays in one line."""
+    versions = [] if public is None else [public]
+    return f"public half: {in_version(versions)}; hidden: {hidden_in_words(hidden)}"
+
+
+def in_version(versions: Sequence[int]) -> str:
+    """Return versions of the environment in words."""
+    numbers = " and ".join(map(str, versions)) or "not known"
+    return f"environment version{'s' if len(versions) > 1 else ''} {numbers}"
+
+
+def statement_of(hidden: Mapping[str, Any] | None) -> str:
+    """Return what the partners of a season are, and are not."""
+    if not hidden:
+        who = "Partners are simulated."
+    elif hidden["teams"] and hidden["persons"]:
+        who = f"Public partners are {TRAINED} in simulation, hidden ones {TRAINED} and {PERSONS}."
+    elif hidden["persons"]:
+        who = f"Public partners are {TRAINED} in simulation, hidden ones {PERSONS}."
+    else:
+        who = f"The partners are {TRAINED} in simulation."
+    return f"{who} {NOT_PEOPLE}"
+
+
+def warning_of(said: int | None, public: int | None, season: Any | None) -> str | None:
+    """Return a warning for a robot that was trained in another version than one that is played.
+
+    Args:
+        said: The version that the robot's file says, if it says any.
+        public: The version of the public half.
+        season: Row of its season, if it takes part in one.
+    """
+    played = {"the public half": [] if public is None else [public]}
+    if season is not None and season.hidden:
+        played[f"the hidden panels of season {season.name}"] = season.hidden["env_versions"]
+    others = [
+        f"{what} in {in_version(versions)}"
+        for what, versions in played.items()
+        if said is not None and set(versions) - {said}
+    ]
+    if not others:
+        return None
+    plays = " and ".join(others)
+    return f"its file says that it was trained in {in_version([said or 0])}; it plays {plays}"

@@ -1,0 +1,147 @@
+"""Labs and readers are told what is played: of which kind, in which environment version."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from assistax_board.app import create_app
+from assistax_board.client import Client
+from assistax_board.robots.admission import Admission
+from assistax_board.rules.played import (
+    describe_hidden,
+    hidden_in_words,
+    plays_in_words,
+    statement_of,
+    warning_of,
+)
+from assistax_board.rules.release_pack import add_persons, hidden_partners
+from assistax_board.rules.submissions import Admitted
+from assistax_board.submitting import hand_in, limits_for_reader
+from population.networks.onnx_export import to_onnx
+from tests.board.fakes import TASK, FakeCatalogue, draft, new_service, new_submitter
+from tests.board.test_season import open_season
+from tests.board.test_season_persons import TASK as GENTLE
+from tests.board.test_season_persons import season_of
+from tests.untrained import ROBOT, params_of, published, teams_of
+from zoo.parameters.storage import policy_bytes, write_policy_file
+from zoo.registry import load_registry
+
+PERSONS = {"env_versions": [3], "persons": {"muscle": 4, "spring": 4}, "teams": {}}
+TEAMS = {"env_versions": [2], "persons": {}, "teams": {"ippo": 60}}
+BOTH = PERSONS | {"teams": {"ippo": 2}}
+
+
+def test_a_season_of_persons_says_so_everywhere(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    season_of(service, tmp_path / "private")
+    [season] = service.queries.seasons()
+    assert season.hidden == PERSONS
+    with TestClient(create_app(service)) as http:
+        page = http.get("/seasons/spring").text
+        token = service.create_token(("submit",), submitter="lab")
+        limits = limits_for_reader(Client("http://testserver", token, transport=http).limits())
+        assert http.get("/api/seasons/spring").json()["hidden"] == PERSONS
+    words = "8 persons (4 muscle, 4 spring), environment version 3"
+    assert words in page and words in limits["season spring"]
+    public = load_registry()
+    entries = [e for e in public.of_task(GENTLE, "human") if _is_test(public, e)]
+    version = public.env_version(entries[0])
+    assert f"{len(entries)} partners of trained teams, environment version {version}" in page
+    assert "hidden ones persons made of numbers" in page
+    assert "The partners are trained policies" not in page
+
+
+def _is_test(registry: Any, entry: Any) -> bool:
+    return registry.split(GENTLE).side(entry.team) == "test"
+
+
+def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
+    published(teams_of(2, task=GENTLE), tmp_path)
+    add_persons(tmp_path, GENTLE, 6)
+    registry = load_registry(tmp_path / "registry.json")
+    told = describe_hidden(registry, hidden_partners(registry, GENTLE))
+    assert told == {
+        "env_versions": [3],
+        "persons": {"muscle": 3, "spring": 3},
+        "teams": {"ippo": 4},
+    }
+
+
+@pytest.mark.parametrize(
+    ("hidden", "words", "said"),
+    [
+        (PERSONS, "8 persons (4 muscle, 4 spring), environment version 3", "hidden ones persons"),
+        (
+            TEAMS,
+            "60 partners of trained teams (60 ippo), environment version 2",
+            "The partners are",
+        ),
+        (
+            BOTH,
+            "(4 muscle, 4 spring) and 2 partners of trained",
+            "hidden ones trained policies and",
+        ),
+        (None, "kinds not recorded", "Partners are simulated."),
+    ],
+)
+def test_kinds_in_words(hidden: Any, words: str, said: str) -> None:
+    assert words in hidden_in_words(hidden)
+    assert plays_in_words(hidden, 2).startswith("public half: environment version 2; hidden: ")
+    assert said in statement_of(hidden)
+    assert "not validated models of people" in statement_of(hidden)
+
+
+class Row:
+    name, hidden = "spring", PERSONS
+
+
+def test_a_warning_names_each_other_version() -> None:
+    assert warning_of(None, 2, Row) is None, "a file that says nothing"
+    assert warning_of(3, 3, Row) is None
+    public = "its file says that it was trained in environment version 3; it plays the public half"
+    assert warning_of(3, 2, Row) == f"{public} in environment version 2"
+    hidden = "the hidden panels of season spring in environment version 3"
+    assert str(warning_of(2, 2, Row)).endswith(f"it plays {hidden}")
+    assert str(warning_of(1, 2, Row)).endswith(f"version 2 and {hidden}")
+
+
+class Catalogue(FakeCatalogue):
+    def identity(self, task: str) -> dict[str, Any]:
+        return {**super().identity(task), "env_version": 3}
+
+
+def test_a_robot_of_another_version_is_warned_about(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service = new_service(tmp_path)
+    object.__setattr__(service, "catalogue", Catalogue())
+    object.__setattr__(service, "admit", lambda data, task: Admitted("fake", 2))
+    path = tmp_path / "robot"
+    path.with_suffix(".onnx").write_bytes(b"robot 1.0")
+    with TestClient(create_app(service)) as http:
+        token = service.create_token(("submit",), submitter="lab")
+        client = Client("http://testserver", token, transport=http)
+        fields = {"task": TASK, "method": "mine"}
+        told = hand_in(client, path.with_suffix(".onnx"), None, fields, watch=False)
+        warning = "it was trained in environment version 2; it plays the public half in"
+        assert warning in told["warning"]
+        assert f"warning: {told['warning']}" in capsys.readouterr().err
+        assert warning in http.get(f"/submissions/{told['id']}").text
+    object.__setattr__(service, "admit", lambda data, task: Admitted("fake", 3))
+    season = open_season(service)
+    id = service.submit(new_submitter(service), draft(season=season, request="another"))
+    submission = service.queries.submission(id)
+    assert submission is not None and submission.warning is None
+
+
+def test_admission_reads_the_version_that_a_file_says(tmp_path: Path) -> None:
+    sizes = {TASK: (ROBOT.observation_size, ROBOT.action_size)}
+    admission, params = Admission(sizes), params_of(ROBOT, 1)
+    for said, version in (({"env_version": 2}, 2), ({}, None), ({"env_version": "x"}, None)):
+        file = tmp_path / "robot.safetensors"
+        write_policy_file(file, ROBOT, params, said)
+        for data in (file.read_bytes(), to_onnx(ROBOT, params, said)):
+            assert admission.read(data, TASK).env_version == version
+    assert admission(policy_bytes(ROBOT, params, {"env_version": 2}), TASK).env_version == 2
