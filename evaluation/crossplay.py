@@ -101,11 +101,21 @@ def cross_play(
 def _split(
     registry: Registry, task: str, humans: Sequence[PolicyEntry], release: str | None
 ) -> Split | None:
-    """Return the default split of the humans' release; None of a population without one."""
+    """Return the default split of the humans' release; None of a population without one.
+
+    Humans of several releases have that of the task's, or of the one that was asked for.
+    """
+    releases = {human.release for human in humans}
+    if len(releases) == 1:
+        return _default_split(registry, task, releases.pop())
     zoos = {split_namespace(human.release)[0] for human in humans}
     namespace = zoos.pop() if len(zoos) == 1 else ""
+    return _default_split(registry, task, release_in(registry, task, release, namespace))
+
+
+def _default_split(registry: Registry, task: str, release: str) -> Split | None:
     try:
-        return registry.split(task, release=release_in(registry, task, release, namespace))
+        return registry.split(task, release=release)
     except SplitError:
         return None
 

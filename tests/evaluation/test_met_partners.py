@@ -15,6 +15,7 @@ from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_workshop.press.publish import publish
 from evaluation.cast.egos import EgoError, read_egos
 from evaluation.cast.met_partners import MetSummary, declare, met_partners
+from evaluation.crossplay import cast_population
 from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
 from population.runs.trained import TrainedTeam
@@ -315,6 +316,15 @@ def test_a_crossplay_says_whom_its_egos_met(registry: Registry) -> None:
         [EGO], [team], task=TASK, episodes=1, backend="native", zoo=registry.path, progress=False
     )
     assert any("frozen partners of an ego" in note and team in note for note in matrix.notes)
+
+
+@pytest.mark.parametrize("release", ["v2", "v3"])
+def test_a_crossplay_has_the_split_of_its_humans_release(release: str) -> None:
+    """Though another release is the task's default: the caption of a figure names the split."""
+    official = load_registry(Path(__file__).parents[2] / "registry.json")
+    team = f"gentle_scratch/ippo-d1-s0-{release}"
+    cast = cast_population(official, "gentle_scratch", f"{team}/robot", f"{team}/human")
+    assert cast.split == official.split("gentle_scratch", release=release)
 
 
 def test_a_board_measures_by_no_ego_that_met_its_panel(registry: Registry) -> None:
