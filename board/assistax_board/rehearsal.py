@@ -32,14 +32,6 @@ from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_envs.preferences import preferences_of
 
 SEASON = "rehearsal"
-STAGES = (
-    "train hidden teams",
-    "open a season and hand robots in",
-    "upgrade the server",
-    "wait for the closing date",
-    "kill the server while it closes, and play panel B",
-    "reveal, prove, check, back up",
-)
 LIMIT_SECONDS = 1800.0  # for any one thing to happen
 TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [8, 8]}
 PERSONS = 4  # hidden, where the task has any
@@ -80,7 +72,7 @@ def rehearse(stage: Stage) -> Iterator[str]:
     """
     from zoo.registry import load_registry
 
-    yield _stage(1)
+    yield "stage 1 of 6: train hidden teams"
     count = train_hidden(stage)
     yield f"trained {count} hidden teams from a secret plan: {stage.private}"
     if preferences_of(stage.task):
@@ -96,34 +88,30 @@ def rehearse(stage: Stage) -> Iterator[str]:
             return stack.enter_context(contextlib.closing(made))
 
         yield f"a server with a worker answers at {server.address}, on {stage.older}"
-        yield _stage(2)
+        yield "stage 2 of 6: open a season and hand robots in"
         root = service.open_season(SEASON, service.clock() + stage.open_seconds)
         yield f"season {SEASON} is open for {stage.open_seconds:.0f} s; its root is {root}"
         submitted: list[tuple[Client, str]] = []
         for line, lab, id in hand_in(stage, service, client):
             submitted.append((lab, id))
             yield line
-        yield _stage(3)
+        yield "stage 3 of 6: upgrade the server"
         yield from upgrade(stage, service, server, *submitted[0])
         submitted.append(connect_live(stage, service, client))
         yield f"a live robot plays as {submitted[-1][1]}: it meets public partners alone"
-        yield _stage(4)
+        yield "stage 4 of 6: wait for the closing date"
         visitor, closes_at = client(), closing_date(service)
         wait("the season closes at its date", lambda: state_of(visitor) in ("closing", "closed"))
         if service.clock() < closes_at:
             raise ValueError("the season closed before its date")
         yield "the closing date came: nothing more is taken, panel B is played"
-        yield _stage(5)
+        yield "stage 5 of 6: kill the server while it closes, and play panel B"
         yield from kill(stage, service, server)
         yield from scores_of(submitted)
         wait("everything is revealed", lambda: state_of(visitor) == "closed")
-        yield _stage(6)
+        yield "stage 6 of 6: reveal, prove, check, back up"
         yield from check(stage, service, visitor, season, root)
     yield "the server has stopped, and its workers with it"
-
-
-def _stage(number: int) -> str:
-    return f"stage {number} of {len(STAGES)}: {STAGES[number - 1]}"
 
 
 def train_hidden(stage: Stage) -> int:
@@ -166,10 +154,8 @@ class Server:
         Raises:
             ValueError: It ended instead.
         """
-        registry, began = (
-            self._stage.registry,
-            self._log.stat().st_size if self._log.exists() else 0,
-        )
+        registry = self._stage.registry
+        began = self._log.stat().st_size if self._log.exists() else 0
         words = ["serve", "--data", str(self._stage.data), "--port", str(self._port)]
         words += ["--backend", backend, "--no-references"]
         words += ["--registry", str(registry)] if registry else []

@@ -21,9 +21,9 @@ from assistax_board.rules.catalogue import (
     panel_episodes,
     version_id,
 )
-from assistax_board.rules.played import warning_of
 from assistax_board.rules.scoring import Work, cut
 from assistax_board.rules.submissions import MAX_BYTES
+from assistax_board.store.played import warning_of
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of

@@ -18,8 +18,9 @@ from starlette.testclient import TestClient
 from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.commands.opening import open_client
+from assistax_board.folder import check_folder
 from assistax_board.problems import Problem
-from assistax_board.serve import check_folder, open_service
+from assistax_board.serve import open_service
 from assistax_board.store.schema import JOB
 from assistax_board.submitting import for_reader
 from assistax_zoo.shell.main import run
@@ -191,7 +192,7 @@ def test_no_service_is_made_beside_other_files(
     before = tmp_path.stat().st_mode
     assert run(["serve", "--data", str(tmp_path), "--port", "0"]) == 1
     error = capsys.readouterr().err
-    assert "(pyproject.toml)" in error and "--data my-board" in error
+    assert "(pyproject.toml)" in error and "such as my-board" in error
     assert [path.name for path in tmp_path.iterdir()] == ["pyproject.toml"]
     assert tmp_path.stat().st_mode == before
 

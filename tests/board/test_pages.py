@@ -27,8 +27,8 @@ from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.routes import films as film_routes
 from assistax_board.pages.security import FIELD
 from assistax_board.pages.videos import Pair, Videos, run_command
-from assistax_board.rules.played import statement_of
 from assistax_board.store import schema
+from assistax_board.store.played import statement_of
 from assistax_board.store.queries import STATEMENT
 from assistax_board.store.schema import SCORE
 from assistax_envs.persons.rows import described_numbers, person

@@ -9,15 +9,15 @@ from starlette.testclient import TestClient
 from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.robots.admission import Admission
-from assistax_board.rules.played import (
+from assistax_board.rules.release_pack import add_persons, hidden_partners
+from assistax_board.rules.submissions import Admitted
+from assistax_board.store.played import (
     describe_hidden,
     hidden_in_words,
     plays_in_words,
     statement_of,
     warning_of,
 )
-from assistax_board.rules.release_pack import add_persons, hidden_partners
-from assistax_board.rules.submissions import Admitted
 from assistax_board.submitting import hand_in, limits_for_reader
 from population.networks.onnx_export import to_onnx
 from tests.board.fakes import TASK, FakeCatalogue, draft, new_service, new_submitter

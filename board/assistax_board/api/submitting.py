@@ -9,9 +9,9 @@ from starlette.concurrency import run_in_threadpool
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
 from assistax_board.problems import Problem
-from assistax_board.rules.played import plays_in_words
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
+from assistax_board.store.played import plays_in_words
 from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)

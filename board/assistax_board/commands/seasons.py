@@ -92,7 +92,7 @@ def season_create(
         assistax-zoo season create spring --task scratch --release private --data my-board
     """
     from assistax_board.rules import seasons
-    from assistax_board.rules.played import hidden_in_words
+    from assistax_board.store.played import hidden_in_words
     from zoo.registry import load_registry
 
     text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")

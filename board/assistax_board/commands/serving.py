@@ -36,8 +36,7 @@ def serve(
         artefacts: Address of a store instead of the folder, such as s3://bucket/path.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
-        references: Play zero and random actions, scripts, published egos and the partners' own
-            robots when no submission waits: the rows to compare with.
+        references: Play rows to compare with, such as scripts, when no submission waits.
         proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
             where a request comes from; default nobody's.
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
@@ -45,34 +44,31 @@ def serve(
     Example:
         assistax-zoo serve --data my-board
     """
+    from assistax_board import folder
     from assistax_board import serve as serving
     from assistax_board.work.webhook import check_address, watched
 
     serving.check_proxy(proxy)
     check_address(webhook)
-    serving.check_folder(data)
+    folder.check_folder(data)
     with serving.stopped_by_signals():
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
         )
         port = serving.free_port(host, port)
-        own = serving.worker_token(service, data) if workers else ""
+        own = folder.worker_token(service, data) if workers else ""
         service.adopt_version()
         if references:
             serving.add_references_later(service)
         address = f"http://{host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-        kept = data / serving.ORGANISER_TOKEN_FILE
-        if token := serving.first_token(service, data):
-            print(f"organiser's token: {token}", file=sys.stderr, flush=True)
-        if kept.is_file():
-            print(f"the token is in {kept}; `cat {kept}` prints it", file=sys.stderr, flush=True)
+        print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
         local = address.replace("0.0.0.0", "127.0.0.1")
-        watching = watched(service, data, webhook)
-        with watching, serving.local_workers(workers, local, own, options) as stop_workers:
-            folders = serving.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, proxy, **folders)
+        playing = serving.local_workers(workers, local, own, options)
+        with watched(service, data, webhook), playing as stop_workers:
+            pages = folder.page_folders(data, registry)
+            serving.run_server(service, host, port, stop_workers, proxy, **pages)
 
 
 def worker(

@@ -15,7 +15,7 @@ from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
 from assistax_board.pages.videos import Videos
 from assistax_board.rules.catalogue import public_entries
-from assistax_board.rules.played import in_version
+from assistax_board.store.played import in_version
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Submission
 from zoo.registry import Registry

@@ -19,7 +19,6 @@ from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
-from assistax_board.rules.played import describe_hidden
 from assistax_board.rules.release_pack import (
     check_program,
     hidden_partners,
@@ -32,6 +31,7 @@ from assistax_board.rules.release_pack import (
 from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database
+from assistax_board.store.played import describe_hidden
 from assistax_board.store.schema import SEASON
 
 if TYPE_CHECKING:

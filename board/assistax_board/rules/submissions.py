@@ -19,11 +19,11 @@ from assistax_board.ids import new_id
 from assistax_board.problems import Problem, Refusal
 from assistax_board.rules import jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
-from assistax_board.rules.played import warning_of
 from assistax_board.rules.scoring import cut
 from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, insert_once
+from assistax_board.store.played import warning_of
 from assistax_board.store.schema import JOB, SEASON, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from assistax_board.rules.played import NOT_PEOPLE
 from assistax_board.store import schema
 from assistax_board.store.database import Database
+from assistax_board.store.played import NOT_PEOPLE
 from assistax_board.store.queue import Queue
 from assistax_board.store.schema import (
     ARTEFACT,

@@ -72,7 +72,7 @@ seasons = sa.Table(
     sa.Column("opened_at", sa.Float),
     sa.Column("closes_at", sa.Float),  # announced; then it closes by itself
     sa.Column("closed_at", sa.Float),
-    sa.Column("hidden", sa.JSON),  # how many partners of which kind: see `rules.played`
+    sa.Column("hidden", sa.JSON),  # how many partners of which kind: see `played`
 )
 
 submissions = sa.Table(

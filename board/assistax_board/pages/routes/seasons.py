@@ -13,7 +13,7 @@ from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.rules.played import hidden_in_words, statement_of
+from assistax_board.store.played import hidden_in_words, statement_of
 from assistax_board.store.shown import PartnerScore, Score, Season, Submission
 
 _ENTRIES = 200  # of the ledger on one page

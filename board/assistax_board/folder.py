@@ -1,0 +1,83 @@
+"""A service's folder: what lies in it, and the tokens that it keeps.
+
+DIR/service.db      SQLite, if no other database is given
+DIR/artefacts/      robots, results and private releases by sha256, if no store is given
+DIR/signing-key.pem
+DIR/films/          of pairs of published policies, made when a reader asks
+DIR/crossplays/     a finished cross-play for each task, if the organiser puts them there
+DIR/organiser-token the organiser's, made with the folder; only the owner can read it
+DIR/worker-token    of the local workers; so is this
+DIR/webhook-secret  of the organiser's notices
+"""
+
+import contextlib
+import os
+from pathlib import Path
+
+from assistax_base.errors import listing
+from assistax_board.pages.videos import FILMS_FOLDER
+from assistax_board.rules import tokens
+from assistax_board.service import Service
+from assistax_board.store.artefacts import ARTEFACTS_FOLDER
+from assistax_board.store.database import DATABASE_FILE
+from assistax_board.store.receipts import KEY_FILE
+from assistax_board.work.webhook import SECRET_FILE
+
+WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE = "worker-token", "organiser-token"
+
+
+def check_folder(data: Path) -> None:
+    """Refuse to make a service in a folder that holds something else, such as a checkout's `board`.
+
+    Raises:
+        ValueError: It holds other files than a service's, and no service.
+    """
+    own = (DATABASE_FILE, ARTEFACTS_FOLDER, KEY_FILE, FILMS_FOLDER, "crossplays", SECRET_FILE)
+    own += (WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE)
+    if not data.exists() or (data / KEY_FILE).exists():
+        return
+    if not data.is_dir():
+        raise ValueError(f"{data} is a file; name a new folder, such as my-board")
+    found = sorted(path.name for path in data.iterdir())
+    if other := [name for name in found if not name.startswith((".", *own))]:
+        raise ValueError(
+            f"{data} holds files that are not a service's ({listing(other)}), and keys would lie "
+            "beside them; name a new folder, such as my-board"
+        )
+
+
+def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
+    """Return where pages find partners, their cross-plays, and films: see `pages.add_pages`."""
+    played = data / "crossplays"
+    crossplays = played if played.is_dir() else None
+    return {"films": data / FILMS_FOLDER, "registry": registry, "crossplays": crossplays}
+
+
+def about_token(service: Service, data: Path) -> list[str]:
+    """Return lines about the organiser's token, which is made if this service never had one."""
+    path, lines = data / ORGANISER_TOKEN_FILE, []
+    if not any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
+        token = service.create_token(("organise", "submit"), label="first", submitter="organiser")
+        _keep(token, path)
+        lines = [f"organiser's token: {token}"]
+    kept = f"the token is in {path}; `cat {path}` prints it"
+    return [*lines, kept if path.is_file() else "the organiser has a token; it is not kept here"]
+
+
+def worker_token(service: Service, data: Path) -> str:
+    """Return the token of the local workers, kept in a file that only the owner reads."""
+    path = data / WORKER_TOKEN_FILE
+    with contextlib.suppress(Exception):
+        token = path.read_text().strip()
+        tokens.authenticate(service.database, token)
+        return token
+    token = service.create_token(("work",), label="local workers")
+    _keep(token, path)
+    return token
+
+
+def _keep(token: str, path: Path) -> None:
+    """Write a token to a file that only the owner reads."""
+    descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w") as file:
+        file.write(f"{token}\n")
