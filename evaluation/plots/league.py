@@ -108,7 +108,9 @@ def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
         matrix = wide.select(order["partner"].to_list()).cast(pl.Float64).to_numpy()
         axes = figure.add_axes(rect)
         drawn = np.ma.masked_invalid(np.clip(matrix, 0.0, 1.0))
-        image = axes.imshow(drawn, aspect="auto", vmin=0, vmax=1, cmap="viridis")
+        image = axes.imshow(
+            drawn, aspect="auto", vmin=0, vmax=1, cmap="viridis", interpolation="nearest"
+        )
         axes.set_yticks(range(len(rows)), rows, fontsize=8)
         axes.set_xticks([])
         axes.set_xlabel(f"{task}: {matrix.shape[1]} partners, the hardest first", fontsize=9)
@@ -119,7 +121,7 @@ def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
 
 
 def _width(tasks: Mapping[str, object]) -> float:
-    return 6.4 if len(tasks) == 1 else 5.6 * len(tasks)
+    return 6.4 if len(tasks) == 1 else 4.4 * len(tasks)
 
 
 def _panels(

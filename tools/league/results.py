@@ -113,7 +113,10 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
             yield f"{words} at Holm's 5% over all named contrasts: {listing(said)}."
     gaps = [said for task in tasks if (said := _gap(task))]
     if gaps:
-        yield f"Of what being told the preference is worth, {listing(gaps)}."
+        yield (
+            f"Of what being told the preference is worth, {listing(gaps)}; methods have chosen "
+            "checkpoints and told robots do not, so these shares may be too high."
+        )
     for task in tasks:
         yield _whom(task)
     shares = [
