@@ -10,6 +10,7 @@ import pytest
 from assistax_board import submitting
 from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
+from assistax_board.rules.submissions import Admitted
 from assistax_board.service import Service
 from assistax_board.work.zoo_scorer import ZooScorer
 from tests.board.fakes import draft, new_service, new_submitter, shown
@@ -82,7 +83,7 @@ def test_a_check_that_is_laxer_at_home_is_found(
     server: Service, registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ZooScorer, "play", lambda *_: _nothing())
-    monkeypatch.setattr(submitting, "Admission", lambda sizes: lambda data, task: "onnx")
+    monkeypatch.setattr(submitting, "Admission", lambda sizes: lambda data, task: Admitted("onnx"))
     path = tmp_path / "robot.file"
     path.write_bytes(b"\x80pickle")
     assert at_home(path, registry) == "onnx"

@@ -1,5 +1,6 @@
 """The whole service by its commands, in real processes: a season until its proof."""
 
+import importlib
 import json
 import os
 import signal
@@ -266,5 +267,8 @@ def test_a_missing_extra_is_named_with_what_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, place: Any, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
+    # fsspec keeps what was opened once, in other tests too, and asks for no module again.
+    kept = importlib.import_module("fsspec.registry")._registry
+    monkeypatch.delitem(kept, extra, raising=False)
     with pytest.raises(ValueError, match=rf"pip install 'assistax-zoo-board\[{extra}\]'"):
         open_service(tmp_path, **place)

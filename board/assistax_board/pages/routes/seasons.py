@@ -89,7 +89,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     return {
         "submission": submission,
         "season": season,
-        "played": played_rows(site, submission.task, season),
+        "plays": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
@@ -121,7 +121,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
     return {
         "season": season,
         "statement": statement_of(season.hidden),
-        "played": played_rows(site, season.task, season),
+        "plays": played_rows(site, season.task, season),
         "now": time.time(),
         "attempts": {row.submitter: row for row in site.queries.attempts(season.id)},
         "entered": _entered(site, season.id),
