@@ -89,7 +89,7 @@ def measure_service(
 @contextmanager
 def serving(folder: Path, number: int = 0) -> Generator[tuple[Any, str]]:
     """Run one of the servers of a folder, and yield its process and its address."""
-    log = folder / f"log{number}"
+    log = folder / f".log{number}"  # `serve` takes no folder with other files, but for hidden ones
     words = ["serve", "--data", str(folder), "--port", "0", "--workers", "0", "--no-references"]
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], stderr=file)
