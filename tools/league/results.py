@@ -154,12 +154,10 @@ def _whom(task: Played) -> str:
     """Say with whom the best method does badly, and whom one should choose it for."""
     best = task.methods[0]
     fails = failures(task.league.by_partner).filter(row=best.row)
-    count, families = int(fails["fails"].sum()), task.by_family(best.row)
+    earned = {row.row: task.by_family(row.row) for row in task.methods}  # each is a whole table
+    count, families = int(fails["fails"].sum()), earned[best.row]
     apart = listing([f"{mean:.0f} with `{name}`" for name, mean in families.items()])
-    winners = {
-        name: max(task.methods, key=lambda row, name=name: task.by_family(row.row)[name]).row
-        for name in families
-    }
+    winners = {name: max(earned, key=lambda row, name=name: earned[row][name]) for name in families}
     same = set(winners.values()) == {best.row}
     choice = (
         f"choose `{best.row}` for all"
