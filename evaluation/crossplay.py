@@ -107,13 +107,10 @@ def _split(
     """
     releases = {human.release for human in humans}
     if len(releases) == 1:
-        return _default_split(registry, task, releases.pop())
-    zoos = {split_namespace(human.release)[0] for human in humans}
-    namespace = zoos.pop() if len(zoos) == 1 else ""
-    return _default_split(registry, task, release_in(registry, task, release, namespace))
-
-
-def _default_split(registry: Registry, task: str, release: str) -> Split | None:
+        [release] = releases
+    else:
+        zoos = {split_namespace(name)[0] for name in releases}
+        release = release_in(registry, task, release, zoos.pop() if len(zoos) == 1 else "")
     try:
         return registry.split(task, release=release)
     except SplitError:
