@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 MISSING = "not measured yet"
+Table = tuple[Sequence[str], Sequence[Sequence[object]]]  # headings and rows
 
 
 def table(
@@ -39,23 +40,24 @@ def image(path: str, text: str, width: str = "100%") -> str:
     return f'<img src="{path}" alt="{text}" width="{width}">'
 
 
-def csv_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def csv_table(headings: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """Return a table as CSV."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows([headings, *rows])
     return out.getvalue()
 
 
-def csv_of(tables: Mapping[str, str], heading: str) -> str:
-    """Return tables of Markdown as one table of CSV, whose first column says of what each is."""
-    lines = []
-    for name, text in tables.items():
-        rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:1] == "|"]
-        if rows:
-            lines += [[heading, *rows[0]], *([name, *row] for row in rows[2:])]
-    first = lines[:1]
-    rows = [line for line in lines if line[:1] != [heading] or line != first[0]]
-    return csv_table([], [*first, *rows]).removeprefix("\n").replace("`", "")
+def csv_of(tables: Mapping[str, Table | None], heading: str) -> str:
+    """Return tables as one table of CSV, whose first column says of what each is.
+
+    Other headings than the first table's stand before their rows; None is a table without rows.
+    """
+    lines: list[list[object]] = []
+    for name, (headings, rows) in ((name, found) for name, found in tables.items() if found):
+        titles: list[object] = [heading, *headings]
+        lines += [titles] * (lines[:1] != [titles])
+        lines += ([name, *row] for row in rows)
+    return csv_table(lines[0], lines[1:]).replace("`", "") if lines else ""
 
 
 def code(text: str) -> str:

@@ -78,7 +78,7 @@ class Evaluated:
         )
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)  # figures are kept for each
 class Results:
     """Everything that the page shows; what is absent is not measured yet."""
 

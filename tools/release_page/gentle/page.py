@@ -11,12 +11,11 @@ from tools.release_page.crossplays import heatmap
 from tools.release_page.data import Played
 from tools.release_page.gentle.data import MIRROR, SERIES, Results
 from tools.release_page.gentle.evaluations import REFERENCES
-from tools.release_page.gentle.measures import Comparison, SplitCost
+from tools.release_page.gentle.measures import Comparison
 from tools.release_page.gentle.sections import (
     METHOD,
     adaptation,
-    compared,
-    cost,
+    comparisons,
     cross_play,
     differences,
     diverse,
@@ -28,11 +27,12 @@ from tools.release_page.gentle.sections import (
     methods,
     p_value,
     population,
+    split_costs,
     splits,
 )
 from tools.release_page.making import HEADINGS, commands, cost_rows
 from tools.release_page.markdown import MISSING, code, csv_of, csv_table, spoken, table
-from zoo.schema import PolicyEntry, Split
+from zoo.schema import PolicyEntry
 
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
@@ -66,10 +66,8 @@ def make_page(results: Results, pictures: str, command: str) -> str:
         pictures: Folder of the figures, relative to the page.
         command: The command that makes the page, for its last section.
     """
-    comparisons = {task: compared(results, task) for task in GENTLE_TASKS}
-    split_costs = {name: cost(results, split) for name, split in _splits(results).items()}
     parts = {
-        "In short": in_short(results, comparisons, split_costs),
+        "In short": in_short(results),
         "Methods": by_task(results, methods),
         "More tables": more_tables(results.release),
         "Cross-play": cross_play(results, pictures),
@@ -98,18 +96,13 @@ def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
     return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
 
 
-def in_short(
-    results: Results,
-    comparisons: Mapping[str, Comparison],
-    split_costs: Mapping[str, SplitCost | None],
-) -> str:
+def in_short(results: Results) -> str:
     """Return what the default splits cost, and which methods differ on them."""
+    costs, compared = split_costs(results), comparisons(results)
     rows: list[list[str]] = []
     for task in GENTLE_TASKS:
-        default = [lost(split_costs[split.id])[-1] for split in results.splits[task][:1]] or [
-            MISSING
-        ]
-        rows.append([spoken(task), *default, *_in_short(results, task, comparisons[task])])
+        default = [lost(costs[split.id])[-1] for split in results.splits[task][:1]] or [MISSING]
+        rows.append([spoken(task), *default, *_in_short(results, task, compared[task])])
     headings = ["task", "lost", "differ", "do not differ", f"`{TOLD[0]}` - `{TOLD[1]}`"]
     headings += [f"`{RECURRENT}`: last - first"]
     return (
@@ -162,10 +155,8 @@ def tables(results: Results) -> dict[str, str]:
     apart = {
         "population": population,
         "equal-steps": equal_steps,
-        "splits": partial(splits, {i: cost(results, s) for i, s in _splits(results).items()}),
-        "differences": partial(
-            differences, {task: compared(results, task) for task in GENTLE_TASKS}
-        ),
+        "splits": splits,
+        "differences": differences,
         "series": adaptation,
     }
     beside = {
@@ -180,10 +171,6 @@ def tables(results: Results) -> dict[str, str]:
         "minutes.csv": csv_table(HEADINGS, rows),
         "commands.txt": "".join(f"{line}\n" for line in lines),
     }
-
-
-def _splits(results: Results) -> dict[str, Split]:
-    return {split.id: split for task in GENTLE_TASKS for split in results.splits[task]}
 
 
 def _cost_of_making(results: Results, command: str) -> str:

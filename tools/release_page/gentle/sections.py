@@ -1,5 +1,6 @@
-"""Sections of the page: teams, splits, methods and diversity, in Markdown."""
+"""Sections of the page in Markdown, and tables beside it: teams, splits, methods, diversity."""
 
+import functools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -18,7 +19,7 @@ from tools.release_page.gentle.measures import (
     diversity,
     split_cost,
 )
-from tools.release_page.markdown import MISSING, figure, image, spoken, table
+from tools.release_page.markdown import MISSING, Table, figure, image, spoken, table
 from zoo.schema import PolicyEntry, Split
 
 ALIKE = 1.05  # steps of training within this ratio count as equal
@@ -29,20 +30,19 @@ METHOD = ("method", "seeds", "M_train mean", "M_train IQM", "M_test mean", "M_te
 METHOD += ("gap, mean", "safe success", "violations")
 
 
-def population(results: Results, task: str) -> str:
-    """Return the number of teams and their self-play by setting, algorithm and steps, a table."""
+def population(results: Results, task: str) -> Table | None:
+    """Return the number of teams and their self-play by setting, algorithm and steps."""
     humans = [human for human in results.humans if human.task == task]
     if not humans:
-        return NOTHING
+        return None
     kinds = sorted({_kind(human) for human in humans})
     settings = sorted({human.disability for human in humans}, key=lambda name: (len(name), name))
     rows = [[setting, *(_teams(humans, kind, [setting]) for kind in kinds)] for setting in settings]
     rows.append(["all", *(_teams(humans, kind, settings) for kind in kinds)])
-    headings = ["setting", *(f"{name.upper()}, {steps} steps" for name, steps in kinds)]
-    return table(headings, rows)
+    return ["setting", *(f"{name.upper()}, {steps} steps" for name, steps in kinds)], rows
 
 
-def equal_steps(results: Results, task: str) -> str:
+def equal_steps(results: Results, task: str) -> Table | None:
     """Return self-play of the teams whose steps of training several algorithms share."""
     humans = [human for human in results.humans if human.task == task]
     rows: list[list[object]] = []
@@ -60,13 +60,11 @@ def equal_steps(results: Results, task: str) -> str:
             cells = [figure(self_play), figure(self_play, key="mean")]
             place = ", ".join(sorted(settings, key=lambda setting: (len(setting), setting)))
             rows.append([steps, name.upper(), place, len(ours), *cells])
-    if not rows:
-        return NOTHING
     headings = ["steps", "algorithm", "settings", "teams", "self-play IQM [95%]", "mean [95%]"]
-    return table(headings, rows)
+    return (headings, rows) if rows else None
 
 
-def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: str) -> str:
+def splits(results: Results, task: str) -> Table | None:
     """Return the splits with their rules and counts, and the share that unseen partners cost."""
     rows: list[list[object]] = []
     for split in results.splits[task]:
@@ -79,15 +77,20 @@ def splits(split_costs: Mapping[str, SplitCost | None], results: Results, task: 
         what = f"{split.rule}, {split.held_out}" if split.held_out else split.rule
         name = f"`{short(split)}`" + (" (default)" if split is results.splits[task][0] else "")
         counts = [len(split.train), len(split.test)]
-        rows.append([name, what, *counts, held, *earned, *lost(split_costs[split.id])])
-    if not rows:
-        return NOTHING
+        rows.append([name, what, *counts, held, *earned, *lost(split_costs(results)[split.id])])
     headings = ["split", "rule", "training partners", "test partners", "held-out preferences"]
     headings += [*(f"M_test of {name}" for name in TRAINED_WITH), "lost [95%]", "lost, share"]
-    return table(headings, rows)
+    return (headings, rows) if rows else None
 
 
-def cost(results: Results, split: Split) -> SplitCost | None:
+@functools.cache
+def split_costs(results: Results) -> dict[str, SplitCost | None]:
+    """Return what unseen partners cost on every split, by its id."""
+    splits = (split for task in GENTLE_TASKS for split in results.splits[task])
+    return {split.id: _cost(results, split) for split in splits}
+
+
+def _cost(results: Results, split: Split) -> SplitCost | None:
     """Return what unseen partners cost on a split; None where either robot was not evaluated."""
     methods = results.methods(split.task, split, mirrored=True)
     both = {name: methods[name] for name in TRAINED_WITH if name in methods}
@@ -119,11 +122,11 @@ def method_rows(results: Results, task: str) -> dict[str, list[list[object]]]:
     return {split: found for split, found in rows.items() if found}
 
 
-def differences(comparisons: Mapping[str, Comparison], results: Results, task: str) -> str:
+def differences(results: Results, task: str) -> Table | None:
     """Return all pairwise differences in M_test on the default split, Holm-corrected."""
-    comparison = comparisons[task]
+    comparison = comparisons(results)[task]
     if not comparison:
-        return NOTHING
+        return None
     rows = [
         [
             f"`{a}` - `{b}`",
@@ -135,10 +138,16 @@ def differences(comparisons: Mapping[str, Comparison], results: Results, task: s
         for (a, b), result in comparison.items()
     ]
     headings = ["difference", "M_test, mean [95%]", "partners better with the former", "p"]
-    return table([*headings, "p, Holm"], rows)
+    return [*headings, "p, Holm"], rows
 
 
-def compared(results: Results, task: str) -> Comparison:
+@functools.cache
+def comparisons(results: Results) -> dict[str, Comparison]:
+    """Return the comparison of methods on every task's default split, by task."""
+    return {task: _compared(results, task) for task in GENTLE_TASKS}
+
+
+def _compared(results: Results, task: str) -> Comparison:
     """Compare every two methods in M_test on a task's default split; empty below two methods."""
     methods = results.on_default(task)
     if len(methods) < 2:
@@ -147,11 +156,11 @@ def compared(results: Results, task: str) -> Comparison:
     return compare({name: egos.scores("return", SIDE) for name, egos in methods.items()})
 
 
-def adaptation(results: Results, task: str) -> str:
+def adaptation(results: Results, task: str) -> Table | None:
     """Return the return by place in a series, of every method that played one."""
     methods = results.on_default(task, series=True)
     if not methods:
-        return NOTHING
+        return None
     places = sorted({place for egos in methods.values() for place in egos.places})
     rows: list[list[object]] = []
     for name, egos in methods.items():
@@ -159,7 +168,7 @@ def adaptation(results: Results, task: str) -> str:
         cells = [mean(estimate(scores[place])) if place in scores else "–" for place in places]
         rows.append([f"`{name.removesuffix(SERIES)}`", egos.seeds, *cells, gain(egos)])
     headings = ["method", "seeds", *(f"episode {place}" for place in places), "last - first"]
-    return table(headings, rows)
+    return headings, rows
 
 
 def cross_play(results: Results, pictures: str) -> str:

@@ -1,6 +1,7 @@
 """The paper's claims, each checked by criteria that are computed, with their thresholds stated."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -73,6 +74,7 @@ class Claim:
         return "holds" if outcomes == {"met"} else "holds in part"
 
 
+@functools.cache
 def check_claims(results: Results) -> list[Claim]:
     """Check every claim on every task that it is about, in the paper's order."""
     played, algorithms = results.crossplay, ("ippo", "mappo")

@@ -65,7 +65,7 @@ class Egos:
         return wide.select(self.partners["partner"].to_list()).to_numpy().astype(float)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)  # claims are kept for each
 class Results:
     """Everything that the page shows; what is absent is not measured yet."""
 

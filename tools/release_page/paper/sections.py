@@ -9,7 +9,7 @@ from evaluation.figures.bootstrap import estimate
 from evaluation.record import tables
 from tools.release_page.crossplays import matrix_table
 from tools.release_page.data import CrossPlayed
-from tools.release_page.markdown import MISSING, figure, image, spoken, table
+from tools.release_page.markdown import MISSING, Table, figure, image, spoken, table
 from tools.release_page.paper.claims import Claim
 from tools.release_page.paper.data import METHODS, Results, planned
 from tools.release_page.paper.measures import variance_shares
@@ -217,7 +217,7 @@ def zero_shot(results: Results, picture: Picture) -> str:
     return "\n\n".join([table(headings, rows, (2, 3, 4, 5)), about, *drawn])
 
 
-def claim_table(claims: Sequence[Claim]) -> str:
+def claim_table(claims: Sequence[Claim]) -> Table:
     """Return every criterion of every claim with its threshold."""
     rows: list[list[object]] = []
     for claim in claims:
@@ -226,7 +226,7 @@ def claim_table(claims: Sequence[Claim]) -> str:
             rows.append([*name, "–", "–", "–", MISSING])
         rows += [[*name, c.what, c.value, c.threshold, _bold(c.outcome)] for c in claim.criteria]
     headings = ["claim", "task", "criterion", "found", "threshold", "outcome"]
-    return table(headings, rows)
+    return headings, rows
 
 
 def _teams(results: Results, task: str) -> str:
