@@ -12,31 +12,25 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.persons import muscles, noise, reaction
+from assistax_envs.persons import common, muscles, reaction
 from assistax_envs.persons.body import JOINTS, Arm
+from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED
 from assistax_envs.persons.parameters import FOREARM, SPARED, index
 from assistax_envs.persons.postures import Postures
 from assistax_envs.persons.senses import Senses, columns, sense
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
 
-LATEST = 16  # steps that a person remembers: 300 ms and now
-SMOOTHED = 0.25  # s, over which sliding is felt
 CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative from which on nothing, or a touch, is waited for
-LAPSE = 1.0  # s
 LIMP = 0.1  # tone of an arm at rest
 RISE, FALL = 0.1, 0.4  # s, of the tone
-REACTS = 0.2  # s, of a movement that needs no aim; Fitts' law adds to it
 AIM = 0.1  # rad, how well a posture is aimed at
 MOVED = 0.1  # rad, from where on another posture is worth a movement
-CORRELATED = 0.8  # of a step's noise, what was there the step before
 SUSTAINED = 0.2  # s, over which effort stiffens an arm
 REFLEX = 0.04  # s, over which stretching is felt by the reflex
-RESUMES = 0.3  # share of the limit below which a person helps again
 SEARCHED = 128  # persons whose postures are searched at a time
 PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
 
-LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}
 MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle}
 
 
@@ -138,9 +132,9 @@ class Controller:
         mind = self._look(mind, now, numbers, strength)
         mind, felt, late = self._feel(mind, now, numbers)
         mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
-        chance = noise.uniform(mind.seed, mind.age, 2 * JOINTS)
+        chance = common.uniform(mind.seed, mind.age, 2 * JOINTS)
         mind = self._intend(mind, felt, now, numbers, chance[:, JOINTS])
-        return self._move(mind, now, late, numbers, strength, noise.normal(chance[:, :JOINTS]))
+        return self._move(mind, now, late, numbers, strength, common.normal(chance[:, :JOINTS]))
 
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, now: Senses, first: jax.Array
@@ -157,18 +151,14 @@ class Controller:
         still = still.at[:, :, JOINTS + 1 : JOINTS + 3].set(1.0)  # nothing slides, nobody is near
         fresh = dataclasses.replace(
             fresh,
-            seed=noise.seed_of(bits),
+            seed=common.seed_of(bits),
             past=still,
             tool=now.tool,
             intended=now.position,
             begin=now.position,
             tone=jnp.full_like(fresh.tone, LIMP),
         )
-
-        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
-
-        return jax.tree.map(choose, fresh, mind)
+        return common.begun(first, fresh, mind)
 
     def _look(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array], strength: jax.Array
@@ -214,9 +204,7 @@ class Controller:
             speed = sliding / numbers["liked_speed"]
         parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away]
         newest = jnp.concatenate(parts, axis=-1)
-        past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
-        steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
-        then = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
+        past, then = common.remembered(mind.past, newest, numbers)
         position, force, speed, near, away = jnp.split(then, (3, 4, 5, 6), axis=1)
         force = force[:, 0]
         # Who is carried has no liking for it, and misses no pressure.
@@ -255,22 +243,20 @@ class Controller:
         initiative, discomfort = numbers["initiative"], mind.reaction.discomfort
         touched = mind.touched | (felt.force > FELT)
         pushed = mind.pushed | (felt.force > felt.asks)
-        limit = numbers["limit"]
-        stopped = jnp.where(mind.stopped, discomfort > RESUMES * limit, discomfort > limit)
+        stopped = common.stopped(mind.stopped, discomfort, numbers["limit"])
         wants = (initiative >= CALLED) | ((initiative >= ASKED) & touched) | pushed
         willing = jnp.where(wants & ~stopped, mind.willing + STEP, 0.0)
         helps = willing > numbers["slow_start"]
-        begins = chance < numbers["lapses"] * (STEP / 60.0)
-        lapsed = jnp.where(begins, LAPSE, jnp.maximum(mind.lapsed - STEP, 0.0))
+        lapsed = common.lapsed(mind.lapsed, chance, numbers)
         # Another movement begins with help, and where another posture would help more.
         aside = jnp.abs(mind.help - mind.intended).max(axis=1)
         arrived = mind.way >= mind.time
         starts = (helps & ~mind.helps) | (helps & arrived & (aside > MOVED))
         time = REACTS + numbers["pace"] * jnp.log2(1.0 + aside / AIM)
         begin = jnp.where(starts[:, None], mind.intended, mind.begin)
-        way = jnp.where(starts, 0.0, jnp.where(lapsed > 0.0, mind.way, mind.way + STEP))
+        way = common.under_way(mind.way, starts, lapsed)
         time = jnp.where(starts, time, mind.time)
-        planned = begin + (mind.help - begin) * _minimum_jerk(way, time)[:, None]
+        planned = begin + (mind.help - begin) * common.minimum_jerk(way, time)[:, None]
         # An arm that does nothing intends to be where it is.
         idle = mind.intended + STEP / FALL * (now.position - mind.intended)
         work = jnp.maximum(
@@ -320,14 +306,12 @@ class Controller:
         activation, torque = self._pull(command, mind.activation, numbers, self.arm.damping)
         stretch = mind.stretch + STEP / REFLEX * (now.velocity - mind.stretch)
         torque = torque + muscles.spasticity(numbers, stretch)
-        fresh = float(np.sqrt(1.0 - CORRELATED**2))
-        shaken = CORRELATED * mind.shaken + fresh * normal
+        shaken = common.shaken(mind.shaken, normal)
         torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
         turn = 2.0 * np.pi * numbers["tremor_frequency"] * STEP * mind.age
         shake = jnp.sin(turn[:, None] + jnp.asarray(PHASES)[None])
         torque = torque + (numbers["tremor"] * mind.tone)[:, None] * most * shake
         torque = jnp.clip(torque, -most, most)
-        work = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
@@ -335,15 +319,9 @@ class Controller:
             activation=activation,
             shaken=shaken,
             stretch=stretch,
-            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * work, 0.9),
+            tired=common.tired(mind.tired, torque, most, numbers),
         )
         return mind, torque / jnp.asarray(self.arm.torque)[None]
-
-
-def _minimum_jerk(way: jax.Array, time: jax.Array) -> jax.Array:
-    """Return the share of a movement that is done: Flash and Hogan 1985."""
-    t = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
-    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
 
 def _unit(vector: jax.Array) -> jax.Array:

@@ -16,7 +16,8 @@ import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, SEAT
 from assistax_envs.models.teeth import INNER, PLACES, SHOWN_BY
-from assistax_envs.persons import noise, reaction
+from assistax_envs.persons import common, muscles, reaction
+from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, Numbers
 from assistax_envs.persons.parameters import SPARED, index
 from assistax_envs.persons.senses import AT_MOUTH, MOUTH_UNIT
 from assistax_envs.tasks.base import human_joints
@@ -34,25 +35,16 @@ from assistax_envs.tasks.mouth import (
 
 JOINTS = len(SEAT)
 LEAN, PITCH, YAW, ROLL, JAW = range(JOINTS)
-LATEST = 16  # steps that a person remembers: 300 ms and now
 WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
 RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as it is liked
 SOON = 0.25  # s that a spoon has to wait at the liked place, beside the slow start
 DEEP = 1.6  # times the liked depth, from where on a bowl is too deep
 UNIT = 2.0  # N, of a spoon on the lips
-SMOOTHED = 0.25  # s, over which rubbing is felt
-REACTS, AIM, MOVED = 0.2, 0.05, 0.03  # s, rad, rad: of movements, as in `controller`
-RESUMES = 0.3  # share of the limit below which a person helps again
-LAPSE = 1.0  # s
+AIM, MOVED = 0.05, 0.03  # rad, of movements, as in `controller`
 REFLEX = 0.25  # s that a bite reflex lasts
-CORRELATED = 0.8  # of a step's noise, what was there the step before
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
 LATE = 0.3  # of that, the share that waits for the delay
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
-MUSCLE = (0.05, 0.08)  # s, time constants of the second family
-
-Numbers = dict[str, jax.Array]  # [N] each, by name
-LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}
 
 
 @jax.tree_util.register_dataclass
@@ -144,16 +136,14 @@ class Head:
         moving = mind.moving + STEP / SMOOTHED * (drift - mind.moving)
         seen = [tool, MOUTH_UNIT[self.task] * parts["touch"], moving[:, None], parts["closed"]]
         newest = jnp.concatenate([now, *seen], axis=-1)
-        past = jnp.concatenate([newest[:, None], mind.past[:, :-1]], axis=1)
-        steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
-        late = jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
+        past, late = common.remembered(mind.past, newest, numbers)
         mind = dataclasses.replace(mind, past=past, tool=tool, moving=moving)
-        chance = noise.uniform(mind.seed, mind.age, JOINTS + 1)
+        chance = common.uniform(mind.seed, mind.age, JOINTS + 1)
         place = parts["progress"].argmax(axis=1).astype(jnp.int32)
         felt = self._felt(mind, late, place, numbers)
         mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
         mind = self._intend(mind, late, place, numbers, chance[:, JOINTS])
-        return self._move(mind, now, late, numbers, noise.normal(chance[:, :JOINTS]))
+        return self._move(mind, now, late, numbers, common.normal(chance[:, :JOINTS]))
 
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, parts: Numbers, first: jax.Array
@@ -168,7 +158,7 @@ class Head:
         still = still.at[:, :, JOINTS + 5].set(parts["closed"])
         fresh = dataclasses.replace(
             fresh,
-            seed=noise.seed_of(bits),
+            seed=common.seed_of(bits),
             past=still,
             tool=tool,
             place=parts["progress"].argmax(axis=1).astype(jnp.int32),
@@ -176,11 +166,7 @@ class Head:
             begin=now,
             intended=now,
         )
-
-        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
-
-        return jax.tree.map(choose, fresh, mind)
+        return common.begun(first, fresh, mind)
 
     def _felt(
         self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers
@@ -213,10 +199,8 @@ class Head:
         self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers, chance: jax.Array
     ) -> Mind:
         """Decide where head and jaw should be, and move on towards it by minimum jerk."""
-        discomfort, limit = mind.reaction.discomfort, numbers["limit"]
-        stopped = jnp.where(mind.stopped, discomfort > RESUMES * limit, discomfort > limit)
-        begins = chance < numbers["lapses"] * (STEP / 60.0)
-        lapsed = jnp.where(begins, LAPSE, jnp.maximum(mind.lapsed - STEP, 0.0))
+        stopped = common.stopped(mind.stopped, mind.reaction.discomfort, numbers["limit"])
+        lapsed = common.lapsed(mind.lapsed, chance, numbers)
         eager = 0.5 + 0.5 * numbers["initiative"]
         if self.task == "gentle_feeding":
             willing, wanted = self._eats(mind, late, place, numbers, eager)
@@ -236,9 +220,7 @@ class Head:
         far = jnp.abs(aim - begin).max(axis=1)
         fitts = REACTS + 0.5 * numbers["pace"] * jnp.log2(1.0 + far / AIM)
         time = jnp.where(starts, fitts, mind.time)
-        way = jnp.where(starts, 0.0, jnp.where(lapsed > 0.0, mind.way, mind.way + STEP))
-        share = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
-        share = share * share * share * (10.0 + share * (6.0 * share - 15.0))
+        way = common.under_way(mind.way, starts, lapsed)
         return dataclasses.replace(
             mind,
             stopped=stopped,
@@ -249,18 +231,15 @@ class Head:
             begin=begin,
             way=way,
             time=time,
-            intended=begin + (aim - begin) * share[:, None],
+            intended=begin + (aim - begin) * common.minimum_jerk(way, time)[:, None],
         )
 
     def _eats(
         self, mind: Mind, late: jax.Array, stage: jax.Array, numbers: Numbers, eager: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Return how ripe the wish to open is [N], s, and the posture wanted [N, 5]."""
-        tool, moving, closed = (
-            late[:, JOINTS : JOINTS + 3],
-            late[:, JOINTS + 4],
-            late[:, JOINTS + 5],
-        )
+        tool, moving = late[:, JOINTS : JOINTS + 3], late[:, JOINTS + 4]
+        closed = late[:, JOINTS + 5]
         out, aside = tool[:, 0], jnp.linalg.norm(tool[:, 1:], axis=-1)
         waits = (out > 0.0) & (out < FARTHEST) & (aside < BESIDE) & (moving < SLOWLY)
         off = jnp.log(jnp.maximum(out, 1e-3) / numbers["liked_wait"])
@@ -303,12 +282,8 @@ class Head:
         torque = torque + jnp.asarray(self._weight)[None]
         activation = mind.activation
         if self._muscle:  # a muscle follows its command late
-            slow = jnp.clip((numbers["settle"] - 0.15) / 0.45, 0.0, 1.0)
-            constant = MUSCLE[0] + (MUSCLE[1] - MUSCLE[0]) * slow
-            activation = activation + (STEP / constant)[:, None] * (torque - activation)
-            torque = activation
-        fresh = float(np.sqrt(1.0 - CORRELATED**2))
-        shaken = CORRELATED * mind.shaken + fresh * normal
+            torque = activation = muscles.followed(activation, torque, numbers)
+        shaken = common.shaken(mind.shaken, normal)
         torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
         turn = 2.0 * np.pi * numbers["tremor_frequency"] * time
         trembles = np.array([0.0, 1.0, 1.0, 1.0, 0.5], np.float32)
@@ -323,13 +298,12 @@ class Head:
         reflex = numbers["bite_reflex"] * (bitten > 0.0)
         torque = torque.at[:, JAW].add(-reflex)
         torque = jnp.clip(torque, -most, most)
-        work = jnp.abs(torque / jnp.maximum(most, 1e-6)).mean(axis=1)
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
             activation=activation,
             shaken=shaken,
             bitten=bitten,
-            tired=jnp.minimum(mind.tired + STEP / 60.0 * numbers["fatigue"] * work, 0.9),
+            tired=common.tired(mind.tired, torque, most, numbers),
         )
         return mind, torque / jnp.asarray(self._gear)[None]
