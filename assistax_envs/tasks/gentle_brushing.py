@@ -14,15 +14,8 @@ import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, TEETH
 from assistax_envs.models.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
-from assistax_envs.tasks.base import (
-    ROBOT_JOINTS,
-    Measures,
-    Pose,
-    observations,
-    rotate,
-)
+from assistax_envs.tasks.base import Measures, human_joints, observations, rotate
 from assistax_envs.tasks.gentle_base import (
-    COSTS,
     STEP,
     Liking,
     bump,
@@ -31,9 +24,8 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_feeding import START, WAY
-from assistax_envs.tasks.gentle_rules import NEWEST, RULES
-from assistax_envs.tasks.mouth import OPENED, TURNED, MouthReadings, MouthSensors
+from assistax_envs.tasks.gentle_feeding import AtMouth, arm_at
+from assistax_envs.tasks.mouth import OPENED, TURNED, MouthReadings
 
 HALF = 0.008  # m, from a place's middle to either end of its strokes
 AT_END = 0.004  # m along the row, how near the brush comes to an end
@@ -83,11 +75,13 @@ class BrushState:
     likes: Liking
 
 
-class GentleBrushing:
+class GentleBrushing(AtMouth):
     """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
 
     name = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
+    terms: ClassVar = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
+    felt: ClassVar = TEETH
 
     def __init__(
         self,
@@ -95,21 +89,10 @@ class GentleBrushing:
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
     ) -> None:
-        self.rules = RULES[NEWEST]
-        terms = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
-        # Who leans forward to have its teeth brushed bends its trunk.
-        self.weights = terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
-        self.pose = Pose(model, START)
-        self.sensors = MouthSensors(model, self.pose, self.rules, TEETH)
-        self._told = told
-        self._robot = np.array([model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
-        joints = ("human_jaw", "human_neck_yaw")
-        self._jaw, self._yaw = (int(model.joint(name).qposadr[0]) for name in joints)
+        super().__init__(model, weights, told)
+        self._yaw = int(model.joint("human_neck_yaw").qposadr[0])
         # Among the joints that are read.
-        read = [
-            name for name in (model.joint(i).name for i in range(model.njnt)) if "human_" in name
-        ]
-        self._read_yaw = read.index("human_neck_yaw")
+        self._read_yaw = human_joints(model).index("human_neck_yaw")
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, BrushState]:
         """Draw the start pose [nq], the first place and, where it is not given, the preference."""
@@ -117,9 +100,7 @@ class GentleBrushing:
         place = jax.random.randint(place_key, (), 0, PLACES)
         out = jax.random.uniform(start_key, maxval=2.0 * (BEFORE - 1))
         there = out > BEFORE - 1  # half of the episodes start at the place itself
-        rows, way = jnp.arange(BEFORE), jnp.asarray(WAY, jnp.float32)[:BEFORE]
-        before = jnp.stack([jnp.interp(out, rows, joint) for joint in way.T])
-        arm = jnp.where(there, jnp.asarray(AT, jnp.float32)[place], before)
+        arm = jnp.where(there, jnp.asarray(AT, jnp.float32)[place], arm_at(out, BEFORE))
         pose = self.pose.draw(pose_key)
         noise = (pose - self.pose.angle)[self._robot] * jnp.where(there, 0.0, 0.5)
         pose = pose.at[self._robot].set(arm + noise)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.models.care_scenes import OPEN
+from assistax_envs.models.care_scenes import LIPS, OPEN
 from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations
 from assistax_envs.tasks.gentle_base import (
     COSTS,
@@ -39,9 +39,8 @@ from assistax_envs.tasks.mouth import (
     MouthSensors,
 )
 
-# m before the lips, and the robot's joints there, rad: the bowl level on the mouth's axis. Episodes
-# start anywhere on the way in, and on the way back until it is 10 cm away.
-WAY_OUT = (0.25, 0.2, 0.15, 0.1, 0.05, 0.0, -0.03)
+# The robot's joints, rad, from 25 cm before the lips to 3 cm behind them: a bowl level on the
+# mouth's axis.
 WAY = (
     (-0.126, -1.162, -0.238, -2.590, -0.086, 1.948, 0.517),
     (-0.082, -1.046, -0.182, -2.562, -0.056, 2.039, 0.582),
@@ -53,6 +52,9 @@ WAY = (
 )
 START = {joint: (angle, -0.08, 0.08) for joint, angle in zip(ROBOT_JOINTS, WAY[0], strict=True)}
 START |= {f"human_neck_{way}": (0.0, -0.05, 0.05) for way in ("pitch", "yaw", "roll")}
+# m before the lips, at each row of `WAY`. Episodes start anywhere on the way in, and on the way
+# back until it is 10 cm away.
+WAY_OUT = (0.25, 0.2, 0.15, 0.1, 0.05, 0.0, -0.03)
 BEFORE = 0.02  # m before the lips, from where on a spoon waits, and does not enter yet
 HALF = 0.25  # rad of the jaw: open for a bowl
 CLOSING = 0.35  # rad: above it nobody has closed on a bowl that lies as low as it may
@@ -90,11 +92,11 @@ class FeedState:
     likes: Liking
 
 
-class GentleFeeding:
-    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
+class AtMouth:
+    """What tasks at the mouth have alike: where an episode starts, and what is read and paid."""
 
-    name = "gentle_feeding"
-    target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
+    terms: ClassVar[dict[str, float]]  # weights of what it pays for
+    felt: ClassVar[tuple[str, ...]] = LIPS  # see `MouthSensors`
 
     def __init__(
         self,
@@ -103,15 +105,31 @@ class GentleFeeding:
         told: tuple[str, ...] = ("human",),
     ) -> None:
         self.rules = RULES[NEWEST]
-        terms = {"progress": 100.0, "open": 20.0, "serve": 20.0, "take": 10.0, "leave": 20.0}
-        terms |= {"hold": 5.0, "level": 0.1, "spill": 10.0}
-        # Who leans forward to eat bends its trunk.
-        self.weights = terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
+        # Who leans forward to eat, or to have its teeth brushed, bends its trunk.
+        self.weights = self.terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = MouthSensors(model, self.pose, self.rules)
+        self.sensors = MouthSensors(model, self.pose, self.rules, self.felt)
         self._told = told
         self._robot = np.array([model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
         self._jaw = int(model.joint("human_jaw").qposadr[0])
+
+
+class GentleFeeding(AtMouth):
+    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
+
+    name = "gentle_feeding"
+    target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
+
+    terms: ClassVar = {
+        "progress": 100.0,
+        "open": 20.0,
+        "serve": 20.0,
+        "take": 10.0,
+        "leave": 20.0,
+        "hold": 5.0,
+        "level": 0.1,
+        "spill": 10.0,
+    }
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
@@ -119,9 +137,8 @@ class GentleFeeding:
         place = jax.random.uniform(start_key, maxval=1.5 * (len(WAY) - 1))
         back = place > len(WAY) - 1
         place = jnp.where(back, 2 * (len(WAY) - 1) - place, place)
-        rows, way = jnp.arange(len(WAY)), jnp.asarray(WAY, jnp.float32)
-        out = jnp.interp(place, rows, jnp.asarray(WAY_OUT, jnp.float32))
-        arm = jnp.stack([jnp.interp(place, rows, joint) for joint in way.T])
+        out = jnp.interp(place, jnp.arange(len(WAY)), jnp.asarray(WAY_OUT, jnp.float32))
+        arm = arm_at(place)
         pose = self.pose.draw(pose_key)
         # Who is near has less room.
         noise = (pose - self.pose.angle)[self._robot] * jnp.maximum(out, 0.0) / WAY_OUT[0]
@@ -159,10 +176,8 @@ class GentleFeeding:
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
         drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
-        speed, bitten = (
-            jnp.linalg.norm(drift, axis=-1),
-            s.bitten + SMOOTH * (r.felt.max(axis=1) - s.bitten),
-        )
+        speed = jnp.linalg.norm(drift, axis=-1)
+        bitten = s.bitten + SMOOTH * (r.felt.max(axis=1) - s.bitten)
         shut = s.shut | (r.jaw < SHUT)
         held, done = self._done(s, r, out, aside, speed, bitten, shut)
         spilt = (r.level < SPILT) & (s.stage < LEAVING)
@@ -271,3 +286,9 @@ def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) 
 
 def _well(liked: jax.Array) -> jax.Array:
     return WHATEVER + (1.0 - WHATEVER) * liked
+
+
+def arm_at(place: jax.Array, rows: int = len(WAY)) -> jax.Array:
+    """Return the robot's joints [7] at a place on the first rows of `WAY`, between two of them."""
+    way = jnp.asarray(WAY, jnp.float32)[:rows]
+    return jnp.stack([jnp.interp(place, jnp.arange(rows), joint) for joint in way.T])
