@@ -50,9 +50,16 @@ def atomic_path(path: Path) -> Generator[Path]:
         _flush(path.parent)
 
 
-def atomic_write(path: Path, data: bytes) -> None:
-    """Replace the content of `path` by `data`, whole or not at all."""
+ANYBODY, OWNER = 0o666, 0o600  # who may read a file, as far as the process's mask allows
+
+
+def atomic_write(path: Path, data: bytes, mode: int = ANYBODY) -> None:
+    """Replace the content of `path` by `data`, whole or not at all.
+
+    Of a secret no other user sees a byte at any moment: its mode is `OWNER` before it is written.
+    """
     with atomic_path(path) as temporary:
+        temporary.touch(mode=mode)
         temporary.write_bytes(data)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from assistax_base.errors import ImmutableError, PublishError, listing
-from assistax_base.files import atomic_path, atomic_write
+from assistax_base.files import ANYBODY, OWNER, atomic_write
 from zoo.history.merkle import lost_leaves, with_roots
 from zoo.history.official import is_official, is_official_file
 from zoo.history.own_splits import SplitsFile, read_splits
@@ -41,9 +41,7 @@ def save_registry(data: RegistryFile, path: Path) -> Registry:
         check_writable(before, path)
         check_grown(before, registry.data)
     has_secret = any(table.secret for r in data.releases.values() for table in r.persons.values())
-    with atomic_path(path) as temporary:
-        temporary.touch(mode=0o600 if has_secret else 0o666)
-        temporary.write_bytes(text.encode())
+    atomic_write(path, text.encode(), OWNER if has_secret else ANYBODY)
     return registry
 
 

@@ -11,10 +11,10 @@ DIR/webhook-secret  of the organiser's notices
 """
 
 import contextlib
-import os
 from pathlib import Path
 
 from assistax_base.errors import listing
+from assistax_base.files import OWNER, atomic_write
 from assistax_board.pages.videos import FILMS_FOLDER
 from assistax_board.rules import tokens
 from assistax_board.service import Service
@@ -58,7 +58,7 @@ def about_token(service: Service, data: Path) -> list[str]:
     path, lines = data / ORGANISER_TOKEN_FILE, []
     if not any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
         token = service.create_token(("organise", "submit"), label="first", submitter="organiser")
-        _keep(token, path)
+        atomic_write(path, f"{token}\n".encode(), OWNER)
         lines = [f"organiser's token: {token}"]
     kept = f"the token is in {path}; `cat {path}` prints it"
     return [*lines, kept if path.is_file() else "the organiser has a token; it is not kept here"]
@@ -72,12 +72,5 @@ def worker_token(service: Service, data: Path) -> str:
         tokens.authenticate(service.database, token)
         return token
     token = service.create_token(("work",), label="local workers")
-    _keep(token, path)
+    atomic_write(path, f"{token}\n".encode(), OWNER)
     return token
-
-
-def _keep(token: str, path: Path) -> None:
-    """Write a token to a file that only the owner reads."""
-    descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "w") as file:
-        file.write(f"{token}\n")

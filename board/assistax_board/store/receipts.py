@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from assistax_base.digest import canonical_json
-from assistax_base.files import atomic_write, exclusive
+from assistax_base.files import OWNER, atomic_write, exclusive
 
 KEY_FILE = "signing-key.pem"
 
@@ -51,8 +51,7 @@ def load_signer(folder: Path) -> Signer:
                 serialization.PrivateFormat.PKCS8,
                 serialization.NoEncryption(),
             )
-            atomic_write(path, pem)
-            path.chmod(0o600)
+            atomic_write(path, pem, OWNER)
     loaded = serialization.load_pem_private_key(path.read_bytes(), None)
     if not isinstance(loaded, Ed25519PrivateKey):
         raise ValueError(f"{path} holds no Ed25519 key; restore it from a backup")

@@ -22,7 +22,7 @@ from urllib.parse import urlsplit
 
 import httpx2
 
-from assistax_base.files import atomic_write, write_json
+from assistax_base.files import OWNER, atomic_write, write_json
 from assistax_board.checking import ledger_pages
 from assistax_board.rules.telling import told, untold
 from assistax_board.service import Service
@@ -53,8 +53,8 @@ class Webhook:
         self._url, self._sent_file = url, data / SENT_FILE
         path = data / SECRET_FILE
         if not path.is_file():
-            atomic_write(path, f"{secret_text(secrets.token_bytes(32))}\n".encode())
-            path.chmod(0o600)
+            text = f"{secret_text(secrets.token_bytes(32))}\n"
+            atomic_write(path, text.encode(), OWNER)
         self._secret = path.read_text().strip()
         signature(self._secret, "", 0, b"")
         self._sent: dict[str, float] = {}  # when a notice that was posted had happened last

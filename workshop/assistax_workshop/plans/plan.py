@@ -26,7 +26,7 @@ from pydantic import (
     ValidationError,
 )
 
-from assistax_base.files import atomic_path
+from assistax_base.files import OWNER, atomic_write
 from assistax_base.validated import Many, first_problem, validated
 from population.config import (
     Member,
@@ -235,9 +235,7 @@ def write_private_plan(plan: Plan, path: Path) -> None:
         )
     content = TypeAdapter(Plan).dump_python(plan, mode="json", exclude_defaults=True)
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.touch(mode=0o600)
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    atomic_write(path, (json.dumps(content, indent=2) + "\n").encode(), OWNER)
 
 
 @dataclasses.dataclass(frozen=True)
