@@ -19,6 +19,7 @@ from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
 UNKNOWN = "partners met in training: not known"
+DECLARED = "partners met in training: as declared, not checked"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +173,7 @@ def source_notes(met: MetPartners) -> list[str]:
         whose = f" of {listing(met.unknown, 3)}" if met.unknown else ""
         notes.append(f"{UNKNOWN}{whose}; figures may count some; trained_with declares them")
     if "declared" in met.sources:
-        notes.append("partners met in training: as declared, not checked")
+        notes.append(DECLARED)
     if "file" in met.sources:
         notes.append("partners met in training: as the robot's file claims")
     return notes

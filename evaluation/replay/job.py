@@ -14,7 +14,7 @@ from typing import Any
 from assistax_base.errors import SplitError
 from evaluation.cast.cast import entries_of, env_version, in_release, roots_of, sides_of
 from evaluation.cast.egos import read_egos
-from evaluation.cast.met_partners import MetPartners, declare, met_partners
+from evaluation.cast.met_partners import DECLARED, MetPartners, declare, met_partners
 from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
@@ -85,7 +85,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
         _tile_envs(job.backend, manifest),
         (
             *_parts(summary, registry, job, split, partners),
-            *["partners met in training: as declared, not checked"] * bool(declared),
+            *[DECLARED] * bool(declared),
         ),
     )
 
