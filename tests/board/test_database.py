@@ -3,6 +3,7 @@
 import gc
 import sqlite3
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,28 @@ def test_a_failed_block_leaves_nothing(tmp_path: Path) -> None:
     except RuntimeError:
         pass
     assert count(database) == 0
+
+
+def test_a_crowd_of_writers_leaves_connections_for_readers(tmp_path: Path) -> None:
+    database, begun = new_database(tmp_path), threading.Event()
+
+    def write() -> None:
+        begun.set()
+        with database.write():
+            pass
+
+    with database.write() as connection:
+        add(connection, "lab")
+        threads = [threading.Thread(target=write) for _ in range(40)]  # more than connections
+        for thread in threads:
+            thread.start()
+        begun.wait()
+        time.sleep(0.5)  # until they wait
+        assert database.engine.pool.status().endswith("Current Checked out connections: 1")
+        assert count(database) == 0
+    for thread in threads:
+        thread.join()
+    assert count(database) == 1
 
 
 def test_writers_wait_for_each_other(tmp_path: Path) -> None:

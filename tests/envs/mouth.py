@@ -7,6 +7,7 @@ writes `fused/TASK_states.npz`: states that a scripted pair visits, and the torq
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +16,10 @@ import numpy as np
 from assistax_envs import Env, EnvState, disability_params, make
 from assistax_envs.models.care_scenes import OPEN
 from assistax_envs.models.teeth import INNER, SHOWN_BY
+from assistax_envs.preferences import PREFERENCES
 from assistax_envs.scripted import scripted_robot
 from assistax_envs.tasks.mouth import TAKING, TURNED, WAITING
+from tests.envs.conftest import compiled, environment
 
 STATES = Path(__file__).parent / "fused"
 SIMULATIONS, STEPS, TIMES = 72, 400, (60, 140, 230, 399)
@@ -27,6 +30,33 @@ WIDE, NARROW = 0.42, 0.05  # rad
 BRUSHED_JAW, PLACE = 48, slice(50, 62)
 NECK_SPRING, NECK_TORQUE = 3.0, 1.8  # N m/rad, N m
 SPRING, HOLDS, TORQUE = 0.8, 0.19, 0.8  # N m/rad, N m: the jaw's, as in `care_scenes`
+
+
+class LaidOut:
+    """One simulation of a task, whose readings a test lays out by hand; `begun` is its start."""
+
+    def __init__(self, task: str, preference: str) -> None:
+        env = environment(task, "native")
+        # The task itself, whose terms are compared.
+        self.task: Any = env._task
+        params = disability_params(["d1"], [preference])
+        begun = compiled(task, "native")[0](jax.random.split(jax.random.key(0), 1), params)
+        self.likes, self.begun = PREFERENCES[preference], begun.task
+        # Readings as the environment makes them, of a state that is set by hand.
+        ranges = env._joint_range(params)
+        self.read = env._sensors.read(env._physics.forward(begun.physics, ranges))
+        self.state: Any = self.begun
+        self.total, self._transition = 0.0, jax.jit(self.task.transition)
+
+    def after(self, readings: Any, steps: int) -> dict[str, float]:
+        """Return the weighted terms, summed over equal steps."""
+        sums = dict.fromkeys(self.task.weights, 0.0)
+        for _ in range(steps):
+            self.state, _, terms, self.measures = self._transition(self.state, readings)
+            for name, weight in self.task.weights.items():
+                sums[name] += weight * float(terms[name][0])
+        self.total += sum(sums.values())
+        return sums
 
 
 def eats(obs: jax.Array) -> jax.Array:

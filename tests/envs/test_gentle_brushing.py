@@ -3,13 +3,11 @@
 import dataclasses
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-from assistax_envs import disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import TEETH
 from assistax_envs.models.teeth import INNER, OFF, ORDER, PLACES, SHOWN_BY, places
@@ -23,8 +21,8 @@ from assistax_envs.tasks.gentle_brushing import (
     BrushState,
 )
 from assistax_envs.tasks.mouth import OPENED, TURNED
-from tests.envs.conftest import compiled, environment
-from tests.envs.mouth import meal
+from tests.envs.conftest import environment
+from tests.envs.mouth import LaidOut, meal
 
 TASK = "gentle_brushing"
 
@@ -71,26 +69,16 @@ def test_starts_at_a_place_have_the_brush_before_it() -> None:
         assert min((contact.dist for contact in data.contact), default=0.0) > -0.003
 
 
-class Table:
+class Table(LaidOut):
     """One simulation of the task, whose readings a test lays out by hand."""
 
     def __init__(self, preference: str = "p5", place: int = 1) -> None:
-        env = environment(TASK, "native")
-        # The task alone, whose readings no public door takes.
-        self.task: Any = env._task
-        params = disability_params(["d1"], [preference])
-        begun = compiled(TASK, "native")[0](jax.random.split(jax.random.key(0), 1), params)
-        self.likes = PREFERENCES[preference]
-        # What the sensors say at the start, the ground of readings that a test changes.
-        self._read = env._sensors.read(
-            env._physics.forward(begun.physics, env._joint_range(params))
-        )
+        super().__init__(TASK, preference)
         zero, nought = jnp.zeros(1, jnp.float32), jnp.zeros(1, jnp.int32)
         self.state: BrushState = dataclasses.replace(
-            begun.task, place=nought + place, done=nought, strokes=nought, side=zero + 1.0,
+            self.begun, place=nought + place, done=nought, strokes=nought, side=zero + 1.0,
             time=zero, liked=zero, left=zero + jnp.nan,
         )  # fmt: skip
-        self.total, self._transition = 0.0, jax.jit(self.task.transition)
 
     def play(
         self, at: float, force: float = 1.0, steps: int = 1, aside: float = 0.0,
@@ -103,24 +91,18 @@ class Table:
         middle, along, normal = places(jnp.array([place]), jnp.array([jaw]))
         row = TEETH.index(f"{ORDER[place][0]}_{ORDER[place][1]}_teeth")
         readings = dataclasses.replace(
-            self._read,
+            self.read,
             bowl=middle + at * along + (OFF + aside) * normal,
             jaw=jnp.array([jaw], jnp.float32),
             # The column of the neck's yaw, which the task alone knows.
-            human_position=self._read.human_position.at[:, self.task._read_yaw].set(yaw),
+            human_position=self.read.human_position.at[:, self.task._read_yaw].set(yaw),
             felt=jnp.zeros((1, len(TEETH))).at[:, row].set(force),
             tool_velocity=jnp.zeros((1, 3)),
             force=jnp.array([force], jnp.float32),
             on_arm=jnp.array([force], jnp.float32),
             hurt=jnp.array([hurt]),
         )
-        sums = dict.fromkeys(self.task.weights, 0.0)
-        for _ in range(steps):
-            self.state, _, terms, self.measures = self._transition(self.state, readings)
-            for name, weight in self.task.weights.items():
-                sums[name] += weight * float(terms[name][0])
-        self.total += sum(sums.values())
-        return sums
+        return self.after(readings, steps)
 
     def stroke(self, steps: int, force: float = 1.0, **other: float) -> dict[str, float]:
         """Go to the end that comes next, in so many steps."""

@@ -1,7 +1,6 @@
 """Gentle feeding: the mouth's scene, the four stages of a bite, what they pay, who is needed."""
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +30,7 @@ from assistax_envs.tasks.mouth import (
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from tests.envs.conftest import compiled, environment
-from tests.envs.mouth import meal
+from tests.envs.mouth import LaidOut, meal
 
 TASK = "gentle_feeding"
 
@@ -117,25 +116,15 @@ def test_where_bowl_mouth_and_face_are_is_what_mujoco_says() -> None:
 # A bite.
 
 
-class Table:
+class Table(LaidOut):
     """One simulation of the task, whose readings a test lays out by hand."""
 
     def __init__(self, preference: str = "p5") -> None:
-        self.env = environment(TASK, "native")
-        # The task itself, whose terms are compared.
-        self.task: Any = self.env._task
-        params = disability_params(["d1"], [preference])
-        begun = compiled(TASK, "native")[0](jax.random.split(jax.random.key(0), 1), params)
-        self.likes = PREFERENCES[preference]
-        ranges = self.env._joint_range(params)
-        # Readings as the environment makes them, of a state that is set by hand.
-        self._read = self.env._sensors.read(self.env._physics.forward(begun.physics, ranges))
+        super().__init__(TASK, preference)
         zero = jnp.zeros(1, jnp.int32)
         self.state: FeedState = dataclasses.replace(
-            begun.task, stage=zero, held=zero, left=jnp.full(1, jnp.nan), shut=jnp.ones(1, bool)
+            self.begun, stage=zero, held=zero, left=jnp.full(1, jnp.nan), shut=jnp.ones(1, bool)
         )
-        self.total = 0.0
-        self._transition = jax.jit(self.task.transition)
 
     def play(
         self,
@@ -149,7 +138,7 @@ class Table:
     ) -> dict[str, float]:
         """Return the weighted terms, summed over equal steps."""
         readings = dataclasses.replace(
-            self._read,
+            self.read,
             bowl=jnp.array([[out, aside, 0.0]], jnp.float32),
             jaw=jnp.array([jaw], jnp.float32),
             felt=jnp.array([[bite, 0.0]], jnp.float32),
@@ -159,13 +148,7 @@ class Table:
             on_arm=jnp.array([bite], jnp.float32),
             hurt=jnp.zeros(1, bool),
         )
-        sums = dict.fromkeys(self.task.weights, 0.0)
-        for _ in range(steps):
-            self.state, _, terms, self.measures = self._transition(self.state, readings)
-            for name, weight in self.task.weights.items():
-                sums[name] += weight * float(terms[name][0])
-        self.total += sum(sums.values())
-        return sums
+        return self.after(readings, steps)
 
     @property
     def stage(self) -> int:

@@ -132,7 +132,7 @@ seeds = 4
         *("rows.csv", "contrasts.csv", "contrasts.json"),
     }
     assert {path.name for path in images.iterdir()} == {
-        f"scratch-{kind}.png" for kind in ("league", "partners", "validation")
+        *("league.png", "partners.png", "validation.png")
     }
     assert pl.read_csv(out / "contrasts.csv")["method"].to_list() == ["gru"]
     assert pl.read_csv(out / "rows.csv")["device_minutes_in_all"].null_count() == 0

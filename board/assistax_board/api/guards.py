@@ -4,11 +4,12 @@ import asyncio
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import Depends, Request, Security
+from fastapi import Depends, Request, Response, Security
 from fastapi.exceptions import RequestValidationError
 from fastapi.security import HTTPBearer
 from limits import parse
 from pydantic import BaseModel, ValidationError
+from starlette.requests import HTTPConnection
 
 from assistax_board.problems import CODES, Problem
 from assistax_board.rules.scoring import MAX_TABLE_BYTES
@@ -88,6 +89,37 @@ class BodyLimit:
         return counted
 
 
+class UpgradeLimit:
+    """ASGI middleware: live connections are counted before anything else is done for them."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a connection on unless its address, or its token, asks too often."""
+        if scope["type"] == "websocket":
+            connection, limiter = HTTPConnection(scope), scope["app"].state.limiter
+            try:
+                limiter.hit(READ, client_of(connection))
+                limiter.hit(UPGRADE, bearer_token(connection))
+            except Problem as problem:
+                await denial(problem)(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+
+def bearer_token(connection: HTTPConnection) -> str:
+    """Return the token that came with a request, or nothing."""
+    kind, _, token = connection.headers.get("authorization", "").partition(" ")
+    return token if kind.lower() == "bearer" else ""
+
+
+def denial(problem: Problem) -> Response:
+    """Return the answer to a live connection that is refused."""
+    headers = {"Retry-After": str(problem.retry_after or 10)}
+    return Response(problem.message, CODES[problem.code], headers)
+
+
 def largest_body(path: str) -> int:
     """Return how many bytes the body of a request to this path may have."""
     if path.startswith("/api/work/") and path.endswith(_LARGE_WORK):
@@ -122,7 +154,7 @@ def service_of(request: Request) -> Service:
 TheService = Annotated[Service, Depends(service_of)]
 
 
-def client_of(request: Request) -> str:
+def client_of(request: HTTPConnection) -> str:
     """Return the address that a request came from."""
     return request.client.host if request.client else "unknown"
 

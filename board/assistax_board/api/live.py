@@ -10,13 +10,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocketDisconnect
 
 from assistax_board.api.errors import RESPONSES
-from assistax_board.api.guards import READ, SIGN_IN, UPGRADE, TheService, Worker
+from assistax_board.api.guards import SIGN_IN, TheService, Worker, bearer_token, client_of, denial
 from assistax_board.api.submitting import whole_body
 from assistax_board.api.working import LeaseSecret
 from assistax_board.live.messages import decode, encode, unpack_rows
 from assistax_board.live.rooms import Away, BankEmpty, Room, Seat
 from assistax_board.live.seats import Asked
-from assistax_board.problems import CODES, Problem
+from assistax_board.problems import Problem
 from assistax_board.rules.tokens import authenticate
 
 router = APIRouter(prefix="/api", tags=["live"], responses=RESPONSES)
@@ -61,13 +61,11 @@ async def live(socket: WebSocket, submission: str) -> None:
     """Connect a live robot: the server sends `observe`, the client answers `act`, until `end`."""
     rooms = socket.app.state.rooms
     try:
-        token = _count(socket)
-        owner = await run_in_threadpool(_check_owner, socket, token, submission)
-        seat = await rooms.take_seat(submission, owner)
+        async with rooms.doors:
+            owner = await run_in_threadpool(_check_owner, socket, submission)
+            seat = await rooms.take_seat(submission, owner)
     except Problem as problem:
-        headers = {"Retry-After": str(problem.retry_after or 10)}
-        answer = Response(problem.message, CODES[problem.code], headers)
-        await socket.send_denial_response(answer)
+        await socket.send_denial_response(denial(problem))
         return
     try:
         await socket.accept()
@@ -148,26 +146,13 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         await socket.app.state.rooms.hear(seat.submission, data)
 
 
-def _count(socket: WebSocket) -> str:
-    """Count an upgrade before anything is done for it, and return the token that came."""
-    limiter = socket.app.state.limiter
-    limiter.hit(READ, _address(socket))
-    kind, _, token = socket.headers.get("authorization", "").partition(" ")
-    limiter.hit(UPGRADE, token)
-    return token if kind.lower() == "bearer" else ""
-
-
-def _address(socket: WebSocket) -> str:
-    return socket.client.host if socket.client else "unknown"
-
-
-def _check_owner(socket: WebSocket, token: str, submission: str) -> str:
+def _check_owner(socket: WebSocket, submission: str) -> str:
     """Return the lab that a live submission is of, if the token that came is of that lab."""
     state = socket.app.state
     try:
-        principal = authenticate(state.service.database, token)
+        principal = authenticate(state.service.database, bearer_token(socket))
     except Problem:
-        state.limiter.hit(SIGN_IN, _address(socket))
+        state.limiter.hit(SIGN_IN, client_of(socket))
         raise
     owner = principal.submitter
     if owner is None or not state.service.owns_live(submission, owner):

@@ -3,7 +3,7 @@
 import json
 import logging
 import time
-from collections.abc import Awaitable, Callable
+from typing import Any
 
 import sqlalchemy as sa
 from fastapi import APIRouter, Request, Response
@@ -69,26 +69,40 @@ def metrics(service: TheService, request: Request) -> Response:
     return Response(generate_latest(counted.registry), media_type="text/plain; version=0.0.4")
 
 
-async def observe(
-    request: Request, call_next: Callable[[Request], Awaitable[Response]]
-) -> Response:
-    """Count, time and log a request by its route: never its query, headers or body."""
-    began = time.perf_counter()
-    response = await call_next(request)
-    seconds = time.perf_counter() - began
-    route = getattr(request.scope.get("route"), "path", "none")
-    metrics: Metrics = request.app.state.metrics
-    metrics.requests.labels(request.method, route, response.status_code).inc()
+class Observe:
+    """ASGI middleware: a request is counted, timed and logged by its route.
+
+    Its query, headers and body never are.
+    """
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Pass a request on, and look at its answer."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        status, began = 0, time.perf_counter()
+
+        async def seen(message: Any) -> None:
+            nonlocal status
+            status = message.get("status", status)
+            await send(message)
+
+        await self._app(scope, receive, seen)
+        if status:  # otherwise the client was gone before
+            _note(scope, status, time.perf_counter() - began)
+
+
+def _note(scope: Any, status: int, seconds: float) -> None:
+    route, method = getattr(scope.get("route"), "path", "none"), scope["method"]
+    metrics: Metrics = scope["app"].state.metrics
+    metrics.requests.labels(method, route, status).inc()
     metrics.seconds.labels(route).observe(seconds)
-    fields = {
-        "method": request.method,
-        "route": route,
-        "status": response.status_code,
-        "ms": round(1000 * seconds, 1),
-        "token": getattr(request.state, "token", None),
-    }
-    log.info("request", extra={"fields": fields})
-    return response
+    token = scope.get("state", {}).get("token")
+    fields = {"method": method, "route": route, "status": status, "token": token}
+    log.info("request", extra={"fields": {**fields, "ms": round(1000 * seconds, 1)}})
 
 
 def log_to_stderr() -> None:

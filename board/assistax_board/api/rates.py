@@ -55,16 +55,31 @@ class Limiter:
         return hmac.new(self._key, who.encode(), hashlib.sha256).hexdigest()[:32]
 
 
+class _Running(threading.Timer):
+    """Stands for the timer of `limits`, so that none is started.
+
+    While anybody asks, that is a new thread each hundredth of a second, which looks through all
+    counts; on a busy machine whoever asks waits for its start.
+    """
+
+    def is_alive(self) -> bool:
+        """Say yes."""
+        return True
+
+
 class _Counts(MemoryStorage):
     """Counts in memory, and how the database's, which all servers add to, come into them."""
 
     def __init__(self, database: Database | None) -> None:
         self._database = database
         self._lock = threading.Lock()
+        self._forgot_at = time.time()
         self._own: Counter[str] = Counter()  # that the database does not have yet
         self._learnt_at = 0.0
         self._thread: threading.Thread | None = None
         super().__init__()
+        self.timer.join()
+        self.timer = _Running(0.0, self._forget)
 
     def incr(self, key: str, expiry: float, amount: int = 1) -> int:
         """Count, and see to it that others learn of it."""
@@ -75,6 +90,7 @@ class _Counts(MemoryStorage):
                 args = (self._database,)
                 self._thread = threading.Thread(target=self._share_on, args=args, daemon=True)
                 self._thread.start()
+            self._forget()
             self._own[key] += amount
             return super().incr(key, expiry, amount)
 
@@ -83,6 +99,15 @@ class _Counts(MemoryStorage):
         with self._lock:
             self._own[key] -= amount
             return super().decr(key, amount)
+
+    def _forget(self) -> None:
+        """Drop what has expired, once in a while; the caller has the lock."""
+        now = time.time()
+        if now - self._forgot_at > SHARE_SECONDS:
+            self._forgot_at = now
+            for key in [key for key, until in self.expirations.items() if until <= now]:
+                self.clear(key)
+                self.expirations.pop(key, None)
 
     def _share_on(self, database: Database) -> None:
         """Share what is counted, again and again until nothing is."""

@@ -23,6 +23,7 @@ RESUME_SECONDS = 60.0  # for a lost connection to come back within a batch
 SEATS = 400  # connections of all labs here: requests need room beside them
 POLL_SECONDS = 0.05  # between two looks at what was asked, or answered, at another server
 LOOK_SECONDS = 1.0  # between two looks at which connections have ended
+DOORS = 4  # at which connections come and go: a crowd there leaves threads for requests
 BOOK_SECONDS = 1.0  # of thinking that are written down together
 
 
@@ -88,6 +89,7 @@ class Rooms:
         self._rooms: dict[str, Room] = {}
         self._here: dict[str, Seat] = {}
         self._keeping: asyncio.Task[None] | None = None
+        self.doors = asyncio.Semaphore(DOORS)
         self._resume, self._bank = resume, bank
 
     def room(self, submission: str) -> Room:
@@ -96,6 +98,8 @@ class Rooms:
 
     async def take_seat(self, submission: str, owner: str) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.
+
+        The caller has come through the doors.
 
         Raises:
             Problem: The lab, or all labs together, have too many connections.
@@ -120,7 +124,8 @@ class Rooms:
             del self._rooms[seat.submission]
             thought, room.thought = room.thought, 0.0
             room.wake()
-        await run_in_threadpool(self.seats.leave, seat.submission, seat.name, thought)
+        async with self.doors:
+            await run_in_threadpool(self.seats.leave, seat.submission, seat.name, thought)
 
     async def hear(self, submission: str, answer: bytes) -> None:
         """Take a client's answer to the step that waits."""
@@ -189,7 +194,7 @@ class Rooms:
                 if time.monotonic() - looked >= LOOK_SECONDS:
                     looked = time.monotonic()
                     await self._look(list(self._here))
-                await self._take_in(list(self._here))
+                await self._take_in()
             await asyncio.sleep(POLL_SECONDS)
 
     async def _look(self, names: list[str]) -> None:
@@ -200,10 +205,10 @@ class Rooms:
             if seat is not None and (state is None or state in FINAL_STATES):
                 seat.end(state)
 
-    async def _take_in(self, names: list[str]) -> None:
-        for row in await run_in_threadpool(self.seats.pending, names):
+    async def _take_in(self) -> None:
+        for row in await run_in_threadpool(self.seats.pending):
             room, step = self._rooms.get(row.submission), (row.batch, row.step)
-            if room is None:
+            if room is None or row.seat not in self._here:
                 continue
             room.elsewhere = step
             room.put(step, row.question)

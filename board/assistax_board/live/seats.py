@@ -82,14 +82,12 @@ class Seats:
         with self._database.write() as connection:
             over = sa.update(schema.seats).where(mine, SEAT.seat == seat)
             connection.execute(over.values(seat=None, until=now, seen_at=now))
-        self.think(submission, thought)
+            _add_thought(connection, submission, thought)
 
     def think(self, submission: str, seconds: float) -> float:
         """Count time for which a step has waited for a robot; return all of it."""
-        mine = sa.update(schema.seats).where(SEAT.submission == submission)
         with self._database.write() as connection:
-            counted = mine.values(thought=SEAT.thought + seconds).returning(SEAT.thought)
-            return connection.execute(counted).scalar() or 0.0
+            return _add_thought(connection, submission, seconds)
 
     def gone(self) -> list[str]:
         """Return the live submissions whose clients have not come for too long."""
@@ -130,11 +128,11 @@ class Seats:
         away = 0.0 if row.until > now else now - max(row.seen_at, self._began)
         return (row.answer if (row.batch, row.step) == step else None), away
 
-    def pending(self, seats: Sequence[str]) -> list[Any]:
-        """Return what was asked at other servers of these connections, and not answered."""
-        columns = SEAT.submission, SEAT.batch, SEAT.step, SEAT.question
+    def pending(self) -> list[Any]:
+        """Return what was asked of connections at other servers, and not answered."""
+        columns = SEAT.seat, SEAT.submission, SEAT.batch, SEAT.step, SEAT.question
         asked = SEAT.question.is_not(None), SEAT.answer.is_(None)
-        query = sa.select(*columns).where(SEAT.seat.in_(seats), *asked)
+        query = sa.select(*columns).where(SEAT.seat.is_not(None), *asked)
         with self._database.read() as connection:
             return list(connection.execute(query))
 
@@ -143,3 +141,9 @@ class Seats:
         this = SEAT.submission == submission, SEAT.batch == step[0], SEAT.step == step[1]
         with self._database.write() as connection:
             connection.execute(sa.update(schema.seats).where(*this).values(answer=answer))
+
+
+def _add_thought(connection: sa.Connection, submission: str, seconds: float) -> float:
+    mine = sa.update(schema.seats).where(SEAT.submission == submission)
+    counted = mine.values(thought=SEAT.thought + seconds).returning(SEAT.thought)
+    return connection.execute(counted).scalar() or 0.0

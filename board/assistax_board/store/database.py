@@ -7,6 +7,7 @@ after another takes an advisory lock.
 
 import contextlib
 import sqlite3
+import threading
 import time
 import weakref
 from collections.abc import Generator
@@ -34,6 +35,9 @@ class Database:
         """
         self.url = sa.make_url(url)
         self.is_sqlite = self.url.get_backend_name() == "sqlite"
+        # Writers of this process wait here and not in SQLite, which lets each of them sleep with a
+        # connection in hand: thirty of them would leave none for readers.
+        self._turn = threading.Lock() if self.is_sqlite else contextlib.nullcontext()
         options: dict[str, Any] = (
             {"connect_args": {"timeout": BUSY_SECONDS, "check_same_thread": False}}
             if self.is_sqlite
@@ -62,7 +66,7 @@ class Database:
     @contextlib.contextmanager
     def write(self) -> Generator[sa.Connection]:
         """Yield a connection whose changes all happen when the block ends, or none of them."""
-        with self.engine.connect().execution_options(write=True) as connection, connection.begin():
+        with self._turn, self.engine.connect() as connection, _writing(connection).begin():
             yield connection
 
     def take(self, query: sa.Select) -> sa.Select:
@@ -117,6 +121,10 @@ def _write_ahead(cursor: Any) -> None:
             if time.monotonic() > end:
                 raise
             time.sleep(0.05)
+
+
+def _writing(connection: sa.Connection) -> sa.Connection:
+    return connection.execution_options(write=True)
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:

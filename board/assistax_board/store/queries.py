@@ -72,14 +72,15 @@ class Queries:
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
         with self.database.read() as connection:
-            queue = Queue(connection)
-            return [queue.describe(row) for row in connection.execute(query)]
+            rows = list(connection.execute(query))
+            queue = Queue(connection, [row.id for row in rows])
+            return [queue.describe(row) for row in rows]
 
     def submission(self, id: str) -> Submission | None:
         """Return one submission, if there is one of this id."""
         with self.database.read() as connection:
             row = connection.execute(_submission_query().where(SUBMISSION.id == id)).first()
-            return None if row is None else Queue(connection).describe(row)
+            return None if row is None else Queue(connection, [id]).describe(row)
 
     def scores(
         self,

@@ -1,9 +1,12 @@
 """The queue of submissions: places, and the time left."""
 
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
 
+from assistax_board.store import schema
 from assistax_board.store.schema import JOB, RESULT, SUBMISSION
 from assistax_board.store.shown import Submission
 from assistax_board.vocabulary import FINAL_STATES, REASONS
@@ -14,18 +17,25 @@ DEFAULT_JOB_SECONDS = 20.0  # of a job, before any was timed
 class Queue:
     """The queue as one transaction sees it: who is before whom, and how long that takes."""
 
-    def __init__(self, connection: sa.Connection) -> None:
-        counts = sa.select(JOB.submission, JOB.state, sa.func.count()).group_by(
-            JOB.submission, JOB.state
+    def __init__(self, connection: sa.Connection, shown: Sequence[str]) -> None:
+        """Look at who waits, and at the jobs of the submissions that will be described."""
+        is_waiting = SUBMISSION.state.not_in(FINAL_STATES)
+        counts = (
+            sa.select(JOB.submission, JOB.state, sa.func.count())
+            .join(schema.submissions)
+            .where(is_waiting | SUBMISSION.id.in_(shown))
+            .group_by(JOB.submission, JOB.state)
         )
         self._jobs: dict[str, dict[str, int]] = {}
         for submission, state, count in connection.execute(counts):
             self._jobs.setdefault(submission, {})[state] = count
-        waiting = sa.select(SUBMISSION.id).where(SUBMISSION.state.not_in(FINAL_STATES))
-        order = waiting.order_by(SUBMISSION.turn, SUBMISSION.created_at, SUBMISSION.id)
-        self._order = [row.id for row in connection.execute(order)]
+        order = sa.select(SUBMISSION.id).where(is_waiting)
+        order = order.order_by(SUBMISSION.turn, SUBMISSION.created_at, SUBMISSION.id)
+        ids = list(connection.execute(order).scalars())
+        before = itertools.accumulate(map(self._left, ids))
+        self._places = {id: place for id, *place in zip(ids, itertools.count(1), before)}
         recent = sa.select(RESULT.seconds).order_by(RESULT.created_at.desc()).limit(50)
-        seconds = [row.seconds for row in connection.execute(recent)]
+        seconds = list(connection.execute(recent).scalars())
         self._job_seconds = sum(seconds) / len(seconds) if seconds else DEFAULT_JOB_SECONDS
         leased = sa.select(sa.func.count(sa.distinct(JOB.worker))).where(JOB.state == "leased")
         self._workers = max(1, connection.execute(leased).scalar_one())
@@ -33,11 +43,9 @@ class Queue:
     def describe(self, row: Any) -> Submission:
         """Return a submission with its place and the time left."""
         jobs = self._jobs.get(row.id, {})
+        place, left = self._places.get(row.id, (None, None))
+        eta = None if left is None else left * self._job_seconds / self._workers
         live = {name: count for name, count in jobs.items() if name != "cancelled"}
-        place = eta = None
-        if row.id in self._order:
-            place = self._order.index(row.id) + 1
-            eta = sum(map(self._left, self._order[:place])) * self._job_seconds / self._workers
         return Submission(
             id=row.id,
             submitter=row.submitter_name,
