@@ -18,7 +18,7 @@ from assistax_board.live import client as live_client
 from assistax_board.live import seats
 from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows
 from assistax_board.live.robot import LiveRobot
-from assistax_board.live.rooms import BankEmpty, Rooms
+from assistax_board.live.rooms import SEATS, BankEmpty, Rooms
 from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
 from assistax_board.service import Service
@@ -328,6 +328,27 @@ def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
 
     with pytest.raises(BankEmpty):
         asyncio.run(asyncio.wait_for(flicker(), 20.0))
+
+
+def test_a_crowd_at_the_door_is_sent_away(tmp_path: Path) -> None:
+    rooms = Rooms(places_of(new_service(tmp_path)))
+
+    async def come(leave: asyncio.Event) -> None:
+        async with rooms.door():
+            await leave.wait()
+
+    async def crowd() -> list[Any]:
+        leave = asyncio.Event()
+        coming = [asyncio.create_task(come(leave)) for _ in range(SEATS + 3)]
+        await asyncio.sleep(0.1)
+        sent_away = [task.exception() for task in coming if task.done()]
+        leave.set()
+        await asyncio.gather(*coming, return_exceptions=True)
+        await come(leave)  # there is room again
+        return sent_away
+
+    sent_away = asyncio.run(asyncio.wait_for(crowd(), 20.0))
+    assert [problem.code for problem in sent_away] == 3 * ["too_many_requests"]
 
 
 def places_of(service: Service) -> Seats:

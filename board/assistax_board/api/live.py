@@ -61,7 +61,7 @@ async def live(socket: WebSocket, submission: str) -> None:
     """Connect a live robot: the server sends `observe`, the client answers `act`, until `end`."""
     rooms = socket.app.state.rooms
     try:
-        async with rooms.doors:
+        async with rooms.door():
             owner = await run_in_threadpool(_check_owner, socket, submission)
             seat = await rooms.take_seat(submission, owner)
     except Problem as problem:

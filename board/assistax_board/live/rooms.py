@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import dataclasses
 import time
+from collections.abc import AsyncGenerator
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
@@ -23,7 +24,7 @@ RESUME_SECONDS = 60.0  # for a lost connection to come back within a batch
 SEATS = 400  # connections of all labs here: requests need room beside them
 POLL_SECONDS = 0.05  # between two looks at what was asked, or answered, at another server
 LOOK_SECONDS = 1.0  # between two looks at which connections have ended
-DOORS = 4  # at which connections come and go: a crowd there leaves threads for requests
+DOORS = 2  # at which connections come and go: a crowd there leaves the processor to requests
 BOOK_SECONDS = 1.0  # of thinking that are written down together
 
 
@@ -89,17 +90,33 @@ class Rooms:
         self._rooms: dict[str, Room] = {}
         self._here: dict[str, Seat] = {}
         self._keeping: asyncio.Task[None] | None = None
-        self.doors = asyncio.Semaphore(DOORS)
+        self._doors, self._coming = asyncio.Semaphore(DOORS), 0
         self._resume, self._bank = resume, bank
 
     def room(self, submission: str) -> Room:
         """Return the room of a submission."""
         return self._rooms.setdefault(submission, Room())
 
+    @contextlib.asynccontextmanager
+    async def door(self) -> AsyncGenerator[None]:
+        """Let a client in, one after another.
+
+        Raises:
+            Problem: Too many are waiting.
+        """
+        if self._coming >= SEATS:
+            raise Problem("too_many_requests", "too many live robots come at once; try again later")
+        self._coming += 1
+        try:
+            async with self._doors:
+                yield
+        finally:
+            self._coming -= 1
+
     async def take_seat(self, submission: str, owner: str) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.
 
-        The caller has come through the doors.
+        The caller has come through the door.
 
         Raises:
             Problem: The lab, or all labs together, have too many connections.
@@ -124,7 +141,7 @@ class Rooms:
             del self._rooms[seat.submission]
             thought, room.thought = room.thought, 0.0
             room.wake()
-        async with self.doors:
+        async with self._doors:
             await run_in_threadpool(self.seats.leave, seat.submission, seat.name, thought)
 
     async def hear(self, submission: str, answer: bytes) -> None:
