@@ -81,7 +81,7 @@ def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     panes = [pane for row in np.split(sheet, 3) for pane in np.split(row, 4, axis=1)]
     assert all((picture != other).any() for picture, other in itertools.pairwise(panes))
     assert call("--out", tmp_path / "short.png", "--steps", 2, "--sheet", *SMALL) == 0
-    assert np.asarray(Image.open(tmp_path / "short.png")).shape == (120, 3 * 160, 3)
+    assert np.asarray(Image.open(tmp_path / "short.png")).shape == (2 * 120, 2 * 160, 3)
 
 
 @pytest.mark.slow
