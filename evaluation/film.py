@@ -222,8 +222,8 @@ def film(
     Args:
         states: of the episode, `steps` + 1 of them.
         draw: from a state to uint8 [H, W, 3].
-        path: ends in .mp4, .gif, .webp or .png; a .png holds moments, four as two by two, the last one
-            the end.
+        path: ends in .mp4, .gif, .webp or .png; a .png holds moments, four in two rows, the last
+            one the end.
         steps: of the episode.
         fps: frames a second; a divisor of 50.
         count: of the moments.

@@ -44,7 +44,9 @@ def draw_partners(axes, train: int, test: int) -> None:
 def m_test(method: Path) -> float:
     """Return the mean return of a method's robots with the partners of the test side."""
     test = pl.read_parquet(method / "pairs.parquet").filter(pl.col("side") == "test")
-    return test.select((pl.col("return") * pl.col("episodes")).sum() / pl.col("episodes").sum()).item()
+    return test.select(
+        (pl.col("return") * pl.col("episodes")).sum() / pl.col("episodes").sum()
+    ).item()
 
 
 def draw_returns(axes, returns: dict[str, float]) -> None:
