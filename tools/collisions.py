@@ -46,7 +46,9 @@ def main(*, out: Path, width: int = 480, height: int = 360) -> None:
         sys.exit(f"error: {out.name} ends in {out.suffix or 'nothing'!r}; collisions are a .png")
     pixels = picture(PAPER_TASKS, width, height)
     with atomic_path(out) as temporary:
-        Image.fromarray(pixels).quantize(256, Image.Quantize.FASTOCTREE).save(temporary, format="png", optimize=True)
+        Image.fromarray(pixels).quantize(256, Image.Quantize.FASTOCTREE).save(
+            temporary, format="png", optimize=True
+        )
 
 
 def pair_geoms(model: mujoco.MjModel) -> dict[str, str]:
