@@ -20,9 +20,12 @@ def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
         tables: By task, of `evaluation.figures.league.league_table`.
     """
     height = 1.4 + 0.28 * max(table.height for table in tables.values())
-    title = f"League: {', '.join(tables)}"
-    caption = "Mean, 95% interval. Squares: methods that are compared with PPO."
-    figure = style.titled_figure(title, caption, _width(tables), height)
+    figure = style.titled_figure(
+        f"League: {', '.join(tables)}",
+        "Mean, 95% interval. Squares: methods that are compared with PPO.",
+        _width(tables),
+        height,
+    )
     panels = _panels(tables, 0.26 * 6.4, 0.75 / height, 1 - 1.35 / height)
     for (left, bottom, width, tall), (task, table) in zip(panels, tables.items(), strict=True):
         axes = figure.add_axes((left, bottom, width, tall))
