@@ -72,7 +72,7 @@ def _draw(row: list[Axes], table: pl.DataFrame, algorithm: str) -> None:
     for axes, values in zip(row, COLUMNS.values(), strict=True):
         curve = learning_curves(own.with_columns(values.alias("return")))
         style.band(axes, curve, "steps", "iqm", colour, style.spelled(algorithm))
-        axes.lines[-1].set_linestyle(LINES[algorithm])
+        axes.lines[-1].set(linestyle=LINES[algorithm])
         axes.tick_params(labelsize=8)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         style.bare(axes, ("left", "bottom"))
