@@ -24,7 +24,7 @@ from zoo.registry import Registry
 
 RATE = 50  # control steps a second
 ENDINGS = (".mp4", ".gif", ".webp", ".png")
-MOMENTS, SHEET = 4, 12  # pictures in a strip, and in a contact sheet of several rows
+MOMENTS, SHEET = 4, 12  # pictures in two rows of two, and in a contact sheet of rows of four
 VIDEO_HELP = (
     "an .mp4 needs the package imageio-ffmpeg; install it with: pip install "
     "'assistax-zoo[video]', or write .gif"
@@ -222,7 +222,7 @@ def film(
     Args:
         states: of the episode, `steps` + 1 of them.
         draw: from a state to uint8 [H, W, 3].
-        path: ends in .mp4, .gif, .webp or .png; a .png holds moments, four side by side, the last
+        path: ends in .mp4, .gif, .webp or .png; a .png holds moments, four in two rows, the last
             one the end.
         steps: of the episode.
         fps: frames a second; a divisor of 50.
@@ -295,10 +295,10 @@ def _write_webp(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
 
 def _write_sheet(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
     panes = list(frames)
-    empty = np.full_like(panes[0], 255)
-    panes += [empty] * (-len(panes) % MOMENTS if len(panes) > MOMENTS else 0)
-    starts = range(0, len(panes), MOMENTS)
-    rows = [np.concatenate(panes[start : start + MOMENTS], axis=1) for start in starts]
+    across = MOMENTS if len(panes) > MOMENTS else 2  # four side by side are too small on a page
+    panes += [np.full_like(panes[0], 255)] * (-len(panes) % across)
+    starts = range(0, len(panes), across)
+    rows = [np.concatenate(panes[start : start + across], axis=1) for start in starts]
     Image.fromarray(np.concatenate(rows)).save(path, "PNG", optimize=True)
 
 

@@ -1,31 +1,30 @@
 """Draws docs/images/overview.png: what this project is, in three pictures.
 
-    python -m tools.overview ego team
+    python -m tools.overview
 
-A frame of a film, the partners of the split, and what robots earn with its test side. The folders
-are those of `evaluate` with gentle_scratch/ppo-ego-s0-v2/robot and mappo-d1-s0-v2/robot.
+A moment of docs/images/gentle_scratch.png, the partners of release v2's default split, and what
+robots earned with its test side: the figures of docs/log/results-v2.md.
 """
 
-import json
-import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import polars as pl
 from PIL import Image
 
 from zoo.registry import load_registry
 
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
+DOCS = Path(__file__).parents[1] / "docs"
+IMAGES = DOCS / "images"
 TRAIN, TEST, OTHER = "#0072b2", "#e69f00", "#8a8f98"
 COLUMNS = 15  # of dots, one a partner
 
 
-def draw_film(axes, frame: int = 16) -> None:
-    """Show the scene of a film's frame, without the bars below it."""
-    with Image.open(IMAGES / "gentle_scratch.gif") as film:
-        film.seek(frame)
-        axes.imshow(film.convert("RGB").crop((110, 0, 430, 240)))
+def draw_moment(axes) -> None:
+    """Show the scene of the picture's second moment, without the words below it."""
+    with Image.open(IMAGES / "gentle_scratch.png") as moments:
+        axes.imshow(moments.convert("RGB").crop((425, 5, 650, 202)))
     axes.axis("off")
     axes.set_title("1  A robot and a human learn together", loc="left", fontsize=11)
 
@@ -36,51 +35,58 @@ def draw_partners(axes, train: int, test: int) -> None:
     colours = np.where(place < train, TRAIN, TEST)
     axes.scatter(place % COLUMNS, -(place // COLUMNS), c=list(colours), s=80)
     axes.set(xlim=(-1, COLUMNS), ylim=(-13.5, 1))
-    axes.text(0, -11.4, f"{train} humans to train with", color=TRAIN, fontsize=10, weight="bold")
-    axes.text(0, -12.8, f"{test} humans to test with", color="#b37700", fontsize=10, weight="bold")
+    axes.text(0, -11.4, f"{train} humans to train with", color=TRAIN, fontsize=11, weight="bold")
+    axes.text(0, -12.8, f"{test} humans to test with", color="#b37700", fontsize=11, weight="bold")
     axes.axis("off")
     axes.set_title("2  The zoo keeps and splits the humans", loc="left", fontsize=11)
 
 
+def m_test(method: Path) -> float:
+    """Return the mean return of a method's robots with the partners of the test side."""
+    test = pl.read_parquet(method / "pairs.parquet").filter(pl.col("side") == "test")
+    return test.select(
+        (pl.col("return") * pl.col("episodes")).sum() / pl.col("episodes").sum()
+    ).item()
+
+
 def draw_returns(axes, returns: dict[str, float]) -> None:
-    """Draw a bar for each robot, with its return with the test partners."""
-    names = list(returns)
-    colours = [OTHER, OTHER, OTHER, TRAIN, OTHER]
-    axes.barh(names, list(returns.values()), color=colours)
+    """Draw a bar for each kind of robot, with its return with the test partners."""
+    colours = [OTHER, OTHER, TRAIN, "white"]
+    edges = [OTHER, OTHER, TRAIN, TEST]
+    bars = axes.barh(list(returns), list(returns.values()), color=colours, edgecolor=edges)
+    bars[-1].set_hatch("///")  # these robots have met the test partners
     for place, value in enumerate(returns.values()):
-        axes.text(max(value, 0.0) + 6, place, f"{value:.0f}", va="center", fontsize=10)
+        axes.text(max(value, 0.0) + 6, place, f"{value:.0f}", va="center", fontsize=11)
     axes.invert_yaxis()
-    axes.set_xlim(0, 420)
-    axes.set_xlabel("M_test: mean return of an episode, gentle scratch", fontsize=9)
+    axes.set_xlim(-5, 340)
+    axes.set_xlabel("mean return with the 40, gentle scratch", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(axis="y", length=0, labelsize=10)
-    axes.set_title("3  A new robot meets humans it never saw", loc="left", fontsize=11)
+    axes.tick_params(axis="y", length=0, labelsize=11)
+    axes.set_title("3  New robots meet the test humans", loc="left", fontsize=11)
 
 
-def main(ego: Path, team: Path) -> Path:
-    """Draw the picture from two finished evaluations, and return where it is."""
-    of_ego, of_team = (json.loads((x / "summary.json").read_text()) for x in (ego, team))
+def main() -> Path:
+    """Draw the picture and return where it is."""
     split = load_registry().split("gentle_scratch")
-    if {of_ego["split"]["id"], of_team["split"]["id"]} != {split.id}:
-        raise ValueError(f"both folders must be of the default split, {split.id}")
-    references = of_ego["references"]
+    robots = DOCS / "data/v2/egos" / split.id
     returns = {
-        "does nothing": references["zero_action"]["mean"],
-        "script": references["script"]["mean"],
-        "learned with 1 human": of_team["m_test"]["mean"],
-        f"learned with {len(split.train)}": of_ego["m_test"]["mean"],
-        "each human's own robot": references["self_play"]["mean"],
+        "acts at random": m_test(robots / "random"),
+        "script": m_test(robots / "script"),
+        f"learned with\nthe {len(split.train)}": m_test(robots / "ppo"),
+        f"learned with\nthe {len(split.test)} themselves": m_test(robots / "ppo-mirror"),
     }
     figure, panes = plt.subplots(
-        1, 3, figsize=(12, 3.3), width_ratios=[1.25, 1, 1.15], layout="constrained"
+        1, 3, figsize=(11.5, 3.3), width_ratios=[1.15, 1, 1.3], layout="constrained"
     )
-    draw_film(panes[0])
+    draw_moment(panes[0])
     draw_partners(panes[1], len(split.train), len(split.test))
     draw_returns(panes[2], returns)
     path = IMAGES / "overview.png"
     figure.savefig(path, dpi=110)
+    with Image.open(path) as drawn:
+        drawn.convert("RGB").quantize(256, Image.Quantize.FASTOCTREE).save(path, optimize=True)
     return path
 
 
 if __name__ == "__main__":
-    print(main(Path(sys.argv[1]), Path(sys.argv[2])))
+    print(main())

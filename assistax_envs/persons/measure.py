@@ -33,8 +33,6 @@ TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places,
 TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
 LEAST_READ = 9  # persons
 ANSWER = 20  # steps in which an arm answers
-CAMERAS = {"gentle_scratch": "side", "gentle_bath": "side", "gentle_lift": "head"}
-CAMERAS |= dict.fromkeys(CARE_TASKS, "face")
 
 
 # A robot with a memory: from N to its memory before the first observation, and from memory,
@@ -206,22 +204,21 @@ def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def film(task: str, rows: np.ndarray, path: str, seconds: tuple[float, ...], seed: int = 0) -> None:
-    """Draw a row of pictures for each person: the script's episode at some times."""
+def film(task: str, rows: np.ndarray, path: str, seconds: float, seed: int = 0) -> None:
+    """Draw a picture of each person, three in a row: the script's episode after a time."""
     from PIL import Image
 
     env, begin, play = _program(task, "script", "person", "spring", 10)
     keys = jax.random.split(jax.random.key(seed), len(rows))
     row = jnp.asarray(rows)
-    loop, pictures = begin(row, person_params(task, rows), keys), []
-    for time in range(0, int(max(seconds) * STEPS_A_SECOND) + 1, 10):
-        if time / STEPS_A_SECOND in seconds:
-            shots = (env.render(loop[0], i, CAMERAS[task], 200, 170) for i in range(len(rows)))
-            pictures.append([shot[:105] for shot in shots])
+    loop = begin(row, person_params(task, rows), keys)
+    for time in range(0, int(seconds * STEPS_A_SECOND), 10):
         loop, _ = play(row, loop, jnp.asarray(time, jnp.int32))
+    shots = [env.render(loop[0], i, "close", 240, 260)[:168] for i in range(len(rows))]
     env.close()
-    lines = [np.concatenate(line, axis=1) for line in zip(*pictures, strict=True)]
-    Image.fromarray(np.concatenate(lines)).quantize(48).save(path)  # small enough for a page
+    lines = [np.concatenate(shots[i : i + 3], axis=1) for i in range(0, len(shots), 3)]
+    picture = Image.fromarray(np.concatenate(lines))
+    picture.quantize(256, Image.Quantize.FASTOCTREE).save(path, optimize=True)
 
 
 def main() -> None:
@@ -236,7 +233,7 @@ def main() -> None:
     count = options.count or {"play": 50, "read": 900, "film": 9}[options.what]
     rows = persons(options.task)[:INNER][:count]
     if options.what == "film":
-        film(options.task, rows, options.path, (0.0, 2.0, 4.0, 6.0, 10.0))
+        film(options.task, rows, options.path, 4.0)
     elif options.what == "play":
         for robot, human in (("script", "person"), ("script", "idle"), ("idle", "person")):
             figures = earned(episodes(options.task, rows, robot, human, options.family))

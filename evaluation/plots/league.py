@@ -20,8 +20,12 @@ def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
         tables: By task, of `evaluation.figures.league.league_table`.
     """
     height = 1.4 + 0.28 * max(table.height for table in tables.values())
-    title = f"League: {', '.join(tables)}"
-    figure = style.titled_figure(title, "Mean, 95% interval.", _width(tables), height)
+    figure = style.titled_figure(
+        f"League: {', '.join(tables)}",
+        "Mean, 95% interval. Squares: methods that are compared with PPO.",
+        _width(tables),
+        height,
+    )
     panels = _panels(tables, 0.26 * 6.4, 0.75 / height, 1 - 1.35 / height)
     for (left, bottom, width, tall), (task, table) in zip(panels, tables.items(), strict=True):
         axes = figure.add_axes((left, bottom, width, tall))
@@ -30,7 +34,7 @@ def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
             colour = style.MUTED if fixed else style.ALGORITHMS["ippo"]
             if row["low"] is not None:
                 axes.plot([row["low"], row["high"]], [place, place], color=colour, linewidth=1.6)
-            axes.plot([row["mean"]], [place], "o", color=colour, markersize=5)
+            axes.plot([row["mean"]], [place], "o" if fixed else "s", color=colour, markersize=5)
         axes.set_yticks(range(table.height), table["row"].to_list(), fontsize=8)
         axes.invert_yaxis()
         axes.set_xlabel(f"{task}: return of an episode", fontsize=9)
@@ -56,13 +60,11 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
         for name in ordered(rows):
             wide = rows[name].pivot("seed", index="steps", values="return").sort("steps")
             values = wide.drop("steps").to_numpy().T
-            steps, colour = (
-                wide["steps"].to_numpy() / 1e6,
-                palette[names.index(name) % len(palette)],
-            )
+            steps, place = wide["steps"].to_numpy() / 1e6, names.index(name)
+            colour, mark = (kind[place % len(kind)] for kind in (palette, style.MARKERS))
             band = curve_band(values)
             centre = band[0] if band else values.mean(axis=0)
-            axes.plot(steps, centre, color=colour, label=name, marker="o", markersize=3)
+            axes.plot(steps, centre, color=colour, label=name, marker=mark, markersize=4)
             if band:
                 axes.fill_between(steps, band[1], band[2], color=colour, alpha=0.15, linewidth=0)
         axes.set_xlabel(f"{task}: million environment steps of a robot", fontsize=9)

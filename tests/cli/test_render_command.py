@@ -37,13 +37,13 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
     return printed.err
 
 
-def test_a_png_is_a_strip_of_four_moments(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_png_has_four_moments_two_by_two(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     out = tmp_path / "new" / "strip.png"
     assert call("--out", out, "--steps", 20, *SMALL) == 0
     assert capfd.readouterr().out == f"{out}\n"
     strip = np.asarray(Image.open(out))
-    assert strip.shape == (120, 4 * 160, 3)
-    moments = np.split(strip, 4, axis=1)
+    assert strip.shape == (2 * 120, 2 * 160, 3)
+    moments = [pane for row in np.split(strip, 2) for pane in np.split(row, 2, axis=1)]
     assert all((picture != other).any() for picture, other in itertools.pairwise(moments))
     assert film.moments(20) == [1, 5, 11, 20] and film.moments(1) == [0, 1]
     assert [path.name for path in out.parent.iterdir()] == ["strip.png"]
@@ -81,7 +81,7 @@ def test_a_sheet_and_a_gif_lie_beside_an_mp4(tmp_path: Path):
     panes = [pane for row in np.split(sheet, 3) for pane in np.split(row, 4, axis=1)]
     assert all((picture != other).any() for picture, other in itertools.pairwise(panes))
     assert call("--out", tmp_path / "short.png", "--steps", 2, "--sheet", *SMALL) == 0
-    assert np.asarray(Image.open(tmp_path / "short.png")).shape == (120, 3 * 160, 3)
+    assert np.asarray(Image.open(tmp_path / "short.png")).shape == (2 * 120, 2 * 160, 3)
 
 
 @pytest.mark.slow

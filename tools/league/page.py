@@ -22,9 +22,9 @@ from tools.league.results import Played, results_page
 from tools.league.rows import rows
 
 FIGURES = {
-    "league": "returns of all rows",
-    "validation": "learning curves",
-    "partners": "who fails with whom",
+    "league": "Mean return of each row with its 95% interval",
+    "validation": "Return with the validation partners against steps, for each row that learned",
+    "partners": "Share of the best row's return, for each row and partner",
 }
 
 

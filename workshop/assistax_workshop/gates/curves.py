@@ -17,11 +17,12 @@ ALGORITHMS = ("ippo", "mappo", "mep", "masac")
 SETTING = "d1"
 COLUMNS = {  # heading -> what is drawn
     "return of an episode": pl.col("return"),
-    "goal reached, share of episodes": pl.col("success"),
-    "a contact above 65 N, share of episodes": pl.col("violated"),
+    "goal reached,\nshare of episodes": pl.col("success"),
+    "a contact above 65 N,\nshare of episodes": pl.col("violated"),
     "cost of force": -pl.col("term_force"),
 }
-WIDTH, ROW = 13.0, 2.3  # inches
+WIDTH, ROW = 9.0, 2.1  # inches: letters are read in the 700 pixels of a page
+LINES = dict(zip(ALGORITHMS, ("-", "--", ":", "-."), strict=True))  # told apart in grey too
 
 
 def draw_curves(curves: Path, out: Path) -> None:
@@ -38,26 +39,25 @@ def draw_curves(curves: Path, out: Path) -> None:
         "Mean over seeds (IQM) with its pointwise 95% bootstrap band; actions are drawn, as in "
         "training. Bands end where the picture does."
     )
-    height = ROW * len(GENTLE_TASKS) + 1.0
+    height = ROW * len(COLUMNS) + 1.0
     title = f"Training of the gentle tasks, {SETTING}"
     figure = style.titled_figure(title, caption, WIDTH, height)
-    grid = figure.subplots(len(GENTLE_TASKS), len(COLUMNS), squeeze=False)
-    figure.subplots_adjust(0.06, 0.8 / height, 0.955, 1 - 0.7 / height, 0.45, 0.5)
-    for task, row in zip(GENTLE_TASKS, grid, strict=True):
+    grid = figure.subplots(len(COLUMNS), len(GENTLE_TASKS), squeeze=False)
+    figure.subplots_adjust(0.08, 0.85 / height, 0.93, 1 - 0.7 / height, 0.45, 0.3)
+    for task, column in zip(GENTLE_TASKS, grid.T, strict=True):
         for algorithm in ALGORITHMS:
             path = curves / f"{task.replace('_', '-')}-{algorithm}.parquet"
             if path.is_file():
-                _draw(list(row), tables.read_parquet(path), algorithm)
-        for axes, heading in zip(row, COLUMNS, strict=True):
-            axes.set_title(heading, fontsize=9)
+                _draw(list(column), tables.read_parquet(path), algorithm)
+        column[0].set_title(task, fontsize=10, weight="bold")
+        column[-1].set_xlabel("environment steps of one member", fontsize=9)
+        for axes in column:
             _fit(axes)
-        row[0].set_ylabel(task, fontsize=9, weight="bold")
-        for axes in row:
             ends = {str(line.get_label()): _end(line) for line in axes.lines}
             colours = {str(line.get_label()): str(line.get_color()) for line in axes.lines}
             style.label_ends(axes, ends, colours)
-    for axes in grid[-1]:
-        axes.set_xlabel("environment steps of one member", fontsize=8)
+    for axes, heading in zip(grid[:, 0], COLUMNS, strict=True):
+        axes.set_ylabel(heading, fontsize=9)
     style.save_figure(figure, out, dpi=110)
 
 
@@ -72,7 +72,8 @@ def _draw(row: list[Axes], table: pl.DataFrame, algorithm: str) -> None:
     for axes, values in zip(row, COLUMNS.values(), strict=True):
         curve = learning_curves(own.with_columns(values.alias("return")))
         style.band(axes, curve, "steps", "iqm", colour, style.spelled(algorithm))
-        axes.tick_params(labelsize=7)
+        axes.lines[-1].set(linestyle=LINES[algorithm])
+        axes.tick_params(labelsize=8)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         style.bare(axes, ("left", "bottom"))
 
