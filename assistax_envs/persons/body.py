@@ -36,8 +36,8 @@ class Arm:
         self.torque = np.array(gear, np.float32)  # [3] N m, the seat's most
         dofs = [joint.dofadr[0] for joint in joints]
         self.damping = np.array(model.dof_damping[dofs], np.float32)  # [3] N m s/rad
-        data = self._posed(np.zeros(JOINTS))
-        ids = [joint.id for joint in joints]
+        data = self._scratch = self._posed(np.zeros(JOINTS))
+        ids, self._parts = [j.id for j in joints], [model.geom(name).id for name in _PARTS]
         self._anchor = np.array(data.xanchor[ids], np.float32)  # [3, 3] m, at angles zero
         self._axis = np.array(data.xaxis[ids], np.float32)  # [3, 3]
         bodies = [
@@ -125,14 +125,16 @@ class Arm:
     def _free(self, angles: np.ndarray) -> bool:
         """Return whether nothing is in the way from rest to a posture."""
         shares = np.linspace(0.0, 1.0, PLACES + 1)[1:]
-        way = (self.rest + share * (angles - self.rest) for share in shares)
-        return all(self._depth(self._posed(place)) < DEEP for place in way)
+        return all(self._depth(self.rest + share * (angles - self.rest)) < DEEP for share in shares)
 
-    def _depth(self, data: mujoco.MjData) -> float:
-        """Return how deep the arm is in anything, m."""
-        arm = {self.model.geom(name).id for name in _PARTS}
-        touching = (contact for contact in data.contact if not arm.isdisjoint(contact.geom))
-        return max((-contact.dist for contact in touching), default=0.0)
+    def _depth(self, angles: np.ndarray) -> float:
+        """Return how deep the arm is in anything, m; forces are not computed."""
+        data = self._scratch
+        data.qpos[self._qpos] = angles
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_collision(self.model, data)
+        of_arm = np.isin(data.contact.geom, self._parts).any(axis=1)
+        return -float(data.contact.dist[of_arm].min(initial=0.0))
 
     def _before_face(self, data: mujoco.MjData) -> bool:
         forearm = data.site_xpos[self._sites[-1]]

@@ -10,6 +10,7 @@ a third factor beside seeds and partners, since all pairs share them.
 """
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -253,6 +254,7 @@ def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.
     return rng.multinomial(units, np.full(units, 1.0 / units), size=resamples)
 
 
+@functools.lru_cache(maxsize=4)  # a table has a thousand intervals of one shape
 def crossed_counts(
     shape: tuple[int, ...], common_starts: bool, resamples: int, seed: int
 ) -> Counts:

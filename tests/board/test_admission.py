@@ -68,14 +68,14 @@ def disagreements(service: Service, registry: Path, path: Path) -> tuple[list[An
 
 
 @pytest.mark.slow
-def test_home_and_server_agree_on_two_hundred_files(
+def test_home_and_server_agree_on_files_of_every_kind(
     server: Service, registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ZooScorer, "play", lambda *_: _nothing())
     wrong, words = disagreements(server, registry, tmp_path / "robot.file")
     assert wrong == []
     assert (words.total(), len(KINDS)) == (COUNT, 43)
-    assert words["safetensors"] >= 15 and words["onnx"] >= 15
+    assert words["safetensors"] >= 6 and words["onnx"] >= 6
     assert len(words) >= 14, words  # two formats, and most words of the vocabulary
 
 

@@ -51,6 +51,7 @@ def person_glob(task: str, release: str) -> str:
     return _team(task, 0, release).replace("-00000-", "-*-") + "/human"
 
 
+@functools.lru_cache(maxsize=16)
 def described(task: str, secret: str | None = None, count: int = COUNT) -> Persons:
     """Return what a release says of a task's persons as they are here, or of a secret's."""
     digest = sha256(_rows(task, secret, count).astype("<f4").tobytes())
