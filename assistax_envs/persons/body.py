@@ -34,8 +34,8 @@ class Arm:
         self.range = np.array([model.jnt_range[joint.id] for joint in joints], np.float32)
         gear = [model.actuator(name).gear[0] for name in HUMAN_ACTUATORS]
         self.torque = np.array(gear, np.float32)  # [3] N m, the seat's most
-        dofs = [joint.dofadr[0] for joint in joints]
-        self.damping = np.array(model.dof_damping[dofs], np.float32)  # [3] N m s/rad
+        self._dofs = [joint.dofadr[0] for joint in joints]
+        self.damping = np.array(model.dof_damping[self._dofs], np.float32)  # [3] N m s/rad
         data = self._scratch = self._posed(np.zeros(JOINTS))
         ids, self._parts = [j.id for j in joints], [model.geom(name).id for name in _PARTS]
         self._anchor = np.array(data.xanchor[ids], np.float32)  # [3, 3] m, at angles zero
@@ -119,8 +119,7 @@ class Arm:
 
     def _held(self, data: mujoco.MjData) -> np.ndarray:
         """Return the torques [3] that hold the arm still, its springs' share taken off."""
-        dofs = [self.model.joint(name).dofadr[0] for name in HUMAN_ACTUATORS]
-        return np.array(data.qfrc_bias[dofs] - data.qfrc_passive[dofs])
+        return np.array(data.qfrc_bias[self._dofs] - data.qfrc_passive[self._dofs])
 
     def _free(self, angles: np.ndarray) -> bool:
         """Return whether nothing is in the way from rest to a posture."""

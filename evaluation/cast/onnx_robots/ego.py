@@ -52,8 +52,7 @@ def make(path: str) -> "OnnxEgo":
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
     try:
-        reducing = reductions_over_rows(read_onnx_network(data).graph)
-        return OnnxEgo(data, onnxruntime, reducing)
+        return OnnxEgo(data, onnxruntime, reductions_over_rows(read_onnx_network(data).graph))
     except (ValueError, MemoryError):
         raise
     except Exception as error:  # each library has an exception class for each of its status codes

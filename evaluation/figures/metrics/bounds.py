@@ -84,8 +84,7 @@ def best_of_robots(returns: Num[np.ndarray, "E P K"]) -> Float[np.ndarray, " P"]
         return returns.mean(axis=2).max(axis=0)
     halves = [returns[:, :, start::2].mean(axis=2) for start in (0, 1)]
     partners = np.arange(returns.shape[1])
-    values = [halves[1 - i][halves[i].argmax(axis=0), partners] for i in (0, 1)]
-    return np.mean(values, axis=0)
+    return np.mean([halves[1 - i][halves[i].argmax(axis=0), partners] for i in (0, 1)], axis=0)
 
 
 def normalised_return(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, "S P"]:

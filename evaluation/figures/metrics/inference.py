@@ -28,8 +28,7 @@ class MeanTest:
         """
         from scipy import stats
 
-        ends = stats.t.ppf((1 - alpha / 2, power), self.freedom)
-        return float(ends.sum() * self.error)
+        return float(stats.t.ppf((1 - alpha / 2, power), self.freedom).sum() * self.error)
 
 
 def mean_test(a: Num[np.ndarray, "S P"], b: Num[np.ndarray, "T P"]) -> MeanTest:
