@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 from PIL import Image
 
+from assistax_base.parquet import read_parquet
 from zoo.registry import load_registry
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -43,7 +44,7 @@ def draw_partners(axes, train: int, test: int) -> None:
 
 def m_test(method: Path) -> float:
     """Return the mean return of a method's robots with the partners of the test side."""
-    test = pl.read_parquet(method / "pairs.parquet").filter(pl.col("side") == "test")
+    test = read_parquet(method / "pairs.parquet").filter(pl.col("side") == "test")
     return test.select(
         (pl.col("return") * pl.col("episodes")).sum() / pl.col("episodes").sum()
     ).item()
