@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,32 +27,23 @@ from tests.board.test_season import open_season
 from tests.untrained import gentle_specs, published, teams_of
 
 TASK = "gentle_scratch"
-
-
-def test_a_folder_that_exists_is_not_rehearsed_in(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["season", "rehearse", "--data", str(tmp_path)]) == 1
-    assert "exists; name a new folder" in capsys.readouterr().err
+Rehearse = Callable[[rehearsal.Stage], Iterator[str]]
 
 
 @pytest.mark.slow
-def test_a_season_is_rehearsed(tmp_path: Path) -> None:
-    """On a file system of 64 MB, full while robots are played and while the season closes."""
+def test_a_season_is_rehearsed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rehearsal, "rehearse", on_a_disk_that_fills_up(rehearsal.rehearse))
     registry = published(teams_of(4, *gentle_specs(TASK), TASK), tmp_path / "public")
-    stage = rehearsal.Stage(tmp_path / "rehearsal", TASK, registry, open_seconds=150.0)
-    with mounted(stage.data, "size=64m") as is_there:
-        lines = []
-        for line in rehearsal.rehearse(stage):
-            lines.append(line)
-            print(line, flush=True)
-            if is_there and ("Lab of Grace handed in" in line or "the server goes on" in line):
-                with full_disk(stage.data):
-                    time.sleep(15.0)
-        assert not is_there or stage.data.stat().st_dev != stage.folder.stat().st_dev
-    assert sum("panel B: " in line for line in lines) == 2
-    printed = "\n".join(lines)
-    assert re.findall(r"stage (\d) of 6: ", printed) == list("123456")
+    data = tmp_path / "rehearsal"
+    words = ["season", "rehearse", "--data", str(data), "--registry", str(registry)]
+    words += ["--minutes", "2.5"]  # the disk is full for a part of them
+    assert run(words) == 0, capsys.readouterr().err
+    lines = capsys.readouterr().out
+    stages = re.findall(r"stage (\d) of 6: ", lines)
+    assert stages == list("123456")
+    assert lines.count("panel B: ") == 2
     for text in (
         "trained 4 hidden teams",
         "drew 4 hidden persons from a secret",
@@ -69,8 +60,24 @@ def test_a_season_is_rehearsed(tmp_path: Path) -> None:
         "a backup has",
         "has stopped",
     ):
-        assert text in printed
-    assert (stage.folder / "board.zip").is_file()
+        assert text in lines
+    assert (data / "board.zip").is_file()
+    assert run(words) == 1 and "exists; name a new folder" in capsys.readouterr().err
+
+
+def on_a_disk_that_fills_up(rehearse: Rehearse) -> Rehearse:
+    """Let it be on a real file system of 64 MB, full while robots play and the season closes."""
+
+    def rehearse_there(stage: rehearsal.Stage) -> Iterator[str]:
+        with mounted(stage.data, "size=64m") as is_there:
+            for line in rehearse(stage):
+                yield line
+                if is_there and ("Lab of Grace handed in" in line or "the server goes on" in line):
+                    with full_disk(stage.data):
+                        time.sleep(15.0)
+            assert is_there == (stage.data.stat().st_dev != stage.folder.stat().st_dev)
+
+    return rehearse_there
 
 
 @contextlib.contextmanager

@@ -66,7 +66,11 @@ class Database:
     @contextlib.contextmanager
     def write(self) -> Generator[sa.Connection]:
         """Yield a connection whose changes all happen when the block ends, or none of them."""
-        with self._turn, self.engine.connect() as connection, _writing(connection).begin():
+        with (
+            self._turn,
+            self.engine.connect().execution_options(write=True) as connection,
+            connection.begin(),
+        ):
             yield connection
 
     def take(self, query: sa.Select) -> sa.Select:
@@ -121,10 +125,6 @@ def _write_ahead(cursor: Any) -> None:
             if time.monotonic() > end:
                 raise
             time.sleep(0.05)
-
-
-def _writing(connection: sa.Connection) -> sa.Connection:
-    return connection.execution_options(write=True)
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:
