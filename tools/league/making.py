@@ -171,8 +171,8 @@ def _trained(
 ) -> tuple[TrainedRun, list[str]]:
     """Train with a split's training side, and return the robots that validation chooses.
 
-    Told robots, the mirror's and best responses are bounds and no methods: they stay as they are
-    at the end of their training.
+    The mirror's robots and best responses met the test side. They are bounds and no methods, and
+    stay as they are at the end of their training.
     """
     row, sizes, learning = making.row, making.sizes, _learning(making, split)
     watched = row.source in ("train", "best-of")  # by the validation side
@@ -189,8 +189,6 @@ def _trained(
     playing: dict[str, Any] = {"best_of": sizes.best_of, "persons": sizes.validators}
     chosen = choose(making.registry, learning, run, making.how, **playing)
     seconds["validation"] = time.perf_counter() - start
-    if row.told:
-        return run, ends
     picked = chosen.best if row.source == "best-of" else chosen.by_seed
     if not picked:
         raise ValueError(

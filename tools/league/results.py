@@ -17,8 +17,8 @@ LIMITS = """- Persons are numbers and a program. Nothing here is about people, o
   that are networks.
 - The persons of the test side are corners of the training side's range (`spring`), or move by
   another law (`muscle`).
-- Checkpoints of methods are chosen by the validation side. Told robots and best responses are as
-  they are at the end of training, so their rows may say too little.
+- Checkpoints of all rows are chosen by the validation side, except those of best responses and of
+  the mirror. These met the test side and stay as they are at the end of training.
 - Hyperparameters are those of PPO's gates for all methods. A method may be better with its own.
 """
 
@@ -113,10 +113,7 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
             yield f"{words} at Holm's 5% over all named contrasts: {listing(said)}."
     gaps = [said for task in tasks if (said := _gap(task))]
     if gaps:
-        yield (
-            f"Of what being told the preference is worth, {listing(gaps)}; methods have chosen "
-            "checkpoints and told robots do not, so these shares may be too high."
-        )
+        yield f"Of what being told the preference is worth, {listing(gaps)}."
     for task in tasks:
         yield _whom(task)
     shares = [
