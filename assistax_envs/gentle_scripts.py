@@ -1,4 +1,4 @@
-"""Scripts of the gentle tasks from version 3 on: what they do, and the numbers that they do it by.
+"""Scripts of the gentle tasks as they are now: what they do, and the numbers that they do it by.
 
 The numbers are the best of a search with persons (`assistax-zoo gates persons TASK --only search`).
 Scripts of older versions stay in `assistax_envs.scripted`, since published figures stand beside
@@ -17,9 +17,9 @@ import mujoco
 
 from assistax_envs.registered import REGISTERED
 from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
+from assistax_envs.scripted import SCRIPTS as OLDER
 
 Numbers = Mapping[str, Any]
-FROM = 3  # version of the gentle tasks from which on these scripts play
 # What a search tries for each number, from least to most. Lengths in m, speeds in m/s, forces in N;
 # "yield" is m/s for each N of the force that the tool feels, along it.
 _SKIN = {
@@ -54,6 +54,33 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
         "slide": (0.03, 0.12),
         "turn": (0.0, 0.3),
         "damping": (5e-5, 5e-3),
+    },
+    "gentle_feeding": {
+        "approach": (1.0, 8.0),
+        "fast": (0.05, 0.3),
+        "wait": (0.03, 0.2),  # before the lips, until the mouth opens
+        "open": (0.3, 0.8),  # of the jaw's range, from where on the spoon goes in
+        "deep": (0.011, 0.029),  # behind the lips
+        "leave": (0.09, 0.2),  # before the lips, after a bite
+        "turn": (0.02, 0.3),
+        "damping": (1e-4, 5e-3),
+    },
+    "gentle_brushing": {
+        "approach": (1.0, 8.0),
+        "fast": (0.05, 0.25),
+        "above": (0.005, 0.03),  # the place, until it is shown
+        "inside": (0.001, 0.01),  # the same in the mouth
+        "over": (0.01, 0.04),  # aside of the stroke's end, up to which the brush goes down
+        "rub": (3.0, 20.0),
+        "slide": (0.01, 0.12),
+        "force": (0.3, 3.0),
+        "soften": (0.005, 0.05),
+        "press": (0.005, 0.05),
+        "lift": (0.01, 0.15),
+        "round": (0.005, 0.03),  # before the lips, on the way from one place to another
+        "gate": (0.02, 0.06),  # before the lips, on the way in
+        "turn": (0.02, 0.3),
+        "damping": (1e-4, 5e-3),
     },
     "gentle_lift": {
         "approach": (1.0, 8.0),
@@ -118,6 +145,33 @@ OWN: dict[str, dict[str, float]] = {
         "back": 0.0154,
         "slide": 0.0634,
     },
+    "gentle_feeding": {
+        "approach": 4.0,
+        "fast": 0.15,
+        "wait": 0.08,
+        "open": 0.5,
+        "deep": 0.02,
+        "leave": 0.12,
+        "turn": 0.1,
+        "damping": 0.001,
+    },
+    "gentle_brushing": {
+        "approach": 4.0,
+        "fast": 0.1,
+        "above": 0.02,
+        "inside": 0.003,
+        "over": 0.02,
+        "rub": 6.0,
+        "slide": 0.05,
+        "force": 1.0,
+        "soften": 0.02,
+        "press": 0.02,
+        "lift": 0.1,
+        "round": 0.012,
+        "gate": 0.04,
+        "turn": 0.1,
+        "damping": 0.001,
+    },
     "gentle_lift": {
         "approach": 2.84,
         "calm": 0.222,
@@ -160,7 +214,7 @@ def script_of(
 
 def uses_numbers(task: str, version: int) -> bool:
     """Return whether a task's script in this version is one of those here."""
-    return task in OWN and version >= FROM
+    return task in OWN and version not in REGISTERED[task].older
 
 
 def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
@@ -208,6 +262,48 @@ def bring(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     return chain.drive(obs, velocity, shaft, turn=n["turn"], damping=n["damping"])
 
 
+def feed(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
+    """Gentle feeding: wait before the mouth, into it while it is open, and back after a bite."""
+    forward = obs[:, 27:30]  # the mouth's axis
+    waits, enters, takes = (obs[:, 37 + stage : 38 + stage] for stage in range(3))
+    goes_in = takes + enters * (obs[:, 36:37] > n["open"])
+    where = jnp.where(waits + enters > 0.5, n["wait"], n["leave"])
+    target = obs[:, 24:27] + jnp.where(goes_in > 0.5, -n["deep"], where) * forward
+    velocity = capped(n["approach"] * (target - obs[:, 14:17]), n["fast"])
+    return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"], upright=True)
+
+
+def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
+    """Gentle brushing: before the place until it is shown, then to and fro over it.
+
+    In and out of the mouth between the lips; around what it touches on the way.
+    """
+    mouth, forward = obs[:, 24:27], obs[:, 27:30]
+    out, beside = 0.1 * obs[:, 30:31], 0.1 * jnp.linalg.norm(obs[:, 31:33], axis=-1, keepdims=True)
+    towards, normal = 0.2 * obs[:, 39:42], obs[:, 42:45]
+    inner = obs[:, 56:62].sum(axis=-1, keepdims=True) > 0.5
+    shown, force = obs[:, 63:64] > 0.5, 5.0 * obs[:, 68:69]
+    height = -(towards * normal).sum(-1, keepdims=True)
+    aside = towards + height * normal
+    rub = capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal
+    way = aside + (jnp.where(inner, n["inside"], n["above"]) - height) * normal
+    ahead = (way * forward).sum(-1, keepdims=True)
+    far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > n["over"]
+    around = jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
+    hover = capped(n["approach"] * (way + around), n["fast"])
+    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
+    at_place = jnp.where((off < n["over"]) & (height > -0.002) & shown, rub, hover)
+    within = (out < -0.002) & (beside < 0.03)
+
+    def to(where: Any) -> jax.Array:
+        return capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
+
+    # Between the lips, and before them until it may go in there.
+    where = jnp.where(inner & (beside < 0.01) & shown, -0.01, n["gate"])
+    velocity = jnp.where(inner == within, at_place, to(where))
+    return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
+
+
 def _above(
     n: Numbers, obs: jax.Array, towards: jax.Array, normal: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -240,3 +336,10 @@ def _unit(vector: jax.Array) -> jax.Array:
 def _share(way: jax.Array, whole: float) -> jax.Array:
     """Return how far [N, 1] ways [N, 3] lead aside, as a share of `whole` m that is at most 1."""
     return jnp.minimum(1.0, jnp.linalg.norm(way[:, :2], axis=-1, keepdims=True) / whole)
+
+
+# The newest script of each task, in the order of `REGISTERED`.
+SCRIPTS: dict[str, Callable[..., jax.Array]] = {
+    name: globals()[task.script] if name in OWN else OLDER[name]
+    for name, task in REGISTERED.items()
+}

@@ -156,48 +156,9 @@ def bring(chain: Chain, obs: jax.Array) -> jax.Array:
     return chain.drive(obs, jnp.where(left < 0.05, 0.15 * DOWN, velocity), _down(obs), damping=1e-3)
 
 
-def feed(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle feeding: wait before the mouth, into it while it is open, and back after a bite."""
-    forward = obs[:, 27:30]  # the mouth's axis
-    waits, enters, takes = (obs[:, 37 + stage : 38 + stage] for stage in range(3))
-    goes_in = takes + enters * (obs[:, 36:37] > 0.5)
-    where = jnp.where(goes_in > 0.5, -0.02, jnp.where(waits + enters > 0.5, 0.08, 0.12))
-    target = obs[:, 24:27] + where * forward
-    velocity = capped(4.0 * (target - obs[:, 14:17]), 0.15)
-    return chain.drive(obs, velocity, -forward, turn=0.1, damping=1e-3, upright=True)
-
-
-def brush(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle brushing: before the place until it is shown, then to and fro over it at 1 N.
-
-    In and out of the mouth between the lips.
-    """
-    mouth, forward = obs[:, 24:27], obs[:, 27:30]
-    out, beside = 0.1 * obs[:, 30:31], 0.1 * jnp.linalg.norm(obs[:, 31:33], axis=-1, keepdims=True)
-    towards, normal = 0.2 * obs[:, 39:42], obs[:, 42:45]
-    inner = obs[:, 56:62].sum(axis=-1, keepdims=True) > 0.5
-    shown, force = obs[:, 63:64] > 0.5, 5.0 * obs[:, 68:69]
-    height = -(towards * normal).sum(-1, keepdims=True)
-    aside = towards + height * normal
-    rub = capped(6.0 * aside, 0.05) + jnp.clip(0.02 * (force - 1.0), -0.02, 0.02) * normal
-    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    above = jnp.where(inner, 0.003, 0.02)
-    hover = capped(4.0 * (aside + (above - height) * normal), 0.1)
-    at_place = jnp.where((off < 0.02) & shown, rub, hover)
-    within = (out < -0.002) & (beside < 0.03)
-
-    def to(where: jax.Array | float) -> jax.Array:
-        return capped(4.0 * (mouth + where * forward - obs[:, 14:17]), 0.1)
-
-    # Between the lips, or before them to get there; who is on the wrong side comes out first.
-    ahead = jnp.where((beside < 0.01) & shown, -0.01, jnp.where(out > 0.02, 0.03, 0.04))
-    go_in = to(jnp.where((beside > 0.02) & (out < 0.02), 0.04, ahead))
-    velocity = jnp.where(inner == within, at_place, jnp.where(inner, go_in, to(0.04)))
-    return chain.drive(obs, velocity, -forward, turn=0.1, damping=1e-3)
-
-
+# Tasks at the mouth have all of theirs in `assistax_envs.gentle_scripts`.
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
-    name: globals()[task.script] for name, task in REGISTERED.items()
+    name: globals()[task.script] for name, task in REGISTERED.items() if task.script in globals()
 }
 
 

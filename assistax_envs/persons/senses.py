@@ -70,6 +70,7 @@ AT_MOUTH: dict[str, dict[str, slice]] = {
         "closed": slice(63, 64),
     },
 }  # fmt: skip
+MOUTH_WIDTH = {"gentle_feeding": 50, "gentle_brushing": 72}  # of that observation
 MOUTH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
 TOUCH_UNIT = 10.0  # N of an observed touch of 1
 _ARM = np.array([HUMAN_JOINTS.index(joint) for joint in HUMAN_ACTUATORS])

@@ -32,14 +32,17 @@ AT_END = 0.004  # m along the row, how near the brush comes to an end
 STROKE = 0.01  # m, way of a stroke: what a liked speed means in time
 BESIDE = 0.007  # m across the row, how far the brush may be from where it should be
 LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
-STROKES = 4  # of a place: ten, as a dentist may want, would take a minute and a half in all
+STROKES = 4  # of a place, if they are liked: a dentist's ten would take a minute and a half
+WHATEVER = 0.2  # what a stroke does that nobody likes; one that is liked does 1
+SHARP = 4  # power of `bump` for force and time: twice the liked one does a third
 ASKED = 6  # places that are success
 HALF_OPEN = 0.25  # rad of the jaw, from where on the inside can be brushed
 SHOWN = 0.3  # rad of the neck's yaw, likewise a side
 JAW_WAY, TURN_WAY = 0.2, 0.1  # m of a place's way that a radian of jaw and neck counts for
 GATE = np.array([0.0, 0.0, -0.005], np.float32)  # between the lips, where a brush goes in and out
 WITHIN = -0.002  # m: a brush that is farther out than this is before the mouth
-WHATEVER = 0.2  # share of a stroke's pay that no liking changes
+SPARED = 0.5  # of STROKES: nobody brushes just as it is liked
+NEAR = 0.75  # share of the last 16 mm of a way that is not paid: strokes are for liking
 BEFORE = 5  # rows of `WAY` in which episodes start before the mouth
 # The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of
 # who shows them.
@@ -67,8 +70,9 @@ class BrushState:
     place: jax.Array  # int32 index into `teeth.ORDER`
     done: jax.Array  # int32, places that are brushed
     strokes: jax.Array  # int32, of this place
+    brushed: jax.Array  # what they did, of STROKES
     side: jax.Array  # +1 or -1: the end that the brush goes to
-    time: jax.Array  # steps that this stroke has taken
+    time: jax.Array  # steps that this stroke has taken at the place
     liked: jax.Array  # sum over them of how well the human liked the force
     left: jax.Array  # m of the way to that end a step ago; NaN before the first step
     violated: jax.Array  # bool, some contact was above its limit
@@ -113,6 +117,7 @@ class GentleBrushing(AtMouth):
             place=place,
             done=nought,
             strokes=nought,
+            brushed=zero,
             side=jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0),
             time=zero,
             liked=zero,
@@ -145,21 +150,24 @@ class GentleBrushing(AtMouth):
         there = spot.shown & (spot.aside < BESIDE) & ~full
         touching = there & (spot.force > LIGHTEST) & (spot.force < HARDEST)
         arrived = touching & (s.side * spot.at > HALF - AT_END) & (jnp.abs(spot.at) < HALF + AT_END)
-        time, liked = s.time + 1.0, s.liked + there * bump(spot.force, s.likes.press) ** 2
+        time, liked = s.time + there, s.liked + there * bump(spot.force, s.likes.press) ** SHARP
+        took = jnp.maximum(time, 1.0)
         wished = STROKE / s.likes.speed / STEP  # steps
-        well = liked / time * bump(wished / time, jnp.ones_like(time)) ** 2
-        strokes = s.strokes + arrived
-        finished = strokes >= STROKES
+        well = liked / took * bump(wished / took, jnp.ones_like(took)) ** SHARP
+        does = jnp.minimum(WHATEVER + (1.0 - WHATEVER) * well, STROKES - s.brushed) * arrived
+        brushed = s.brushed + does
+        finished = brushed > STROKES - SPARED
         terms = {
             "progress": jnp.where(first | full, 0.0, s.left - spot.left),
-            "stroke": arrived * (WHATEVER + (1.0 - WHATEVER) * well),
+            "stroke": does,
             "place": finished.astype(jnp.float32),
         } | costs(r)
         after = dataclasses.replace(
             s,
             place=jnp.where(finished, (s.place + 1) % PLACES, s.place),
             done=s.done + finished,
-            strokes=jnp.where(finished, 0, strokes).astype(jnp.int32),
+            strokes=jnp.where(finished, 0, s.strokes + arrived).astype(jnp.int32),
+            brushed=jnp.where(finished, 0.0, brushed),
             side=jnp.where(arrived, -s.side, s.side),
             time=jnp.where(arrived, 0.0, time),
             liked=jnp.where(arrived, 0.0, liked),
@@ -167,7 +175,7 @@ class GentleBrushing(AtMouth):
         )
         ahead = self._spot(after, r)
         after = dataclasses.replace(after, left=ahead.left)
-        obs = self._observed(after, r, ahead, liked / time)
+        obs = self._observed(after, r, ahead, liked / took)
         success = (after.done >= ASKED) & ~after.violated
         return after, obs, terms, touch_measures(r, spot.left, success, after.violated)
 
@@ -190,6 +198,7 @@ class GentleBrushing(AtMouth):
         tool = jnp.where(inner == before, around, straight)
         left = (
             tool
+            - NEAR * jnp.minimum(tool, 2.0 * HALF)
             + inner * JAW_WAY * jnp.maximum(OPENED - r.jaw, 0.0)
             + sideways * TURN_WAY * jnp.maximum(TURNED - yaw, 0.0)
         )

@@ -16,8 +16,7 @@ import polars as pl
 
 from assistax_base.digest import sha256
 from assistax_envs import gentle_scripts, scripted
-from assistax_envs.gentle_scripts import uses_numbers
-from assistax_envs.scripted import SCRIPTS
+from assistax_envs.gentle_scripts import SCRIPTS, uses_numbers
 from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
 from evaluation.cast.roster import Member, Roster, joined
 from evaluation.figures.normalised import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO

@@ -190,7 +190,7 @@ def _few(count: int) -> Callable[..., int]:
 def _play_a_toy() -> None:
     """Put an environment in place of the tasks whose physics would take minutes to compile."""
     import assistax_envs
-    from assistax_envs.scripted import SCRIPTS
+    from assistax_envs.gentle_scripts import SCRIPTS
     from tests.population.toy_env import ToyEnv, match
 
     SCRIPTS.clear()  # they read the observations of the true tasks

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, EnvState, disability_params, make
+from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models.care_scenes import OPEN
 from assistax_envs.models.teeth import INNER, SHOWN_BY
 from assistax_envs.preferences import PREFERENCES
-from assistax_envs.scripted import scripted_robot
 from assistax_envs.tasks.mouth import TAKING, TURNED, WAITING
 from tests.envs.conftest import compiled, environment
 
@@ -89,7 +89,7 @@ def meal(
     env: Env, simulations: int, steps: int, seed: int = 0, human=None
 ) -> tuple[EnvState, EnvState]:
     """Return the first state of an episode with the script and all states [T, N, ...] after it."""
-    robot, human = scripted_robot(env.task, env.model), human or HUMANS[env.task]
+    robot, human = script_of(env.task, env.model, env.version), human or HUMANS[env.task]
     keys = jax.random.split(jax.random.key(seed), simulations)
     start = jax.jit(env.reset)(keys, disability_params(["d1"] * simulations))
 
@@ -108,7 +108,7 @@ def write_states(task: str) -> None:
     qpos, qvel = (
         np.concatenate(np.asarray(x)[at]) for x in (states.physics.qpos, states.physics.qvel)
     )
-    robot = scripted_robot(task, env.model)
+    robot = script_of(task, env.model, env.version)
     ctrl = np.zeros((len(qpos), env.model.nu), np.float32)
     driven = [env.model.actuator(i).name.startswith("robot_") for i in range(env.model.nu)]
     seen = {role: np.concatenate(np.asarray(states.obs[role])[at]) for role in ("robot", "human")}

@@ -76,8 +76,8 @@ class Table(LaidOut):
         super().__init__(TASK, preference)
         zero, nought = jnp.zeros(1, jnp.float32), jnp.zeros(1, jnp.int32)
         self.state: BrushState = dataclasses.replace(
-            self.begun, place=nought + place, done=nought, strokes=nought, side=zero + 1.0,
-            time=zero, liked=zero, left=zero + jnp.nan,
+            self.begun, place=nought + place, done=nought, strokes=nought, brushed=zero,
+            side=zero + 1.0, time=zero, liked=zero, left=zero + jnp.nan,
         )  # fmt: skip
 
     def play(
@@ -146,6 +146,21 @@ def test_what_is_no_stroke(wrong: dict[str, Any]) -> None:
     assert int(table.state.strokes[0]) == 0
 
 
+def test_strokes_that_nobody_likes_do_a_fifth() -> None:
+    """18 of them are a place, and are paid together what four good ones are, less the spared."""
+    table = Table()
+    paid = [table.stroke(2, force=7.0) for _ in range(18)]
+    assert [count for count, terms in enumerate(paid, 1) if terms["place"]] == [18]
+    assert sum(terms["stroke"] for terms in paid) == pytest.approx(18.0, rel=0.01)
+
+
+def test_a_stroke_takes_time_only_at_its_place() -> None:
+    """Who waits for a head that turns does not spoil the first stroke."""
+    table = Table()
+    table.play(0.0, 0.0, steps=60, aside=0.03)
+    assert table.stroke(liked_steps(table))["stroke"] == pytest.approx(5.0, rel=0.02)
+
+
 def test_standing_still_or_half_a_stroke_earns_nothing() -> None:
     table = Table()
     table.play(0.0)
@@ -172,7 +187,7 @@ def test_force_and_speed_pay_as_they_are_liked(name: str) -> None:
 def test_a_perfect_episode_earns_the_bound() -> None:
     """360 for strokes and places, and 100 a metre of ways.
 
-    Of a stroke at most its length, and between two places what is left after the first of them.
+    Of a stroke at most a quarter of its length; between two places what is left after the first.
     """
     table = Table(place=0)
     steps, ways, between = liked_steps(table), 0.0, 0.0
@@ -182,7 +197,7 @@ def test_a_perfect_episode_earns_the_bound() -> None:
         between += float(table.state.left[0])
     assert int(table.state.done[0]) == PLACES
     assert table.total - ways == pytest.approx(PLACES * (STROKES * 5.0 + 10.0), rel=0.02)
-    assert ways <= 100.0 * (2.0 * HALF * PLACES * STROKES + between)
+    assert ways <= 100.0 * (0.5 * HALF * PLACES * STROKES + between)
     before = table.total
     for _ in range(4):
         table.stroke(steps)
@@ -194,7 +209,7 @@ def test_six_places_are_success_unless_something_hurt() -> None:
         table = Table()
         table.play(0.0, hurt=hurt)
         for count in range(ASKED * STROKES):
-            table.stroke(6)
+            table.stroke(liked_steps(table))
             assert bool(table.measures.success[0]) == (count == ASKED * STROKES - 1 and not hurt)
 
 

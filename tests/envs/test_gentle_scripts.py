@@ -8,23 +8,38 @@ import pytest
 from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.models import build_model
 from assistax_envs.scripted import Chain, scripted_robot
-from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS
 
-NORMAL = {"gentle_scratch": slice(37, 40), "gentle_bath": slice(33, 36)}
-FORCE = {"gentle_scratch": 43, "gentle_bath": 37, "gentle_lift": 38}  # in 10 N
+SKIN = ("gentle_scratch", "gentle_bath")
+NORMAL = {
+    "gentle_scratch": slice(37, 40),
+    "gentle_bath": slice(33, 36),
+    "gentle_brushing": slice(42, 45),
+}
+# In 10 N, of a brush in 5 N.
+FORCE = {
+    "gentle_scratch": 43,
+    "gentle_bath": 37,
+    "gentle_lift": 38,
+    "gentle_feeding": 45,
+    "gentle_brushing": 68,
+}
 
 
 def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
-    """Return observations [N, 64] with the tool near its target, at all forces."""
+    """Return observations [N, 72] with the tool near its target, at all forces."""
     rng = np.random.default_rng(seed)
-    obs = rng.normal(0.0, 0.4, (count, 64))
+    obs = rng.normal(0.0, 0.4, (count, 72))
     obs[:, 30:34] = rng.normal(0.0, 0.06, (count, 4))
     obs[:, 21:24] = rng.normal(0.0, 10.0, (count, 3))
     obs[:, 34:37] = rng.normal(0.0, 0.1, (count, 3))
+    if task in CARE_TASKS:  # near the mouth, and near the place that is brushed
+        obs[:, 14:17] = obs[:, 24:27] + rng.normal(0.0, 0.03, (count, 3))
+        obs[:, 39:42] *= 0.3
     if task in NORMAL:
         normal = rng.normal(size=(count, 3))
         obs[:, NORMAL[task]] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    else:
+    elif task not in CARE_TASKS:
         obs[:, 37] = np.abs(rng.normal(0.0, 0.1, count))  # m to the waist
     # A third each: hard, light, or no touch.
     obs[:, FORCE[task]] = rng.uniform(0.0, 7.0, count) * rng.choice([1.0, 0.015, 0.0], count)
@@ -33,7 +48,7 @@ def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
     return jnp.asarray(obs, jnp.float32)
 
 
-@pytest.mark.parametrize("task", GENTLE_TASKS[:3])
+@pytest.mark.parametrize("task", GENTLE_TASKS)
 def test_older_versions_are_played_as_they_were(task: str) -> None:
     model, obs = build_model(task), _seen(task)
     expected = scripted_robot(task, model)(obs)
@@ -76,7 +91,7 @@ def test_a_search_tries_numbers_side_by_side(task: str) -> None:
         np.testing.assert_allclose(both[place], script_of(task, model, 3, one)(obs), atol=1e-4)
 
 
-@pytest.mark.parametrize("task", NORMAL)
+@pytest.mark.parametrize("task", SKIN)
 def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
     """Along the skin's normal, whatever else it was about to do."""
     model = build_model(task)

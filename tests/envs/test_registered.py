@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from assistax_envs import make
+from assistax_envs.gentle_scripts import SCRIPTS
 from assistax_envs.preferences import VALUES, WISHES
 from assistax_envs.registered import REGISTERED
-from assistax_envs.scripted import SCRIPTS
 from assistax_envs.tasks import TASK_CLASSES
 from assistax_envs.tasks.scratch import Scratch
 from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS

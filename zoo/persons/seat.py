@@ -23,16 +23,19 @@ class PersonSpec:
     @property
     def observation_size(self) -> int:
         """Width of what the human of the task observes."""
-        from assistax_envs.persons.senses import LAYOUT
+        from assistax_envs.persons.senses import AT_MOUTH, LAYOUT, MOUTH_WIDTH
 
+        if self.task in AT_MOUTH:
+            return MOUTH_WIDTH[self.task]
         return sum(width for _, width in LAYOUT[self.task])
 
     @property
     def action_size(self) -> int:
         """Number of torques."""
-        from assistax_envs.persons.body import JOINTS
+        from assistax_envs.persons import body, head
+        from assistax_envs.persons.senses import AT_MOUTH
 
-        return JOINTS
+        return head.JOINTS if self.task in AT_MOUTH else body.JOINTS
 
     def to_json(self) -> dict[str, Any]:
         """Return what a card says of it."""
