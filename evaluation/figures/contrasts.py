@@ -239,11 +239,11 @@ def named_pairs(
 ) -> list[tuple[str, str, str]]:
     """Return task, method and baseline of all pairs to play out: those named, and the others.
 
-    The others are methods of a task beside each baseline that the file has there; rows that know
-    more than a method may, such as told robots, are no methods.
+    The others are methods of any task beside each baseline of the file; rows that know more than a
+    method may, such as told robots, are no methods.
     """
     here = set(methods)
-    baselines = {(c.task, c.baseline) for c in file.contrasts} & here
+    baselines = {(task, c.baseline) for c in file.contrasts for task, _ in methods} & here
     pairs = {(c.task, c.method, c.baseline) for c in file.contrasts}
     pairs |= {(t, m, b) for t, b in baselines for task, m in methods if task == t and m != b}
     played = [(t, m, b) for t, m, b in sorted(pairs) if {(t, m), (t, b)} <= here]

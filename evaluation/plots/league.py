@@ -19,14 +19,9 @@ def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
     Args:
         tables: By task, of `evaluation.figures.league.league_table`.
     """
-    height = 1.4 + 0.28 * max(table.height for table in tables.values())
-    figure = style.titled_figure(
-        f"League: {', '.join(tables)}",
-        "Mean, 95% interval. Squares: methods that are compared with PPO.",
-        _width(tables),
-        height,
-    )
-    panels = _panels(tables, 0.26 * 6.4, 0.75 / height, 1 - 1.35 / height)
+    each = 0.9 + 0.28 * max(table.height for table in tables.values())
+    caption = "Mean, 95% interval. Squares: methods that are compared with PPO."
+    figure, panels = _panels("League", caption, tables, each, left=0.26 * 6.4)
     for (left, bottom, width, tall), (task, table) in zip(panels, tables.items(), strict=True):
         axes = figure.add_axes((left, bottom, width, tall))
         for place, row in enumerate(table.iter_rows(named=True)):
@@ -52,10 +47,10 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
             writes them.
     """
     caption = "IQM over seeds; band: pointwise 95% bootstrap."
-    figure = style.titled_figure(f"Validation: {', '.join(curves)}", caption, _width(curves), 4.2)
+    figure, panels = _panels("Validation", caption, curves, 3.4, left=0.75)
     palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
     names = ordered({name for rows in curves.values() for name in rows})
-    for rect, (task, rows) in zip(_panels(curves, 0.75, 0.2, 0.65), curves.items(), strict=True):
+    for rect, (task, rows) in zip(panels, curves.items(), strict=True):
         axes = figure.add_axes(rect)
         for name in ordered(rows):
             wide = rows[name].pivot("seed", index="steps", values="return").sort("steps")
@@ -96,11 +91,9 @@ def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
         shares: By task, of `failures`.
     """
     most = max(table["row"].n_unique() for table in shares.values())
-    height = 1.7 + 0.26 * most
     caption = "Share of the best row's return with the same partner; white: not played."
-    title = f"Who fails with whom: {', '.join(shares)}"
-    figure = style.titled_figure(title, caption, _width(shares), height)
-    panels = _panels(shares, 0.26 * 6.4, 0.9 / height, 1 - 1.5 / height, right=0.6)
+    each, title = 0.8 + 0.26 * most, "Who fails with whom"
+    figure, panels = _panels(title, caption, shares, each, left=0.26 * 6.4, right=0.6)
     image = None
     for rect, (task, table) in zip(panels, shares.items(), strict=True):
         rows = ordered(table["row"].unique().to_list())
@@ -115,24 +108,38 @@ def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
         )
         axes.set_yticks(range(len(rows)), rows, fontsize=8)
         axes.set_xticks([])
-        axes.set_xlabel(f"{task}: {matrix.shape[1]} partners, the hardest first", fontsize=9)
+        axes.set_xlabel(f"{task}: {matrix.shape[1]} partners, hardest first", fontsize=9)
     assert image is not None
-    place = 1 - 0.5 / _width(shares), 0.9 / height, 0.13 / _width(shares), 1 - 1.5 / height
+    (width, _), top = figure.get_size_inches(), panels[0]
+    place = 1 - 0.5 / width, top[1], 0.13 / width, top[3]
     figure.colorbar(image, cax=figure.add_axes(place)).ax.tick_params(labelsize=7)
     return figure
 
 
-def _width(tasks: Mapping[str, object]) -> float:
-    return 6.4 if len(tasks) == 1 else 4.4 * len(tasks)
-
-
 def _panels(
-    tasks: Mapping[str, object], left: float, bottom: float, height: float, right: float = 0.15
-) -> list[tuple[float, float, float, float]]:
-    """Return where the panels of tasks stand, side by side: `left` inches are before each."""
-    whole, count = _width(tasks), len(tasks)
-    each = (whole - right) / count
-    return [
-        ((place * each + left) / whole, bottom, (each - left - 0.15) / whole, height)
-        for place in range(count)
-    ]
+    title: str,
+    caption: str,
+    tasks: Mapping[str, object],
+    each: float,
+    *,
+    left: float,
+    right: float = 0.15,
+) -> tuple[Figure, list[tuple[float, float, float, float]]]:
+    """Return a figure, and where the panels of tasks stand in it, two side by side.
+
+    Sizes in inches: `each` is the height of a panel with its labels, `left` is before each panel,
+    and `right` beside all.
+    """
+    columns = min(2, len(tasks))
+    lines = -(-len(tasks) // columns)
+    whole, tall = 6.4 if columns == 1 else 8.8, 0.9 + lines * each
+    what = f"{title}: {', '.join(tasks)}" if len(tasks) <= 2 else f"{title}, {len(tasks)} tasks"
+    figure = style.titled_figure(what, caption, whole, tall)
+    wide = (whole - right) / columns
+    rects = []
+    for place in range(len(tasks)):
+        line, column = divmod(place, columns)
+        bottom = tall - 0.6 - (line + 1) * each + 0.55
+        size = (wide - left - 0.15) / whole, (each - 0.65) / tall
+        rects.append(((column * wide + left) / whole, bottom / tall, *size))
+    return figure, rects

@@ -110,7 +110,7 @@ def _figure(figure: Figure, path: Path) -> list[Path]:
 
 def _csv(table: pl.DataFrame, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, table.write_csv(float_precision=4).encode())
+    atomic_write(path, table.write_csv(float_precision=3).encode())
     return path
 
 

@@ -8,11 +8,23 @@ import polars as pl
 
 from assistax_base.errors import listing
 from evaluation.figures.contrasts import ContrastFigure
-from evaluation.figures.league import FIRST, LAST, PPO, SCRIPT, TOLD, League, LeagueRow
+from evaluation.figures.league import (
+    FIRST,
+    LAST,
+    PPO,
+    RESPONSE,
+    SCRIPT,
+    TOLD,
+    TOLD_MEMORY,
+    League,
+    LeagueRow,
+)
+from evaluation.figures.metrics.inference import holm
 from evaluation.plots.league import FAILED, failures
 from evaluation.record.record import Record
 from tools.league.rows import rows
 
+ALPHA = 0.05  # chance that any contrast is found wrongly
 LIMITS = """- Persons are numbers and a program. Nothing here is about people, or about partners
   that are networks.
 - The persons of the test side are corners of the training side's range (`spring`), or move by
@@ -83,6 +95,10 @@ def results_page(
         "# Results",
         "*This page is made from the rows' files by `python -m tools.league page`. "
         "[A league](league.md) says what its words mean.*",
+        _choices(tasks),
+        "*Returns with 95% intervals, over seeds and persons of the test side. `told` is a robot "
+        "that is told the preference. Fails: earns less than "
+        f"{FAILED:.0%} of what the best row earns with that person.*",
         said,
         *(f"![{what}]({images}/{name}.png)" for name, what in figures.items()),
         "## Tables",
@@ -96,32 +112,60 @@ def results_page(
 
 
 def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> Iterator[str]:
-    """Yield what the first screen says, ten sentences at most for two tasks."""
-    for task in tasks:
-        best = task.methods[0]
-        beside = {"PPO": PPO, "the script": SCRIPT, "a robot that is told the preference": TOLD}
-        known = [(what, task.row(name)) for what, name in beside.items() if name != best.row]
-        others = [f"{what} {_figure(row)}" for what, row in known if row]
-        yield (
-            f"**Of the methods `{best.row}` earns most in `{task.task}`**: {_figure(best)}; "
-            f"{', '.join(others)}."
-        )
+    """Yield what the first screen says beside the table of tasks, ten sentences at most."""
     for found, words in ((True, "Above PPO"), (False, "Not shown to be above PPO")):
         some = [c for c in contrasts if c.named and (c.found and c.difference.mean > 0) == found]
         if some:
             said = [_contrast(contrast, detectable=not found) for contrast in some]
-            yield f"{words} at Holm's 5% over all named contrasts: {listing(said)}."
-    gaps = [said for task in tasks if (said := _gap(task))]
-    if gaps:
-        yield f"Of what being told the preference is worth, {listing(gaps)}."
-    for task in tasks:
-        yield _whom(task)
+            yield f"{words} at Holm's 5% over all named contrasts: {listing(said, 12)}."
+    chances = holm([contrast.p for contrast in contrasts])
+    others = [
+        _contrast(contrast, detectable=False)
+        for contrast, chance in zip(contrasts, chances, strict=True)
+        if not contrast.named and chance <= ALPHA and contrast.difference.mean > 0
+    ]
+    if others:
+        yield (
+            f"Not named before, but above PPO if Holm corrects for all {len(chances)} contrasts "
+            f"that were played: {listing(others, 12)}."
+        )
+    for start, some in (
+        ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
+        (
+            "Of what robots of one person each earn with that person",
+            _beside(tasks),
+        ),
+    ):
+        if said := [text for text in some if text]:
+            yield f"{start}, {listing(said, 12)}."
+    if split := [text for task in tasks if (text := _apart(task))]:
+        yield f"No method is best with both families of persons: {listing(split)}."
     shares = [
         f"{row.seed_sd / row.mean.mean:.0%} for `{row.row}` in `{task.task}`"
         for task in tasks
         if (row := task.methods[0]).seed_sd is not None
     ]
-    yield f"Seeds differ: their standard deviation is {listing(shares)} of the mean."
+    if shares:
+        yield f"Seeds differ: their standard deviation is {listing(shares, 12)} of the mean."
+
+
+def _choices(tasks: Sequence[Played]) -> str:
+    """Return the table of which method to choose for a task, and what it does badly."""
+    lines = [
+        "| task | choose | return | PPO | script | told | safe success | violations | fails with |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for task in tasks:
+        best = task.methods[0]
+        others = [_figure(row) if (row := task.row(n)) else "" for n in (PPO, SCRIPT, TOLD)]
+        safe, hurt = (
+            f"{part.mean:.0%}" if part else "" for part in (best.safe_success, best.violations)
+        )
+        fails = failures(task.league.by_partner).filter(row=best.row)
+        fail = f"{int(fails['fails'].sum())} of {fails.height} persons"
+        cells = (f"`{best.row}`", f"**{_figure(best)}**", *others, safe, hurt, fail)
+        lines.append(f"| `{task.task}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def _figure(row: LeagueRow) -> str:
@@ -137,40 +181,45 @@ def _contrast(contrast: ContrastFigure, *, detectable: bool) -> str:
     return f"{said} [{low:.0f}, {high:.0f}])"
 
 
+def _chance(p: float) -> str:
+    return f"{p:.4f}" if p >= 0.0001 else "< 0.0001"
+
+
 def _gap(task: Played) -> str | None:
-    """Return which share of what telling is worth the best method without it wins."""
-    plain, told, best = task.row(PPO), task.row(TOLD), task.methods[0]
-    if not plain or not told or told.mean.mean <= plain.mean.mean or best.row == PPO:
+    """Return which share of what telling is worth the best method without it wins.
+
+    Telling is what the best row that is told earns beside PPO; of less than a tenth of PPO's return
+    no share is said.
+    """
+    plain, best = task.row(PPO), task.methods[0]
+    told = [row.mean.mean for name in (TOLD, TOLD_MEMORY) if (row := task.row(name))]
+    if not plain or best.row == PPO or not told or max(told) < 1.1 * plain.mean.mean:
         return None
-    gap = told.mean.mean - plain.mean.mean
+    gap = max(told) - plain.mean.mean
     won = (best.mean.mean - plain.mean.mean) / gap
     return f"`{best.row}` wins {won:.0%} of {gap:.0f} points in `{task.task}`"
 
 
-def _whom(task: Played) -> str:
-    """Say with whom the best method does badly, and whom one should choose it for."""
-    best = task.methods[0]
-    fails = failures(task.league.by_partner).filter(row=best.row)
+def _beside(tasks: Sequence[Played]) -> Iterator[str]:
+    """Yield which share of best responses' return the best method earns with their persons."""
+    for task in tasks:
+        if task.row(RESPONSE):
+            best, returns = task.methods[0].row, task.league.by_partner
+            own = returns.filter(pl.col("row") == RESPONSE).select("partner", own="mean")
+            both = returns.filter(pl.col("row") == best).join(own, on="partner")
+            share = both["mean"].mean() / both["own"].mean()
+            yield f"`{best}` earns {share:.0%} in `{task.task}`"
+
+
+def _apart(task: Played) -> str | None:
+    """Say which method is best with each family of persons, where it is not the same."""
     earned = {row.row: task.by_family(row.row) for row in task.methods}  # each is a whole table
-    count, families = int(fails["fails"].sum()), earned[best.row]
-    apart = listing([f"{mean:.0f} with `{name}`" for name, mean in families.items()])
+    families = earned[task.methods[0].row]
     winners = {name: max(earned, key=lambda row, name=name: earned[row][name]) for name in families}
-    same = set(winners.values()) == {best.row}
-    choice = (
-        f"choose `{best.row}` for all"
-        if same
-        else f"choose {listing([f'`{row}` for `{name}`' for name, row in winners.items()])}"
-    )
-    touch = ""
-    if best.safe_success and best.violations:
-        safe, hurt = best.safe_success.mean, best.violations.mean
-        touch = (
-            f"is safe and successful in {safe:.0%} of episodes, presses too hard in {hurt:.0%}, "
-        )
-    return (
-        f"In `{task.task}` {choice}: `{best.row}` earns {apart}, {touch}and fails (below "
-        f"{FAILED:.0%} of the best row) with {count} of {fails.height} persons."
-    )
+    if len(set(winners.values())) == 1:
+        return None
+    said = [f"`{row}` with `{name}`" for name, row in winners.items()]
+    return f"{listing(said)} in `{task.task}`"
 
 
 def _contrast_lines(contrasts: Sequence[ContrastFigure]) -> str:
@@ -180,9 +229,9 @@ def _contrast_lines(contrasts: Sequence[ContrastFigure]) -> str:
     ]
     for c in contrasts:
         low, high = c.difference.mean_ci or (float("nan"),) * 2
-        holm = "not named" if c.p_holm is None else f"{c.p_holm:.4f}"
+        holm = "not named" if c.p_holm is None else _chance(c.p_holm)
         lines.append(
             f"| `{c.method}` - `{c.baseline}` | `{c.task}` | {c.difference.mean:.0f} [{low:.0f}, "
-            f"{high:.0f}] | {c.p:.4f} | {holm} | {c.detectable_holm:.0f} |"
+            f"{high:.0f}] | {_chance(c.p)} | {holm} | {c.detectable_holm:.0f} |"
         )
     return "\n".join(lines)
