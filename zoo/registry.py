@@ -1,6 +1,7 @@
 """The registry: loaded, validated, and asked for policies and splits."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -325,9 +326,13 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
 def read_registry(path: Path, roots: bool = True) -> Registry:
     """Return the registry of one file, alone."""
     remedy = f"name another registry, also by ${REGISTRY_VARIABLE}, or restore it"
-    data = parse_registry(
-        read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)
-    )
+    text = read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy)
+    return _registry_of(text, path, roots)
+
+
+@functools.lru_cache(maxsize=2)  # one process reads the same file again and again
+def _registry_of(text: str, path: Path, roots: bool) -> Registry:
+    data = parse_registry(text, str(path))
     if roots:
         check_roots(data, str(path))
     return build_registry(data, path)
