@@ -64,18 +64,20 @@ install_import_hook(PACKAGES, "tests_conftest.check_annotations")
 
 @pytest.fixture(scope="module")
 def optimised() -> Iterator[None]:
-    """Compile as users do, also in `make test`: for tests that compare bits or golden numbers.
+    """Compile as users do, here and in processes that a test starts: bits are compared.
 
-    `make test` compiles without optimisation, because most of its time was XLA's.
+    `make test` compiles without optimisation, because half of its time was the compiler's.
     """
     import jax
 
     name = "jax_disable_most_optimizations"
     quick = jax.config.read(name)
-    if quick:
-        jax.clear_caches()  # what other files compiled
-        jax.config.update(name, False)
-    yield
-    if quick:
-        jax.config.update(name, True)
-        jax.clear_caches()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(name.upper(), "0")
+        if quick:
+            jax.clear_caches()  # what other files compiled
+            jax.config.update(name, False)
+        yield
+        if quick:
+            jax.config.update(name, True)
+            jax.clear_caches()
