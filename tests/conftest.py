@@ -4,14 +4,16 @@ Rank promotion is an error in tests. MJX itself promotes ranks: whatever calls i
 `jax.numpy_rank_promotion("allow")`, which also serves users who are strict.
 """
 
+import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import pytest
 from beartype import BeartypeConf, beartype
 from beartype.roar import BeartypeClawDecorWarning
 from jaxtyping import install_import_hook
@@ -27,6 +29,8 @@ PACKAGES = (
     "tools",
 )
 
+gc.set_threshold(100_000, 50, 100)  # or a tenth of the time goes to looking for garbage
+
 # Through the environment, not `jax.config`: tests that never import JAX stay quick, and
 # subprocesses are strict too.
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -34,7 +38,7 @@ os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/assistax-zoo/xla-tests").expanduser())
 )
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # small programs too
 if tuple(int(part) for part in version("jaxlib").split(".")[:3]) < (0, 11, 1):
     # Or MJX crawls (see assistax_envs.physics.mjx). From 0.11.1 on it does not, and XLA aborts on
     # the unknown flag.
@@ -56,3 +60,24 @@ def check_annotations(function: FunctionType, *_: Any, **__: Any) -> Callable:
 
 sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its checker by name
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
+
+
+@pytest.fixture(scope="module")
+def optimised() -> Iterator[None]:
+    """Compile as users do, here and in processes that a test starts: bits are compared.
+
+    `make test` compiles without optimisation, because half of its time was the compiler's.
+    """
+    import jax
+
+    name = "jax_disable_most_optimizations"
+    quick = jax.config.read(name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(name.upper(), "0")
+        if quick:
+            jax.clear_caches()  # what other files compiled
+            jax.config.update(name, False)
+        yield
+        if quick:
+            jax.config.update(name, True)
+            jax.clear_caches()

@@ -1,6 +1,7 @@
 """The registry: loaded, validated, and asked for policies and splits."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -186,14 +187,12 @@ class Registry:
             else self._default_split(task, release or self.release_of(task))
         )
         check_split(split)
-        named = [team for side in split.sides.values() for team in side]
-        missing = [team for team in named if team not in self.data.teams]
-        if missing:
+        teams = self.data.teams
+        if missing := [team for side in split.sides.values() for team in side if team not in teams]:
             raise SplitError(
                 f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
             )
-        pairs = leaks(split, self.data.teams)
-        return refuse_leak(split.id, pairs) if pairs else split
+        return refuse_leak(split.id, pairs) if (pairs := leaks(split, teams)) else split
 
     def _named_split(self, task: str, name: str) -> Split:
         known = [split for split in self.splits if split.task == task]
@@ -278,8 +277,7 @@ def parse_registry(text: str, source: str) -> RegistryFile:
 
 def first_schema(text: str) -> str:
     """Return a registry of schema 1 in the schema of today: `ci` was the mean's interval."""
-    data = json.loads(text)
-    data["schema_version"] = SCHEMA_VERSION
+    data = {**json.loads(text), "schema_version": SCHEMA_VERSION}
     teams = data.get("teams")
     for team in teams.values() if isinstance(teams, dict) else ():
         figures = team.get("self_play") if isinstance(team, dict) else None
@@ -299,35 +297,41 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
     for team, entry in members:
         prefix = f"{team.namespace}:" if team.namespace else ""
         for role, place in sorted(entry.policies.items(), reverse=True):
-            policy = PolicyEntry(
-                id=f"{team}/{role}",
-                team=str(team),
-                task=team.task,
-                algorithm=team.algorithm,
-                role=role,
-                disability=team.disability,
-                setting=settings.get(f"{prefix}{team.disability}"),
-                seed=team.seed,
-                release=f"{prefix}{team.release}",
-                spec=data.shards[place.shard].spec,
-                shard=place.shard,
-                row=place.row,
-                sha256=place.sha256,
-                run=entry.run,
-                training=data.runs[entry.run],
-                self_play=entry.self_play if isinstance(entry, Team) else None,
-                trained_against=entry.trained_against if isinstance(entry, Ego) else None,
+            policies.append(
+                PolicyEntry(
+                    id=f"{team}/{role}",
+                    team=str(team),
+                    task=team.task,
+                    algorithm=team.algorithm,
+                    role=role,
+                    disability=team.disability,
+                    setting=settings.get(f"{prefix}{team.disability}"),
+                    seed=team.seed,
+                    release=f"{prefix}{team.release}",
+                    spec=data.shards[place.shard].spec,
+                    shard=place.shard,
+                    row=place.row,
+                    sha256=place.sha256,
+                    run=entry.run,
+                    training=data.runs[entry.run],
+                    self_play=entry.self_play if isinstance(entry, Team) else None,
+                    trained_against=entry.trained_against if isinstance(entry, Ego) else None,
+                )
             )
-            policies.append(policy)
     return Registry(data=data, path=path, policies=policies)
 
 
 def read_registry(path: Path, roots: bool = True) -> Registry:
     """Return the registry of one file, alone."""
     remedy = f"name another registry, also by ${REGISTRY_VARIABLE}, or restore it"
-    data = parse_registry(
-        read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), str(path)
+    return _registry_of(
+        read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), path, roots
     )
+
+
+@functools.lru_cache(maxsize=2)  # one process reads the same file again and again
+def _registry_of(text: str, path: Path, roots: bool) -> Registry:
+    data = parse_registry(text, str(path))
     if roots:
         check_roots(data, str(path))
     return build_registry(data, path)

@@ -49,6 +49,7 @@ def job_of(egos: Roster, partners: Roster, **options: Any) -> Job:
     return Job("matrix", 1, "native", egos, partners, episodes=3, **options)
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, stochastic: bool):
     egos, partners = random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 2)

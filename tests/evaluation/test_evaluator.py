@@ -89,6 +89,7 @@ def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
     assert table.group_by("episode").agg(pl.col("key").n_unique())["key"].to_list() == [1, 1, 1]
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(
     "job", [mixed_job(), make_job(stochastic=True)], ids=["two specs", "stochastic"]
 )

@@ -27,6 +27,7 @@ from evaluation.record.columns import EGO_COLUMNS, PARTNER_COLUMNS
 from evaluation.record.manifest import processor
 from zoo.registry import load_registry
 
+pytestmark = pytest.mark.usefixtures("optimised")
 GOLDEN = Path(__file__).parent / "golden"
 MADE_WITH = json.loads((GOLDEN / "made_with.json").read_text())
 

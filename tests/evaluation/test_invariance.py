@@ -26,6 +26,7 @@ from evaluation.record import tables
 from population.play import rollout, seats
 from zoo.registry import load_registry
 
+pytestmark = pytest.mark.usefixtures("optimised")
 ROOT = Path(__file__).parents[2]
 TILE = 64  # smaller than a user's: three tiles are then quick to play
 OURS = ("native", "fused")  # backends whose tiles are the job's own

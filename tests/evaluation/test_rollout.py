@@ -288,6 +288,7 @@ def test_segments_divide_the_episode():
     assert [segment_length(steps) for steps in (1000, 4, 150, 997)] == [100, 4, 75, 1]
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_values_do_not_depend_on_the_block(stochastic: bool):
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=True)

@@ -93,6 +93,7 @@ def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
     assert summarise_evaluation(recorded(played(job_of(counting(ROBOT)))), CONTEXT).by_place == {}
 
 
+@pytest.mark.usefixtures("optimised")
 def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() -> None:
     def pair(spec: PolicySpec) -> tuple[pl.DataFrame, pl.DataFrame]:
         egos, partners = random_roster(spec, 2, 1), random_roster(HUMAN, 3, 2)
@@ -107,6 +108,7 @@ def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() ->
     assert not change[begun].any() and change[~begun].all()
 
 
+@pytest.mark.usefixtures("optimised")
 def test_values_do_not_depend_on_the_tile(monkeypatch: pytest.MonkeyPatch) -> None:
     job = job_of(random_roster(GRU, 2, 1), random_roster(HUMAN, 3, 2), episodes=8, series=2)
     whole = played(job)

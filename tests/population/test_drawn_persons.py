@@ -52,12 +52,13 @@ def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
     humans = partners.renewed(partners.humans(32), jax.random.split(jax.random.key(4), 32))
     obs = 0.3 * jax.random.normal(jax.random.key(5), (32, 53))
     first, carry = jnp.ones(32, bool), partners.initial_carry(32)
-    _, actions = partners.act(partners.params, carry, obs, first, 2, humans)
+    act = jax.jit(partners.act, static_argnums=4)
+    _, actions = act(partners.params, carry, obs, first, 2, humans)
     rows = {"row": jnp.asarray(ROWS)[humans.person]}
-    _, expected = partners.player.act(rows, carry, obs, first)
+    _, expected = jax.jit(partners.player.act)(rows, carry, obs, first)
     np.testing.assert_array_equal(actions, expected)
     others = dataclasses.replace(humans, person=humans.person[::-1])
-    _, changed = partners.act(partners.params, carry, obs, first, 2, others)
+    _, changed = act(partners.params, carry, obs, first, 2, others)
     assert not np.array_equal(actions, changed)
 
 
@@ -85,12 +86,13 @@ def test_a_robot_may_be_told_the_numbers_of_whom_it_meets(partners: DrawnPersons
     telling = ToldNumbers(env, partners.numbers)
     keys = jax.random.split(jax.random.key(6), 3)
     humans = partners.renewed(partners.humans(3), keys)
-    state = telling.reset(keys, humans)
+    state = jax.jit(telling.reset)(keys, humans)
     own = env.observation_size["robot"]
     assert telling.observation_size["robot"] == own + 25 == state.obs["robot"].shape[1]
     np.testing.assert_array_equal(state.obs["robot"][:, own:], ROWS[np.asarray(humans.person)])
     action = {role: jnp.zeros((3, size)) for role, size in env.action_size.items()}
-    after, plain = telling.step(state, action), env.step(env.reset(keys, humans), action)
+    after = jax.jit(telling.step)(state, action)
+    plain = jax.jit(env.step)(jax.jit(env.reset)(keys, humans), action)
     np.testing.assert_array_equal(after.obs["robot"][:, own:], state.obs["robot"][:, own:])
     np.testing.assert_array_equal(after.obs["robot"][:, :own], plain.obs["robot"])
     with pytest.raises(ValueError, match="only persons have any"):
