@@ -90,8 +90,8 @@ def self_play(results: Results) -> str:
     orders = "\n".join(f"- {spoken(task)}: {_orders(results, task)}" for task in PAPER_TASKS)
     return (
         f"[self-play.csv]({results.release}/self-play.csv) has all intervals, also of ISAC, which "
-        f"is not in the population. *agree*: the two intervals overlap; *above*, *below*: ours lies "
-        f"there. Upper bounds of a return: {bounds}.\n\n"
+        f"is not in the population. *agree*: the two intervals overlap; *above*, *below*: ours "
+        f"lies there. Upper bounds of a return: {bounds}.\n\n"
         f"Order of the algorithms:\n\n{orders}"
     )
 
@@ -231,8 +231,7 @@ def zero_shot(results: Results, picture: Picture) -> str:
         task for task in PAPER_TASKS if any((task, method) in results.egos for method in METHODS)
     ]
     drawn = [
-        image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}", "60%")
-        for task in tasks
+        image(picture(f"zsc_{task}.png"), f"Returns of egos on {spoken(task)}") for task in tasks
     ]
     about = (
         f"[egos.csv]({results.release}/egos.csv) has M_train and the worst partner as well. "
