@@ -168,7 +168,7 @@ class Team(StrictModel):
 
 
 class TrainedAgainst(StrictModel):
-    """The split whose training half an ego's partners were, wherever it is published."""
+    """The split whose training side an ego's partners were, wherever it is published."""
 
     split: str
     sha256: Sha256

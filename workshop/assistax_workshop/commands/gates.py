@@ -76,7 +76,7 @@ def told_egos(
     Args:
         task: Gentle task.
         folder: Of the run and the evaluation.
-        split: Split whose training half they learn with; default that of the release.
+        split: Split whose training side they learn with; default that of the release.
         seeds: How many, or which.
         steps: Environment steps of each robot.
         episodes: Of each pair.
