@@ -40,7 +40,7 @@ def train(
         steps: Environment steps of 20 ms of each team, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         backend: Physics, or "auto" for the fastest one here.
-        resume: Go on with a run that the folder holds.
+        resume: Continue the run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Show it, or a function that is called after every dispatch to the device.
         **options: `self_play_episodes` of each team's final evaluation, 16 or none (0);
@@ -107,7 +107,7 @@ def train_ego(
             those of the split's training side, or all, drawn anew each episode.
         told: Let the robot observe what the human likes: a row to compare with, and no robot.
         backend: Physics, or "auto" for the fastest one here.
-        resume: Go on with a run that the folder holds.
+        resume: Continue the run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
         progress: Show it, or a function that is called after every dispatch to the device.
 

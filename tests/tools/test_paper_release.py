@@ -595,7 +595,7 @@ def test_the_page_of_a_partial_release(
     assert "not measured yet: cross-play of bed_bath" in message
     assert "cross-play of scratch" not in message
     assert f"{message.count('warning: ')} warnings" in message
-    assert "v0,scratch,IPPO,950.5" in (tmp_path / "v0" / "self-play.csv").read_text()
+    assert 'v0,scratch,IPPO,"950.5 [' in (tmp_path / "v0" / "self-play.csv").read_text()
     assert "12 of 434 teams" in text
     assert "**Why.** Ours plays its most likely actions." in text
     assert text.count("**Why.**") == 1

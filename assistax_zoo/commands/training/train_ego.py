@@ -43,7 +43,7 @@ def train_ego(
     Args:
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
-        split: Whose training side are the partners: an id or its beginning; default the release's.
+        split: Split of the partners, an id or its beginning; default that of the release.
         partners: persons for a new person of the training side each episode, in place of networks.
         algorithm: ppo, sac, or a method: gru, asymmetric, liam, palm, rma, rl2.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.

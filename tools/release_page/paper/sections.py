@@ -16,8 +16,8 @@ from tools.release_page.paper.measures import variance_shares
 from tools.release_page.paper.population import ALGORITHMS, Picture
 from tools.release_page.paper.training import RISING, gained_last, training_curves
 
-CLAIM_WORDS = """A claim *holds* where every criterion is met, and *in part* where its last one is but another is not;
-where the last one is not met it *does not hold*. *Undecided*: an interval reaches over its threshold.
+CLAIM_WORDS = """A claim *holds* if every criterion is met, and *in part* if its last one is met but another is not. If the last one is not met it
+*does not hold*. It is *undecided* if an interval reaches over its threshold.
 
 - *Lose with each other*: mean return of one branch's robots with the other's humans, the better of the two ways,
   against the lesser of the returns within; of all pairs of branches that have 5% of the teams or more. p against the
