@@ -133,7 +133,7 @@ class DisabilitySetting(StrictModel):
         """Return it as what a simulation takes.
 
         Raises:
-            ValueError: A number is none that a human can have.
+            ValueError: No human can have such a number.
         """
         return Disability(**self.model_dump())
 
