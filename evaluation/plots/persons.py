@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from evaluation.plots import style
 
 _WORDS = {"return": "mean return", "safe_success": "safe success", "success": "success"}
-_WIDTH, _HEIGHT = 7.0, 6.6  # inches: letters are read at a page's width
-_SIZE = 8  # points
+_WIDTH, _HEIGHT, _SIZE = 7.0, 6.6, 8  # inches, and points that are read at a page's width
 
 
 def described_panels(summary: Mapping[str, Any]) -> Figure:
