@@ -51,7 +51,10 @@ def write_dataset(table: "pl.DataFrame", path: Path, about: Mapping[str, Any], f
     """Write what `trajectories` recorded as a folder of that format, whole or not at all."""
     write = {"minari": write_minari, "lerobot": write_lerobot}[format]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as temporary:
+    # Absolute: Minari takes a relative folder for one beside its own files.
+    with tempfile.TemporaryDirectory(
+        prefix=f".{path.name}.", dir=path.parent.absolute()
+    ) as temporary:
         write(table, Path(temporary) / path.name, path.name, about)
         os.replace(Path(temporary) / path.name, path)
 

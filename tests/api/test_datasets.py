@@ -30,7 +30,8 @@ def test_minari_reads_what_was_recorded(
 ) -> None:
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
-    write_dataset(table, tmp_path / "zero-v0", ABOUT, "minari")
+    monkeypatch.chdir(tmp_path)
+    write_dataset(table, Path("zero-v0"), ABOUT, "minari")
     assert [path.name for path in tmp_path.iterdir()] == ["zero-v0"]  # nothing half written
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     dataset = minari.load_dataset("zero-v0")
