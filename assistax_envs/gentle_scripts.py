@@ -229,7 +229,7 @@ def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
 
 
 def wipe(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
-    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next."""
+    """Gentle bath: to the nearest point that faces the pad, then along the skin to the next."""
     towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
     aside, off, above = _above(n, obs, towards, normal)
     # Over the point and beyond it, to and fro along the arm: on until past it, then back.

@@ -10,7 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 INK, PAPER, TRACK = (25, 30, 38), (250, 250, 251), (222, 226, 231)
 EARNS, COSTS = (70, 82, 100), (128, 90, 190)
 # N, and the colour from there on: below a gentle touch, above it, more than a frail person bears.
-LEVELS = ((0.0, (0, 158, 115)), (10.0, (240, 180, 0)), (65.0, (204, 60, 0)))
+# They differ in grey too, from targets as well.
+LEVELS = ((0.0, (60, 190, 140)), (10.0, (245, 205, 60)), (65.0, (140, 20, 10)))
 MEANINGS = {
     "ends": "ends of the stroke",
     "next": "next to wipe",
@@ -72,6 +73,7 @@ class _Item:
     room: int  # pixels, with those to the next item
     colour: Any = None
     bar: float | None = None  # full at 1, or at a cost of -1
+    is_round: bool = False  # the patch: a target's is, a touch's is not
 
 
 def _lines(
@@ -99,7 +101,7 @@ def _facts(font: Any, figures: Figures) -> list[_Item]:
         *([_item(font, "physics diverged: frozen")] * figures.nonfinite),
         _item(font, touch, _level(figures.force), widest="touch 000.0 N"),
         _item(font, f"distance {100.0 * figures.distance:.0f} cm", widest="distance 000 cm"),
-        *(_item(font, text, colour) for text, colour in targets.items()),
+        *(_item(font, text, colour, is_round=True) for text, colour in targets.items()),
         *(_item(font, text, colour) for text, colour in zip(words, colours, strict=True)),
         *(_item(font, text, colour) for text, colour in (("earns", EARNS), ("costs", COSTS))),
     ]
@@ -116,10 +118,12 @@ def _terms(font: Any, width: int, terms: Mapping[str, float]) -> list[list[_Item
     return [items[start : start + columns] for start in range(0, len(items), columns)]
 
 
-def _item(font: Any, text: str, colour: Any = None, widest: str = "") -> _Item:
+def _item(
+    font: Any, text: str, colour: Any = None, widest: str = "", *, is_round: bool = False
+) -> _Item:
     """Return words with room for the widest that may stand there, a patch and a gap."""
     long = max(font.getlength(text), font.getlength(widest))
-    return _Item(text, round(long + font.size * (2 if colour else 1)), colour)
+    return _Item(text, round(long + font.size * (2 if colour else 1)), colour, is_round=is_round)
 
 
 def _flow(items: list[_Item], width: int) -> list[list[_Item]]:
@@ -137,7 +141,9 @@ def _draw(draw: ImageDraw.ImageDraw, at: tuple[int, int], item: _Item, font: Any
     size = font.size
     if item.colour is not None:
         draw.rounded_rectangle(
-            (x, y + 0.2 * size, x + 0.8 * size, y + size), size // 4, item.colour
+            (x, y + 0.2 * size, x + 0.8 * size, y + size),
+            size // (2 if item.is_round else 8),
+            item.colour,
         )
         x += size
     draw.text((x, y), item.text, font=font, fill=INK)

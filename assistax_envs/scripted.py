@@ -125,7 +125,7 @@ def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
 
 
 def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle bath: to the nearest point that faces the pad, and on over the skin to the next."""
+    """Gentle bath: to the nearest point that faces the pad, then along the skin to the next."""
     towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
     height = (towards * normal).sum(-1, keepdims=True)
     aside = towards - height * normal

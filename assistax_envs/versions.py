@@ -57,7 +57,5 @@ def engine(backend: str) -> dict[str, str]:
     packages = {"native": "mujoco", "mjx": "mujoco-mjx", "mjx-warp": "mujoco-mjx"}
     if backend not in packages:
         allowed = ", ".join(("fused", *packages))
-        raise ValueError(
-            f"backend is {backend!r}; allowed, where its version counts, are {allowed}"
-        )
+        raise ValueError(f"backend is {backend!r}; allowed are {allowed}")
     return {"name": backend, "version": version(packages[backend])}

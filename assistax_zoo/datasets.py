@@ -1,6 +1,5 @@
 """Recorded episodes in the formats of Minari and of LeRobot, with what both seats saw and did."""
 
-import importlib
 import json
 import os
 import re
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from assistax_base.extras import optional
 from assistax_base.files import METADATA_KEY
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ def check_place(path: Path, format: str) -> None:
     """Check, before anything is played, that a recording can be written there in this format.
 
     Raises:
-        ValueError: The format is unknown, or the place is taken or has a name that Minari refuses.
-        ImportError: The format's package is not installed.
+        ValueError: The format is unknown, its package is missing, or the place is taken or has a
+            name that Minari refuses.
     """
     if format not in FORMATS:
         raise ValueError(f"format is {format!r}; allowed are {', '.join(FORMATS)}")
@@ -39,13 +39,7 @@ def check_place(path: Path, format: str) -> None:
     if path.exists():
         raise ValueError(f"{path} exists; a {format} dataset is a new folder, give another name")
     for module in _NEEDED[format]:
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            raise ImportError(
-                f"the format {format} needs a package ({error}); install it with: pip install "
-                f"'assistax-zoo[{format}]'"
-            ) from None
+        optional(module, f"the format {format}", extra=format)
     if format == "minari" and not re.fullmatch(r"[\w-]+-v\d+", path.name):
         raise ValueError(
             f"{path.name!r} is no name of a Minari dataset; use letters, digits and hyphens, and "
@@ -57,7 +51,10 @@ def write_dataset(table: "pl.DataFrame", path: Path, about: Mapping[str, Any], f
     """Write what `trajectories` recorded as a folder of that format, whole or not at all."""
     write = {"minari": write_minari, "lerobot": write_lerobot}[format]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as temporary:
+    # Absolute: Minari takes a relative folder for one beside its own files.
+    with tempfile.TemporaryDirectory(
+        prefix=f".{path.name}.", dir=path.parent.absolute()
+    ) as temporary:
         write(table, Path(temporary) / path.name, path.name, about)
         os.replace(Path(temporary) / path.name, path)
 

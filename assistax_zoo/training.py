@@ -40,7 +40,7 @@ def train(
         steps: Environment steps of 20 ms of each team, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         backend: Physics, or "auto" for the fastest one here.
-        resume: Go on with a run that the folder holds.
+        resume: Continue the run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         progress: Show it, or a function that is called after every dispatch to the device.
         **options: `self_play_episodes` of each team's final evaluation, 16 or none (0);
@@ -92,22 +92,22 @@ def train_ego(
     zoo: "str | Path | Zoo | None" = None,
     progress: "bool | Callable[[Progress], None]" = True,
 ) -> "TrainedEgos":
-    """Train robots with the partners of a split's training half, which stay as they are.
+    """Train robots with the partners of a split's training side, which stay as they are.
 
     Args:
         task: Task, such as "scratch".
         algorithm: "ppo", "sac", or a method, such as "asymmetric" (docs/methods.md).
         folder: Of the run; one that was interrupted goes on. Default a new temporary one.
-        split: Split whose training half are the partners; default the release's own.
+        split: Split whose training side are the partners; default the release's own.
         partners: "persons" for a new person of the training side each episode.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
         preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; default
-            those of the split's training half, or all, drawn anew each episode.
+            those of the split's training side, or all, drawn anew each episode.
         told: Let the robot observe what the human likes: a row to compare with, and no robot.
         backend: Physics, or "auto" for the fastest one here.
-        resume: Go on with a run that the folder holds.
+        resume: Continue the run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
         progress: Show it, or a function that is called after every dispatch to the device.
 

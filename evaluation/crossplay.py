@@ -101,7 +101,7 @@ def cross_play(
 def _split(
     registry: Registry, task: str, humans: Sequence[PolicyEntry], release: str | None
 ) -> Split | None:
-    """Return the default split of the humans' release; None of a population without one.
+    """Return the default split of the humans' release; None if it has none.
 
     Humans of several releases have that of the task's, or of the one that was asked for.
     """

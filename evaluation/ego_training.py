@@ -74,7 +74,7 @@ def prepare(
     updates_per_call: int | None = None,
     told: Told = False,
 ) -> EgoTraining:
-    """Return what is to be trained with the partners of a split's training half.
+    """Return what is to be trained with the partners of a split's training side.
 
     Every partner gets the same share of the simulations, under its own disability setting. Unless
     `num_envs` is among the hyperparameters, it is the number nearest to the preset's that partners
@@ -83,7 +83,7 @@ def prepare(
     Args:
         registry: Where the partners are.
         task: Task.
-        split: Split whose training half are the partners: an id or the beginning of one, or the
+        split: Split whose training side are the partners: an id or the beginning of one, or the
             split itself; default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
         algorithm: "ppo", "sac", or a method: `population.hyperparameters.METHODS`.
@@ -91,7 +91,7 @@ def prepare(
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
         preferences: What the humans of a gentle task like, in turns; if none are given, those of
-            the split's training half, or all, drawn anew each episode, where it holds none out.
+            the split's training side, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched at once; default the algorithm's.
         told: What robots observe, for rows to compare with; "partner": all numbers of a person.
@@ -183,7 +183,7 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
 
 
 def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
-    """Return the humans of a split's training half; no row of the test half is read."""
+    """Return the humans of a split's training side; no parameters of the test side are loaded."""
     from population.trainers.frozen_partners import FrozenPartners
 
     entries = [registry.policy(f"{team}/human") for team in split.train]

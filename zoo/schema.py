@@ -133,7 +133,7 @@ class DisabilitySetting(StrictModel):
         """Return it as what a simulation takes.
 
         Raises:
-            ValueError: A number is none that a human can have.
+            ValueError: No human can have such a number.
         """
         return Disability(**self.model_dump())
 
@@ -168,7 +168,7 @@ class Team(StrictModel):
 
 
 class TrainedAgainst(StrictModel):
-    """The split whose training half an ego's partners were, wherever it is published."""
+    """The split whose training side an ego's partners were, wherever it is published."""
 
     split: str
     sha256: Sha256

@@ -57,7 +57,7 @@ class BedBath:
     name = "bed_bath"
     target_colours: ClassVar = {
         "next": (0.95, 0.05, 0.55, 1.0),
-        "to wipe": (0.10, 0.45, 0.90, 1.0),
+        "to wipe": (0.05, 0.20, 0.75, 1.0),
     }  # RGBA
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:

@@ -75,7 +75,7 @@ class GentleBath:
     """
 
     name = "gentle_bath"
-    target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.10, 0.45, 0.90, 1.0)}
+    target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.05, 0.20, 0.75, 1.0)}
 
     def __init__(
         self,

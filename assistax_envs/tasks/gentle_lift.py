@@ -98,7 +98,7 @@ class GentleLift:
     name = "gentle_lift"
     target_colours: ClassVar = {
         "section": (0.95, 0.05, 0.55, 1.0),
-        "waist": (0.10, 0.35, 0.95, 1.0),
+        "waist": (0.05, 0.20, 0.75, 1.0),
     }
 
     def __init__(

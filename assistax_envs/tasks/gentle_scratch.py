@@ -84,7 +84,7 @@ class GentleScratch:
     """
 
     name = "gentle_scratch"
-    target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0), "ends": (0.10, 0.35, 0.95, 1.0)}
+    target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0), "ends": (0.05, 0.20, 0.75, 1.0)}
 
     def __init__(
         self,

@@ -139,7 +139,7 @@ class Training:
         checkpoint_every: Updates between checkpoints; default 20 for PPO, 2000 for SAC, whose
             updates are short.
         updates_per_call: Updates dispatched to the device at once; default 1 for PPO, 20 for SAC.
-        resume: Go on with a run that the folder holds.
+        resume: Continue the run that the folder holds.
         tensorboard: Where to show it: a folder for TensorBoard event files, which several runs may
             share, or wandb:PROJECT; needs assistax-zoo[tensorboard] or assistax-zoo[wandb].
     """
@@ -188,7 +188,7 @@ class Choosing:
     Attributes:
         validate: At how many equal steps the robots are kept, and then play with the validation
             side, which chooses each seed's checkpoint; default none.
-        best_of: Of how many seeds the best one is chosen too.
+        best_of: Choose also the best of each so many seeds.
     """
 
     validate: int = 0

@@ -171,9 +171,10 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
         done += count
         now = time.monotonic()
         text = f"{description}: {figures()}, {now - start:.0f} s"
-        first = first or (now, done)  # compilation comes before it, and is not part of the speed
+        # Compilation comes before it, and is not part of the speed; nor is word that work begins.
+        first = first or ((now, done) if done else None)
         # Of a twentieth on, since another program may compile between two of the first counts.
-        if done - first[1] >= total / 20:
+        if first and done - first[1] >= total / 20:
             text += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
         line.show(text, last=done >= total)
 

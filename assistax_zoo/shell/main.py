@@ -64,7 +64,7 @@ COMMANDS = {
     "cache.clean": "assistax_zoo.commands.machine.cache:clean_cache",
 }
 GROUPS = {  # words that are no command alone
-    "split": "Train and test halves of the partners.",
+    "split": "Which partners train robots, and which test them.",
     "config": "Settings of this machine.",
     "plot": "Figures from saved tables.",
 }

@@ -224,8 +224,9 @@ def _unfit(
         expected=f"version {listing(map(str, versions))} of environment {entry.task}, {why}",
         found=f"release {entry.release}, trained on version {registry.env_version(entry)}",
         done="nothing was evaluated",
-        next_step="choose policies of a release of this version (here "
-        f"{listing(fitting)}), or install the assistax-zoo of release {entry.release}",
+        next_step=f"choose policies of release {listing(fitting)}"
+        if fitting
+        else f"install the assistax-zoo of release {entry.release}",
     )
 
 

@@ -83,7 +83,7 @@ def outcomes(record: Record) -> Outcomes:
         found = f"persons of {', '.join(sorted(tasks))}" if tasks else "no person"
         raise ValueError(
             f"{record.folder} has {found} among its {means.height} partners; evaluate robots with "
-            "persons of one task, by partners 'persons'"
+            "persons of one task, with partners 'persons'"
         )
     [task] = tasks
     played = means.filter(pl.Series(known))

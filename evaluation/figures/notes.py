@@ -69,7 +69,7 @@ def clipping_notes(table: pl.DataFrame) -> list[str]:
 
 
 def episode_notes(returns: Returns) -> list[str]:
-    """Say which episodes broke, and whether egos met the same."""
+    """Say which episodes broke, and whether egos met the same partners."""
     broken = int(returns.nonfinite.sum())
     notes = []
     if broken:

@@ -186,7 +186,7 @@ def plan_contrast(
 ) -> ContrastPlan:
     """Return the fewest seeds, then the fewest episodes, with which a difference is seen.
 
-    Seen is a true difference of `effect` in 80% of repetitions, in a two-sided test at
+    A true difference of `effect` is then seen in 80% of repetitions, in a two-sided test at
     alpha / contrasts, which is Holm's strictest step.
 
     Args:

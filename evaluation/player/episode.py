@@ -204,7 +204,7 @@ def _episode(table: pl.DataFrame, about: Mapping[str, Any], number: int) -> Epis
     rows = table.filter(pl.col("episode") == number)
     if not 2 <= rows.height <= EPISODE_LENGTH + 1:
         found = f"episode {number} has {rows.height} rows"
-        raise _UnplayableError(f"{found}; 2 to {EPISODE_LENGTH + 1} are played")
+        raise _UnplayableError(f"{found}; it must have 2 to {EPISODE_LENGTH + 1}")
     stops = _column(rows, "terminated", last=False).astype(bool)
     count = int(stops.argmax()) + 1 if stops.any() else len(stops)  # steps that count
     rows = rows.head(count + 1)

@@ -81,8 +81,11 @@ def crossplay_heatmap(
     below = caption(matrix, summary, _marks(matrix)) + uncoloured
     wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
     figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
-    under: dict[str, Any] = {"fontsize": 8.5, "va": "top", "color": INK, "gid": style.WORDS}
-    figure.text(0.2 / wide, 1 - 0.42 / high, headline(summary), **under)
+    under: dict[str, Any] = {"va": "top", "color": INK, "gid": style.WORDS}
+    # Of 8.5 points, or as large as the figure is wide enough for.
+    figure.text(
+        0.2 / wide, 1 - 0.42 / high, headline(summary), fontsize=min(8.5, 1.4 * wide), **under
+    )
 
     def place(x: float, y: float, width: float, height: float, label: str) -> Axes:
         corner = (x / wide, 1 - (y + height) / high)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from evaluation.plots import style
 
 _WORDS = {"return": "mean return", "safe_success": "safe success", "success": "success"}
-_WIDTH, _HEIGHT = 10.0, 6.3
+_WIDTH, _HEIGHT, _SIZE = 7.0, 6.6, 8  # inches, and points that are read at a page's width
 
 
 def described_panels(summary: Mapping[str, Any]) -> Figure:
@@ -36,12 +36,12 @@ def person_panels(summary: Mapping[str, Any], *, caption: str) -> Figure:
     grid = figure.add_gridspec(
         2,
         len(summary["matter"]),
-        left=0.16,
-        right=0.98,
-        top=0.9,
-        bottom=0.17,
-        wspace=0.5,
-        hspace=0.5,
+        left=0.2,
+        right=0.97,
+        top=0.89,
+        bottom=0.18,
+        wspace=0.65,
+        hspace=0.34,
         height_ratios=(3, 2),
     )
     for column, (outcome, matter) in enumerate(summary["matter"].items()):
@@ -63,13 +63,13 @@ def _surface(axes: Axes, surface: Mapping[str, Any], outcome: str) -> None:
         if counts[row, column]:
             ink = style.ink_on(tuple(drawn.to_rgba(value)))
             text = f"{value:.{digits}f}\nn {counts[row, column]}"
-            axes.text(column, row, text, ha="center", va="center", fontsize=7, color=ink)
+            axes.text(column, row, text, ha="center", va="center", fontsize=_SIZE, color=ink)
     for name, ticks in (("x", axes.set_xticks), ("y", axes.set_yticks)):
         edges = surface[f"{name}_edges"]
-        ticks(np.arange(len(edges)) - 0.5, [f"{edge:.3g}" for edge in edges], fontsize=7)
-    axes.set_xlabel(surface["x"], fontsize=8)
-    axes.set_ylabel(surface["y"], fontsize=8)
-    axes.set_title(_WORDS[outcome], fontsize=9, loc="left", color=style.INK)
+        ticks(np.arange(len(edges)) - 0.5, [f"{edge:.2g}" for edge in edges], fontsize=_SIZE)
+    axes.set_xlabel(surface["x"], fontsize=_SIZE)
+    axes.set_ylabel(surface["y"], fontsize=_SIZE)
+    axes.set_title(_WORDS[outcome], fontsize=_SIZE + 1, loc="left", color=style.INK)
 
 
 def _bars(axes: Axes, matter: Mapping[str, Any], outcome: str) -> None:
@@ -83,7 +83,7 @@ def _bars(axes: Axes, matter: Mapping[str, Any], outcome: str) -> None:
     axes.hlines(places, np.maximum(ends[:, 0], 0.0), np.maximum(ends[:, 1], 0.0), color=style.INK)
     axes.axvline(matter["chance"], color=style.MUTED, linewidth=0.8, linestyle=":")
     names = [f"{e['parameter']} {'+' if e['low_to_high'] > 0 else '-'}" for e in effects]
-    axes.set_yticks(places, names, fontsize=7)
-    axes.tick_params(axis="x", labelsize=7)
+    axes.set_yticks(places, names, fontsize=_SIZE)
+    axes.tick_params(axis="x", labelsize=_SIZE)
     axes.set_xlim(0.0, max(0.05, float(ends.max()) * 1.05))
-    axes.set_xlabel(f"share of the variance of persons' {_WORDS[outcome]}", fontsize=8)
+    axes.set_xlabel(f"share of the variance of {_WORDS[outcome]}", fontsize=_SIZE)

@@ -244,7 +244,7 @@ class _Training:
     def _advance(
         self, state: TrainState
     ) -> Callable[[TrainState, int], tuple[TrainState, dict[str, np.ndarray]]]:
-        """Return what makes some updates, and returns their metrics [updates, M]."""
+        """Return a function that makes some updates and returns their metrics [updates, M]."""
         trainer, shares = self.trainer, self.shares
 
         def scan(state: Any, hyper: Any, partners: Any, *, updates: int) -> Any:

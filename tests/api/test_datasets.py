@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ def test_minari_reads_what_was_recorded(
 ) -> None:
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
-    write_dataset(table, tmp_path / "zero-v0", ABOUT, "minari")
+    monkeypatch.chdir(tmp_path)
+    write_dataset(table, Path("zero-v0"), ABOUT, "minari")
     assert [path.name for path in tmp_path.iterdir()] == ["zero-v0"]  # nothing half written
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     dataset = minari.load_dataset("zero-v0")
@@ -87,3 +89,12 @@ def test_a_wrong_place_is_refused_before_anything_is_played(
     (tmp_path / "taken-v0").mkdir()
     with pytest.raises(ValueError, match=re.escape(words)):
         check_place(tmp_path / name, format)
+
+
+def test_a_missing_package_is_named_with_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "minari", None)
+    words = "the format minari needs the package minari; install it with: pip install"
+    with pytest.raises(ValueError, match=re.escape(f"{words} 'assistax-zoo[minari]'")):
+        check_place(tmp_path / "new-v0", "minari")

@@ -262,16 +262,17 @@ def test_progress_off_a_terminal_is_lines_on_standard_error(
 def test_the_time_left_does_not_count_compilation(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
     """Nor is it said of so little work that another compilation would count for hours of it."""
-    clock = iter([0.0, 60.0, 62.0, 64.0, 66.0])
+    monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
+    clock = iter([0.0, 1.0, 60.0, 62.0, 64.0, 66.0])
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
     now = [next(clock)]
     with console.progress("evaluate scratch", 1000) as advance:
-        for count in (1, 1, 98, 900):
+        for count in (0, 1, 1, 98, 900):  # that it begins, then work
             now[0] = next(clock)
             advance(count)
     assert capsys.readouterr().err.splitlines() == [
+        "evaluate scratch: 0/1000, 1 s",
         "evaluate scratch: 1/1000, 60 s",
         "evaluate scratch: 2/1000, 62 s",
         "evaluate scratch: 100/1000, 64 s, 36 s left",

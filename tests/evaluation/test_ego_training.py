@@ -1,4 +1,4 @@
-"""Robots that train with a split's training half."""
+"""Robots that train with a split's training side."""
 
 import pytest
 

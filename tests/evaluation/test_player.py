@@ -168,7 +168,7 @@ DAMAGES: dict[str, tuple[Callable[[pl.DataFrame], pl.DataFrame], str]] = {
         "column force has numbers",
     ),
     "no rows": (lambda t: t.clear(), "episode 0 has 0 rows"),
-    "endless": (lambda t: pl.concat([t] * 40), "2 to 1001 are played"),
+    "endless": (lambda t: pl.concat([t] * 40), "it must have 2 to 1001"),
     "moods": (
         lambda t: t.with_columns(wish_force=pl.col("step").cast(float)),
         "wish of force changes, or is not above 0",

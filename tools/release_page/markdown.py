@@ -35,9 +35,9 @@ def spoken(name: str) -> str:
     return name.replace("_", " ")
 
 
-def image(path: str, text: str, width: str = "100%") -> str:
-    """Return a picture."""
-    return f'<img src="{path}" alt="{text}" width="{width}">'
+def image(path: str, text: str) -> str:
+    """Return a picture as wide as the page."""
+    return f'<img src="{path}" alt="{text}" width="100%">'
 
 
 def csv_table(headings: Sequence[object], rows: Iterable[Sequence[object]]) -> str:

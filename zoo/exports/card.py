@@ -156,7 +156,7 @@ def _head(card: Mapping[str, Any]) -> str:
 
 def _figures(card: Mapping[str, Any]) -> dict[str, str]:
     if "trained_against" in card:
-        return {"trained against the training half of": card["trained_against"]["split"]}
+        return {"trained against the training side of": card["trained_against"]["split"]}
     if not (figures := card["self_play"]):
         return {"self-play return": "not measured"}
     low, high = figures["mean_ci"]

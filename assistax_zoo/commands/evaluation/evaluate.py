@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from assistax_base.errors import listing
+from assistax_base.errors import counted, listing
 from assistax_zoo.commands.options import Against, Engine, Source
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
 from evaluation.play.how import How
@@ -172,9 +172,8 @@ def _share_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
-    robots = len(summary["egos"])
-    split = summary["split"]["id"]
-    title = f"{summary['task']}, {robots} {'robot' if robots == 1 else 'robots'}, split {split}"
+    robots, split = counted(len(summary["egos"]), "robot"), summary["split"]["id"]
+    title = f"{summary['task']}, {robots}, split {split}"
     names = (
         *(("M_test", "m_test"), ("M_validation", "m_validation"), ("M_train", "m_train")),
         ("M_train - M_test", "gap"),
@@ -204,8 +203,12 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
 def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
     from evaluation.figures.normalised import REFERENCE_ORDER
 
-    names = [name for name in REFERENCE_ORDER if name in references]
-    rows = [(name.replace("_", " "), references[name]) for name in names]
+    own = references.get("self_play")  # is the best response where no cross-play was given
+    rows = [
+        (name.replace("_", " "), references[name])
+        for name in REFERENCE_ORDER
+        if name in references and (name != "best_response" or references[name] != own)
+    ]
     _print_figures("to compare with: the same partners and episodes", rows)
     if relative["normalised_return"] is None:
         print("nobody's best response is known, so that nothing is relative to one")

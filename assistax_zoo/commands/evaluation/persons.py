@@ -18,15 +18,15 @@ def persons(
 ) -> None:
     """Say which of the numbers of persons matter most for the robots of a folder.
 
-    Persons are dealt into bins of equal counts by each number. Its share is that of the variance of
-    persons' mean returns, and of their safe successes, that lies between the bins, less what chance
-    puts there (omega squared); intervals resample persons.
+    By each number persons are sorted into bins of equal counts. A number's share is how much of the
+    variance of persons' mean returns, or of their safe successes, lies between its bins, beyond
+    chance (omega squared). Intervals resample persons.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --partners persons --out` filled.
         over: Two numbers for a surface of both outcomes, such as strength,liked_force; default the
             two that matter most for the return.
-        bins: Of each number.
+        bins: Bins of each number.
         most: How many numbers to show.
         out: Figure to write, .png, .pdf or .svg.
         json: Print JSON.

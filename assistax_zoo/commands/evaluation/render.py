@@ -34,7 +34,7 @@ def render(
         human: An id, a .safetensors file, zero, or random.
         out: File to write: .mp4, .gif, .webp or .png.
         steps: Steps of 20 ms to show; the whole episode of 1000 if not given.
-        seed: Of the episode.
+        seed: Seed of the episode.
         camera: A camera of the scene, such as side, or close to follow the tool.
         fps: Frames a second.
         width: Pixels of a frame.

@@ -34,7 +34,7 @@ def compare(
     Args:
         folders: A and B, which `assistax-zoo evaluate --out` filled, of the same task, split,
             episodes and seed; with --contrasts a folder for each method and task.
-        contrasts: File of named contrasts, TOML or JSON; docs/evaluation.md shows one.
+        contrasts: File of named contrasts, TOML or JSON; docs/league.md shows one.
         seed: Seed of the bootstrap.
         json: Print JSON.
 

@@ -40,7 +40,7 @@ def watch(
         human: An id, also of a person, a .safetensors file, zero, or random.
         out: Page to write, .html; or .episode, which players of other pages load.
         steps: Steps of 20 ms to play; the whole episode of 1000 if not given.
-        seed: Of the episode.
+        seed: Seed of the episode.
         episode: Which episode of a file.
         disability: The human's setting, d1 to d9, instead of its own.
         preference: What the human of a gentle task likes, p1 to p9; drawn if not given.

@@ -72,7 +72,7 @@ def _partners(registry: Registry, release: str | None, lock: Path | None) -> str
     splits, facts = published.splits.values(), [f"root {registry.root(name)}"]
     if pinned and lock:
         if pinned.release != name:
-            raise ValueError(f"{lock} pins release {pinned.release}, not {name}; leave --release")
+            raise ValueError(f"{lock} pins release {pinned.release}, not {name}; drop --release")
         splits = [split.id for split in pinned.splits.values()]
         facts = [f"root {pinned.root}", f"lock {pinned.sha256}"]
     facts += [f"registry {sha256(part.path.read_bytes())}"]

@@ -92,10 +92,10 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What its humans like, such as p2,p3; what the test side lacks.
-        test_preferences: What those of the test side like, such as p1,p5,p9, held out by any rule.
-        best_responses: Finished evaluation or cross-play, whose best robots tell with whom nobody
-            earns a quarter of the median: three-sides leaves them out. Repeat it for more.
+        train_preferences: What its humans like, such as p2,p3; default what the test side lacks.
+        test_preferences: What humans of the test side like, such as p1,p5,p9, for any rule.
+        best_responses: Finished evaluation or cross-play. With it three-sides leaves out partners
+            with whom the best robot earns less than a quarter of the median. Repeat it for more.
         conventions: Finished cross-play, by whose two groups of humans three-sides stratifies.
         default: Make it the release's default split of the task, in a registry of your own.
         registry: Registry of your own to write to, for a split of its partners.
@@ -136,7 +136,7 @@ def _created(split: Split, registry: Registry) -> list[str]:
 def verify(id: str | None = None, *, registry: Path | None = None, json: bool = False) -> None:
     """Check splits: sha256, known teams, nothing on both sides; exit code 1 if anything is wrong.
 
-    On both sides are also two humans that act nearly alike, which no hash shows;
+    Two humans that act nearly alike count as one human, though their hashes differ;
     `zoo/splitting/similar_humans.py` says how nearly.
 
     Args:

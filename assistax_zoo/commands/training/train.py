@@ -33,7 +33,7 @@ def train(
 ) -> None:
     """Train teams of a robot and a human, every seed with every disability setting, in one program.
 
-    The same command again goes on where a run was interrupted, and ends with the same parameters.
+    The same command again continues an interrupted run, and ends with the same parameters.
 
     Args:
         task: Task, such as scratch.

@@ -35,20 +35,20 @@ def train_ego(
     json: bool = False,
     json_lines: bool = False,
 ) -> None:
-    """Train robots with the partners of a split's training half, which stay as they are.
+    """Train robots with the partners of a split's training side, which stay as they are.
 
     Every partner gets the same share of the simulations, and acts with its most likely action. The
-    test half is never loaded. Each seed's robot is a policy file.
+    test side is never loaded. Each seed's robot is a policy file.
 
     Args:
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
-        split: Whose training half are the partners: an id or its beginning; default the release's.
+        split: Split of the partners, an id or its beginning; default that of the release.
         partners: persons for a new person of the training side each episode, in place of networks.
         algorithm: ppo, sac, or a method: gru, asymmetric, liam, palm, rma, rl2.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; default those
-            of the split's training half, or all, drawn anew each episode.
+            of the split's training side, or all, drawn anew each episode.
         told: Let robots observe what the human likes: a row to compare with.
         choosing: What is chosen among.
         training: How it trains.

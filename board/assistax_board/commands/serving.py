@@ -37,8 +37,8 @@ def serve(
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play rows to compare with, such as scripts, when no submission waits.
-        proxy: Address of the proxy before the server, such as 127.0.0.1: whose word is taken for
-            where a request comes from; default nobody's.
+        proxy: Address of the proxy in front of the server, such as 127.0.0.1. Its X-Forwarded-For
+            says where a request comes from; without it no proxy is believed.
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
 
     Example:

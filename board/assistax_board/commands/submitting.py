@@ -108,8 +108,8 @@ def season_enter(
 ) -> None:
     """Choose which submissions play a season's panel B, instead of an earlier choice.
 
-    At most two methods; submissions of one method are its seeds, and their mean counts. Without any
-    the submission whose score on panel A was shown last plays.
+    At most two methods; submissions of one method are its seeds, and their mean counts. If
+    you name none, the submission whose score on panel A was shown last plays.
 
     Args:
         name: Name or id of the season.

@@ -279,7 +279,7 @@ def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
     if row is None or row.task != draft.task:
         raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
     if row.state != "open":
-        raise Problem("too_late", f"season {row.name} is {row.state}; only an open one takes part")
+        raise Problem("too_late", f"season {row.name} is {row.state}; it must be open")
     if row.closes_at is not None and row.closes_at <= now:
         raise Problem("too_late", f"the closing date of season {row.name} has passed")
     return row

@@ -24,7 +24,6 @@ from tools.release_page.gentle.sections import (
     lost,
     mean,
     method_rows,
-    methods,
     p_value,
     population,
     split_costs,
@@ -37,6 +36,14 @@ from zoo.schema import PolicyEntry
 ALPHA = 0.05  # below it, a p after Holm's correction counts as a difference
 TOLD = ("ppo", "ppo-told")  # what knowing a partner's preference is worth
 RECURRENT = "ppo-gru"
+METHODS = (
+    "[methods.csv]({folder}/methods.csv) has what each method earned on each split. M is the mean "
+    "return over partners; the gap is M_train - M_test. Safe success is the share of episodes with "
+    "test partners that reach the goal without a contact above the hard limit; violations is the "
+    "share with such a contact. Intervals resample seeds and partners. Robots that trained with "
+    "the test side are not listed. [Releases](../releases.md#which-method-is-best) has M_test and "
+    "safe success on the default splits."
+)
 MORE = {  # tables beside the page
     "population.csv": "teams by algorithm, steps of training and disability setting: how many, and "
     "the IQM of their returns in self-play. Intervals resample teams.",
@@ -48,7 +55,6 @@ MORE = {  # tables beside the page
     "that is surely above zero. Intervals resample the seeds of each, and the partners of both "
     "together. Custom splits are by behaviour: humans fall into two groups by which robots suit "
     "them, and the group that earns more is held out.",
-    "methods.csv": "the table of methods above, on all splits.",
     "differences.csv": "M_test of every two methods on the default splits. p is two-sided, by the "
     "bootstrap of seeds and partners; the least is 0.001. Holm's correction is for all differences "
     "of a task.",
@@ -68,7 +74,7 @@ def make_page(results: Results, pictures: str, command: str) -> str:
     """
     parts = {
         "In short": in_short(results),
-        "Methods": by_task(results, methods),
+        "Methods": METHODS.format(folder=results.release),
         "More tables": more_tables(results.release),
         "Cross-play": cross_play(results, pictures),
         "Diversity": diverse(results),
@@ -88,12 +94,6 @@ def make_page(results: Results, pictures: str, command: str) -> str:
 def more_tables(folder: str) -> str:
     """Return a list of the tables beside the page: which there are, and how each is measured."""
     return "\n".join(f"- [{name}]({folder}/{name}): {what}" for name, what in MORE.items())
-
-
-def by_task(results: Results, section: Callable[[Results, str], str]) -> str:
-    """Return a section's text for every task below its name."""
-    texts = ((task, section(results, task)) for task in GENTLE_TASKS)
-    return "\n\n".join(f"### {spoken(task).capitalize()}\n\n{text}" for task, text in texts)
 
 
 def in_short(results: Results) -> str:

@@ -99,20 +99,6 @@ def _cost(results: Results, split: Split) -> SplitCost | None:
     return split_cost(*scores) if len(scores) == len(TRAINED_WITH) else None
 
 
-def methods(results: Results, task: str) -> str:
-    """Return what every method earned on the first split where one was evaluated."""
-    split, rows = next(iter(method_rows(results, task).items()), ("", []))
-    if not rows:
-        return NOTHING
-    shown = table(METHOD, [[f"`{name}`", *cells] for name, *cells in rows], range(1, 9))
-    return (
-        f"`{split}`:\n\n{shown}\n\nM is the mean return over partners; the gap is M_train - M_test."
-        " Safe success is the share of episodes with test partners that reach the goal without a "
-        "contact above the hard limit; violations is the share with such a contact. Intervals "
-        "resample seeds and partners. Robots that trained with the test side are not listed here."
-    )
-
-
 def method_rows(results: Results, task: str) -> dict[str, list[list[object]]]:
     """Return the rows of `METHOD` by split, for splits where one was evaluated, default first."""
     rows = {

@@ -14,6 +14,8 @@ from tools.release_page.paper.data import METHODS, Results
 from tools.release_page.paper.panels import training_panels
 from tools.release_page.paper.training import training_curves
 
+PAGE = 7.0  # inches: letters are read at a page's width
+
 
 def figures(results: Results) -> dict[str, Callable[[], Figure]]:
     """Return what draws each figure that the data allow, by the name of its file."""
@@ -39,7 +41,7 @@ def _population(results: Results) -> Figure:
         f"n = {len(rows)} human partners of release {results.release}. "
         "Below each setting: the elbow's range and the strength that are left."
     )
-    return population_grid(pl.DataFrame(rows), caption=caption)
+    return population_grid(pl.DataFrame(rows), caption=caption, width=PAGE)
 
 
 def _curves(results: Results) -> Figure:

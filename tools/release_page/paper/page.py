@@ -60,10 +60,13 @@ def tables(results: Results) -> dict[str, str]:
     """Return the files beside the page, in a folder named after the release."""
     trained, played = _made(results)
     lines = commands(trained, played)
-    return {
-        "claims.csv": csv_of(
-            {results.release: sections.claim_table(check_claims(results))}, "release"
-        ),
+    beside = {
+        "claims.csv": sections.claim_table(check_claims(results)),
+        "self-play.csv": sections.self_play_table(results),
+        "curves.csv": sections.curve_table(results),
+        "egos.csv": sections.zero_shot_table(results),
+    }
+    return {name: csv_of({results.release: found}, "release") for name, found in beside.items()} | {
         "minutes.csv": csv_table(HEADINGS, cost_rows(results.humans, trained, played)),
         "commands.txt": "".join(f"{line}\n" for line in lines),
     }

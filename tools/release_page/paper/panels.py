@@ -9,7 +9,11 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from evaluation.plots import style
 
-_WIDTH, _HEIGHT, _GAP = 3.1, 2.5, 1.1  # inches of a panel, and between them: names of lines, ticks
+_WIDTH, _HEIGHT, _GAP = (
+    1.55,
+    2.2,
+    0.85,
+)  # inches of a panel, and between them: names of lines, ticks
 _LEFT, _TOP, _BOTTOM = 0.65, 0.65, 0.81
 
 
@@ -56,8 +60,8 @@ def _draw_task(
         style.band(axes, table, "steps", "iqm", colours[name], name)
         if name in bounds:
             axes.axhline(bounds[name], color=colours[name], linewidth=0.9, linestyle=":")
-    axes.set_xlabel("environment steps of one member", fontsize=9)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel("steps of one member", fontsize=9)
+    axes.xaxis.set_major_locator(MaxNLocator(3))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     spelled = {style.spelled(name): colour for name, colour in colours.items()}
     style.label_ends(axes, ends, spelled)

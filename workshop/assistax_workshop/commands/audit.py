@@ -53,8 +53,8 @@ def audit(
 ) -> None:
     """Ask whether a task can be done without the partner, and whether it is done gently.
 
-    Each gate is a figure of trained teams with its 95% interval and its bar. Those for which nobody
-    was named are listed as not measured.
+    Each gate is a figure of trained teams with its 95% interval and its bar. Gates
+    whose option is missing are listed as not measured.
 
     Args:
         task: Task, such as gentle_scratch.

@@ -29,9 +29,9 @@ def train(
 
     Args:
         task: Gentle task.
-        folder: Of the runs.
+        folder: Folder of the runs.
         only: Conditions, comma-separated; all if not given.
-        seeds: Of each condition: how many, or which, such as 8 or 100-107.
+        seeds: Seeds of each condition: how many, or which, such as 8 or 100-107.
         steps: Environment steps of each team.
         disability: The human's setting.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
@@ -75,11 +75,11 @@ def told_egos(
 
     Args:
         task: Gentle task.
-        folder: Of the run and the evaluation.
-        split: Split whose training half they learn with; default that of the release.
+        folder: Folder of the run and the evaluation.
+        split: Split whose training side they learn with; default that of the release.
         seeds: How many, or which.
         steps: Environment steps of each robot.
-        episodes: Of each pair.
+        episodes: Episodes of each pair.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         registry: Registry to read instead of the installed one.
@@ -111,7 +111,7 @@ def curves(folder: Path, /, *, out: Path) -> None:
     """Draw how the teams of the gentle tasks learned.
 
     Args:
-        folder: Of curves, as `train population --curves` writes it.
+        folder: Folder of curves, as `train population --curves` writes it.
         out: Picture to write.
 
     Example:
@@ -143,16 +143,16 @@ def persons(
     Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
     (trained with persons who do nothing), best (one robot for each of some persons), script,
     search (the best numbers for the script; nothing is changed by it) and read (are wishes read?).
-    Each has a run and a file in FOLDER, and goes on where it stopped. The table is of all files.
+    Each has a run and a file in FOLDER, and continues where it stopped. The table covers all files.
 
     Args:
         task: Gentle task.
-        folder: Of runs and results.
+        folder: Folder of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind.
         steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
         single: Persons with a best response.
-        tries: Of the search over the script's numbers.
+        tries: Tries of the search over the script's numbers.
         models: Persons whom each try plays with.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.

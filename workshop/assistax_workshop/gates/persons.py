@@ -1,6 +1,6 @@
 """Who plays for the gates of persons: robots that learn with them, and what they earn with them.
 
-Each kind of robot is a stage of its own: a run in FOLDER/NAME, which goes on where it stopped, and
+Each kind of robot is a stage of its own: a run in FOLDER/NAME, which can be continued, and
 FOLDER/NAME.json with what its robots earn with persons. `persons_table` reads these files, so that
 stages may run on several machines.
 """

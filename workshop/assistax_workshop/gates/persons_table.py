@@ -69,7 +69,7 @@ def _with_one(files: Files) -> list[Gate]:
         if len(script) != len(theirs):
             raise ValueError(
                 f"stage best has {len(theirs)} persons and {SCRIPT} {len(script)}; run both with "
-                "one number of them"
+                "the same number"
             )
         row = f"{beside}: {word}"
         said = f"{script.mean():.3g} of {theirs.mean():.3g}"

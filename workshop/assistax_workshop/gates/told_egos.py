@@ -51,7 +51,7 @@ def train_told_egos(
         task: Gentle task.
         folder: Of the run and the evaluation.
         command: That is recorded with both.
-        split: Split whose training half they learn with; default that of the release.
+        split: Split whose training side they learn with; default that of the release.
         seeds: One robot each.
         steps: Environment steps of each robot.
         episodes: Of each pair.

@@ -1,6 +1,6 @@
 """Teams of a run folder, with what is published of their run.
 
-The folder of a `train-ego` run also holds `split.json`, the split whose training half its partners
+The folder of a `train-ego` run also holds `split.json`, the split whose training side its partners
 were.
 """
 
