@@ -295,12 +295,10 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     at_place = jnp.where((off < n["over"]) & (height > -0.002) & shown, rub, hover)
     within = (out < -0.002) & (beside < 0.03)
 
-    def to(where: Any) -> jax.Array:
-        return capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
-
     # Between the lips, and before them until it may go in there.
     where = jnp.where(inner & (beside < 0.01) & shown, -0.01, n["gate"])
-    velocity = jnp.where(inner == within, at_place, to(where))
+    way = capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
+    velocity = jnp.where(inner == within, at_place, way)
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 
