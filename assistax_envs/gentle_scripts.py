@@ -18,6 +18,7 @@ import mujoco
 from assistax_envs.registered import REGISTERED
 from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
 from assistax_envs.scripted import SCRIPTS as OLDER
+from assistax_envs.tasks.gentle_brushing import HALF
 
 Numbers = Mapping[str, Any]
 # What a search tries for each number, from least to most. Lengths in m, speeds in m/s, forces in N;
@@ -70,7 +71,7 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
         "fast": (0.05, 0.25),
         "above": (0.005, 0.03),  # the place, until it is shown
         "inside": (0.001, 0.01),  # the same in the mouth
-        "over": (0.01, 0.04),  # aside of the stroke's end, up to which the brush goes down
+        "over": (0.008, 0.02),  # from a place's middle along its row, up to which the brush presses
         "rub": (3.0, 20.0),
         "slide": (0.01, 0.12),
         "force": (0.3, 3.0),
@@ -160,7 +161,7 @@ OWN: dict[str, dict[str, float]] = {
         "fast": 0.1,
         "above": 0.02,
         "inside": 0.003,
-        "over": 0.02,
+        "over": 0.011,
         "rub": 6.0,
         "slide": 0.05,
         "force": 1.0,
@@ -288,11 +289,13 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     rub = capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal
     way = aside + (jnp.where(inner, n["inside"], n["above"]) - height) * normal
     ahead = (way * forward).sum(-1, keepdims=True)
-    far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > n["over"]
+    far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > 0.02
     around = jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
     hover = capped(n["approach"] * (way + around), n["fast"])
+    at = HALF * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True)
     off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    at_place = jnp.where((off < n["over"]) & (height > -0.002) & shown, rub, hover)
+    over = (jnp.abs(at) < n["over"]) & (off < 0.03) & (height > -0.002)
+    at_place = jnp.where(over & shown, rub, hover)
     within = (out < -0.002) & (beside < 0.03)
 
     # Between the lips, and before them until it may go in there.
