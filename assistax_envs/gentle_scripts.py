@@ -18,7 +18,6 @@ import mujoco
 from assistax_envs.registered import REGISTERED
 from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
 from assistax_envs.scripted import SCRIPTS as OLDER
-from assistax_envs.tasks.gentle_brushing import HALF
 
 Numbers = Mapping[str, Any]
 # What a search tries for each number, from least to most. Lengths in m, speeds in m/s, forces in N;
@@ -159,14 +158,14 @@ OWN: dict[str, dict[str, float]] = {
     "gentle_brushing": {
         "approach": 4.0,
         "fast": 0.1,
-        "above": 0.02,
+        "above": 0.01,
         "inside": 0.003,
-        "over": 0.011,
+        "over": 0.013,
         "rub": 6.0,
         "slide": 0.05,
         "force": 1.0,
         "soften": 0.02,
-        "press": 0.02,
+        "press": 0.03,
         "lift": 0.1,
         "round": 0.012,
         "gate": 0.04,
@@ -292,7 +291,7 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > 0.02
     around = jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
     hover = capped(n["approach"] * (way + around), n["fast"])
-    at = HALF * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True)
+    at = 0.008 * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True)
     off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
     over = (jnp.abs(at) < n["over"]) & (off < 0.03) & (height > -0.002)
     at_place = jnp.where(over & shown, rub, hover)

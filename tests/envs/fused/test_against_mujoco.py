@@ -69,7 +69,7 @@ def agree(error: np.ndarray) -> bool:
 
 
 def grazing(task: str, kind: str, substeps: int, places: np.ndarray) -> np.ndarray:
-    """Return the yardsticks of some states by two hundred directions, as far as an angle is rounded.
+    """Return the yardsticks of some states by 200 directions, as far as an angle is rounded.
 
     Four directions of 1e-7 rad can miss a touch that begins at the edge of single precision: a
     brush that rests 0.1 um above a tooth, held by joints that stand at 2.2 rad, where neighbours
