@@ -289,18 +289,16 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     way = aside + (jnp.where(inner, n["inside"], n["above"]) - height) * normal
     ahead = (way * forward).sum(-1, keepdims=True)
     far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > 0.02
-    around = jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
-    hover = capped(n["approach"] * (way + around), n["fast"])
-    at = 0.008 * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True)
-    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    over = (jnp.abs(at) < n["over"]) & (off < 0.03) & (height > -0.002)
-    at_place = jnp.where(over & shown, rub, hover)
-    within = (out < -0.002) & (beside < 0.03)
-
+    way = way + jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
+    hover = capped(n["approach"] * way, n["fast"])
+    # From the place's middle along its row: 8 mm to the end that comes next.
+    at = jnp.abs(0.008 * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True))
+    rubs = (at < n["over"]) & (jnp.abs(aside).max(axis=1, keepdims=True) < 0.03)
+    at_place = jnp.where(rubs & (height > -0.002) & shown, rub, hover)
     # Between the lips, and before them until it may go in there.
     where = jnp.where(inner & (beside < 0.01) & shown, -0.01, n["gate"])
     way = capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
-    velocity = jnp.where(inner == within, at_place, way)
+    velocity = jnp.where(inner == ((out < -0.002) & (beside < 0.03)), at_place, way)
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 

@@ -89,8 +89,9 @@ def test_velocities(task: str, kind: str, substeps: int) -> None:
     error = errors(task, kind, substeps)
     worst = np.flatnonzero(error > WORST)
     assert len(worst) <= 2  # else few would be excused by a second look
-    usual = yardstick(task, kind, substeps)[worst]
-    error[worst] *= usual / np.maximum(usual, grazing(task, kind, substeps, worst))
+    if worst.size:
+        usual = yardstick(task, kind, substeps)[worst]
+        error[worst] *= usual / np.maximum(usual, grazing(task, kind, substeps, worst))
     assert agree(error)
 
 
