@@ -70,7 +70,7 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
         "fast": (0.05, 0.25),
         "above": (0.005, 0.03),  # the place, until it is shown
         "inside": (0.001, 0.01),  # the same in the mouth
-        "over": (0.01, 0.04),  # aside of the stroke's end, up to which the brush goes down
+        "over": (0.008, 0.02),  # from a place's middle along its row, up to which the brush presses
         "rub": (3.0, 20.0),
         "slide": (0.01, 0.12),
         "force": (0.3, 3.0),
@@ -158,14 +158,14 @@ OWN: dict[str, dict[str, float]] = {
     "gentle_brushing": {
         "approach": 4.0,
         "fast": 0.1,
-        "above": 0.02,
+        "above": 0.01,
         "inside": 0.003,
-        "over": 0.02,
+        "over": 0.013,
         "rub": 6.0,
         "slide": 0.05,
         "force": 1.0,
         "soften": 0.02,
-        "press": 0.02,
+        "press": 0.03,
         "lift": 0.1,
         "round": 0.012,
         "gate": 0.04,
@@ -288,19 +288,17 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     rub = capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal
     way = aside + (jnp.where(inner, n["inside"], n["above"]) - height) * normal
     ahead = (way * forward).sum(-1, keepdims=True)
-    far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > n["over"]
-    around = jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
-    hover = capped(n["approach"] * (way + around), n["fast"])
-    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    at_place = jnp.where((off < n["over"]) & (height > -0.002) & shown, rub, hover)
-    within = (out < -0.002) & (beside < 0.03)
-
-    def to(where: Any) -> jax.Array:
-        return capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
-
+    far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > 0.02
+    way = way + jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
+    hover = capped(n["approach"] * way, n["fast"])
+    # From the place's middle along its row: 8 mm to the end that comes next.
+    at = jnp.abs(0.008 * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True))
+    rubs = (at < n["over"]) & (jnp.abs(aside).max(axis=1, keepdims=True) < 0.03)
+    at_place = jnp.where(rubs & (height > -0.002) & shown, rub, hover)
     # Between the lips, and before them until it may go in there.
     where = jnp.where(inner & (beside < 0.01) & shown, -0.01, n["gate"])
-    velocity = jnp.where(inner == within, at_place, to(where))
+    way = capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
+    velocity = jnp.where(inner == ((out < -0.002) & (beside < 0.03)), at_place, way)
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 

@@ -8,6 +8,7 @@ Shapes: N simulations.
 """
 
 import dataclasses
+from itertools import accumulate
 
 import jax
 import jax.numpy as jnp
@@ -70,7 +71,11 @@ AT_MOUTH: dict[str, dict[str, slice]] = {
         "closed": slice(63, 64),
     },
 }  # fmt: skip
-MOUTH_WIDTH = {"gentle_feeding": 50, "gentle_brushing": 72}  # of that observation
+# Width of that observation, and torques.
+SEAT_SIZES = {task: (sum(width for _, width in parts), 3) for task, parts in LAYOUT.items()} | {
+    "gentle_feeding": (50, 5),
+    "gentle_brushing": (72, 5),
+}
 MOUTH_UNIT = {"gentle_feeding": 10.0, "gentle_brushing": 5.0}  # N of an observed touch of 1
 TOUCH_UNIT = 10.0  # N of an observed touch of 1
 _ARM = np.array([HUMAN_JOINTS.index(joint) for joint in HUMAN_ACTUATORS])
@@ -93,11 +98,9 @@ class Senses:
 
 def columns(task: str) -> dict[str, slice]:
     """Return where in a human's observation of a task each part stands."""
-    begin, parts = 0, {}
-    for name, width in LAYOUT[task]:
-        parts[name] = slice(begin, begin + width)
-        begin += width
-    return parts
+    names, widths = zip(*LAYOUT[task], strict=True)
+    ends = accumulate(widths)
+    return {n: slice(e - w, e) for n, w, e in zip(names, widths, ends, strict=True)}
 
 
 def sense(task: str, obs: jax.Array) -> Senses:

@@ -33,8 +33,9 @@ STROKE = 0.01  # m, way of a stroke: what a liked speed means in time
 BESIDE = 0.007  # m across the row, how far the brush may be from where it should be
 LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
 STROKES = 4  # of a place, if they are liked: a dentist's ten would take a minute and a half
-WHATEVER = 0.2  # what a stroke does that nobody likes; one that is liked does 1
-SHARP = 4  # power of `bump` for force and time: twice the liked one does a third
+# What a stroke does that nobody likes, where a liked one does 1; and the power of `bump` for force
+# and time: twice the liked one does a third.
+WHATEVER, SHARP = 0.2, 4
 ASKED = 6  # places that are success
 HALF_OPEN = 0.25  # rad of the jaw, from where on the inside can be brushed
 SHOWN = 0.3  # rad of the neck's yaw, likewise a side

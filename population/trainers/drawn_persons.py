@@ -12,7 +12,7 @@ from jaxtyping import Float
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
 from assistax_envs.persons.parameters import WIDTH
-from assistax_envs.registered import REGISTERED
+from assistax_envs.persons.senses import SEAT_SIZES
 from population.environment import Environment
 from population.trainers.frozen_partners import FrozenPartners
 
@@ -147,7 +147,7 @@ class IdlePersons(DrawnPersons):
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
         """Return the carries and no torques [N, A]."""
-        actions = 5 if REGISTERED[self.player.controller.task].seat == "mouth" else 3
+        actions = SEAT_SIZES[self.player.controller.task][1]
         return carry, jnp.zeros((obs.shape[0], actions), obs.dtype)
 
 

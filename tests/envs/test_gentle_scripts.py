@@ -35,7 +35,12 @@ def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
     obs[:, 34:37] = rng.normal(0.0, 0.1, (count, 3))
     if task in CARE_TASKS:  # near the mouth, and near the place that is brushed
         obs[:, 14:17] = obs[:, 24:27] + rng.normal(0.0, 0.03, (count, 3))
-        obs[:, 39:42] *= 0.3
+    if task == "gentle_feeding":
+        obs[:, 36] = rng.uniform(size=count)
+        obs[:, 37:42] = np.eye(5)[rng.integers(0, 5, count)]
+    if task == "gentle_brushing":
+        obs[:, 39:42] *= rng.choice([0.05, 0.5], (count, 1))
+        obs[:, 63] = rng.integers(0, 2, count)
     if task in NORMAL:
         normal = rng.normal(size=(count, 3))
         obs[:, NORMAL[task]] = normal / np.linalg.norm(normal, axis=1, keepdims=True)

@@ -190,7 +190,7 @@ def test_verify_counts_persons_and_published_ones_never_change(
     official: Registry, tmp_path: Path
 ) -> None:
     report = verify(official)
-    assert report.ok and report.persons == 3 * COUNT
+    assert report.ok and report.persons == 5 * COUNT
     assert f"persons {TASK}" in leaves(official.data, "v3")
     other = changed(official, tmp_path, program=3)
     assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]

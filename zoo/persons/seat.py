@@ -23,19 +23,16 @@ class PersonSpec:
     @property
     def observation_size(self) -> int:
         """Width of what the human of the task observes."""
-        from assistax_envs.persons.senses import AT_MOUTH, LAYOUT, MOUTH_WIDTH
+        from assistax_envs.persons.senses import SEAT_SIZES
 
-        if self.task in AT_MOUTH:
-            return MOUTH_WIDTH[self.task]
-        return sum(width for _, width in LAYOUT[self.task])
+        return SEAT_SIZES[self.task][0]
 
     @property
     def action_size(self) -> int:
         """Number of torques."""
-        from assistax_envs.persons import body, head
-        from assistax_envs.persons.senses import AT_MOUTH
+        from assistax_envs.persons.senses import SEAT_SIZES
 
-        return head.JOINTS if self.task in AT_MOUTH else body.JOINTS
+        return SEAT_SIZES[self.task][1]
 
     def to_json(self) -> dict[str, Any]:
         """Return what a card says of it."""

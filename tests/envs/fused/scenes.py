@@ -211,17 +211,24 @@ def relative_error(got: np.ndarray, want: np.ndarray, before: np.ndarray) -> np.
 
 
 def sensitivity(
-    model: mujoco.MjModel, states: States, substeps: int = 1, ranges: np.ndarray | None = None
+    model: mujoco.MjModel,
+    states: States,
+    substeps: int = 1,
+    ranges: np.ndarray | None = None,
+    shifts: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return how much velocities [N] differ when angles do by 1e-7 rad: single precision's step.
 
-    The largest of four directions; large where a touch begins or ends, and in stiff contacts.
+    The largest of four directions, or of `shifts` [K, N, Q] rad; large where a touch begins or
+    ends, and in stiff contacts.
     """
     _, want, _ = oracle(model, states, substeps, ranges)
-    signs = np.random.default_rng(12).choice([-1.0, 1.0], (4, 1, model.nq))
+    if shifts is None:
+        signs = np.random.default_rng(12).choice([-1.0, 1.0], (4, 1, model.nq))
+        shifts = 1e-7 * np.concatenate([signs[:2], -signs[:2]])
     moved = []
-    for sign in np.concatenate([signs[:2], -signs[:2]]):
+    for shift in shifts:
         other = copy.copy(states)
-        other.qpos = states.qpos.astype(float) + 1e-7 * sign
+        other.qpos = states.qpos.astype(float) + shift
         moved.append(np.linalg.norm(oracle(model, other, substeps, ranges)[1] - want, axis=1))
     return np.max(moved, axis=0)
