@@ -231,7 +231,7 @@ class RegistryFile(StrictModel):
     splits: tuple[Split, ...] = ()
 
     def release_of(self, task: str) -> ReleaseName:
-        """Return a task's default release: the newest whole one that has it, or else of all.
+        """Return a task's default release: the newest whole one that has it, else of all that do.
 
         Those of an added zoo have its namespace before their name, and are nobody's default.
         """
@@ -239,9 +239,10 @@ class RegistryFile(StrictModel):
         having = [
             name
             for name, entry in self.releases.items()
-            if ":" not in name and task in entry.environments and release_number(name) <= newest
+            if ":" not in name and task in entry.environments
         ]
-        return max(having, key=release_number, default=self.release)
+        whole = [name for name in having if release_number(name) <= newest]
+        return max(whole or having, key=release_number, default=self.release)
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegistryFile":

@@ -18,7 +18,7 @@ from assistax_base.errors import (
     UnknownIdError,
 )
 from assistax_envs.persons.rows import COUNT, drawn, person, persons, side
-from assistax_envs.versions import GENTLE_TASKS, VERSIONS
+from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy
 from zoo.history.merkle import leaves, lost_leaves, with_roots
@@ -29,6 +29,7 @@ from zoo.persons.registered import described, person_splits
 from zoo.registry import Registry, load_registry, read_registry
 from zoo.schema import Split
 from zoo.splits import check_split, split_id
+from zoo.splitting.persons import has_persons_alone
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
@@ -63,6 +64,9 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
     assert {table.count for table in release.persons.values()} == {COUNT}
     assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
+    assert official.release_of("gentle_feeding") == "v4"  # which alone has it
+    alone = {task for task in TASKS if has_persons_alone(official.data, task)}
+    assert alone == {"gentle_feeding", "gentle_brushing"}
     assert {name: official.root(name) for name in ROOTS} == ROOTS
 
 

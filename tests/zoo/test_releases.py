@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS
 from assistax_workshop.plans.plan import read_plan
 from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
@@ -39,6 +39,8 @@ def test_egos_were_trained_with_persons_or_the_default_split() -> None:
         "bed_bath/ppo-ego-s0-v1",
         "gentle_bath/ppo-ego-s0-v2",
         "gentle_bath/ppo-ego-s3-v3",
+        "gentle_brushing/gru-ego-s1-v4",
+        "gentle_feeding/gru-ego-s3-v4",
         "gentle_lift/asymmetric-ego-s15-v3",
         "gentle_lift/ppo-ego-s0-v2",
         "gentle_lift/ppo-ego-s2-v3",
@@ -48,7 +50,7 @@ def test_egos_were_trained_with_persons_or_the_default_split() -> None:
         "scratch/ppo-ego-s0-v1",
     ]
     for team, ego in egos.items():
-        whom = "persons" if team.endswith("-v3") else None
+        whom = "persons" if team.endswith(("-v3", "-v4")) else None
         split = REGISTRY.split(team.partition("/")[0], whom)
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 
@@ -107,8 +109,12 @@ def test_no_partner_of_a_split_of_v3_is_below_the_bar(task: str) -> None:
 
 
 def test_a_task_has_its_own_default_release() -> None:
-    releases = {task: REGISTRY.release_of(task) for task in (*PAPER_TASKS, *GENTLE_TASKS)}
-    assert releases == dict.fromkeys(PAPER_TASKS, "v1") | dict.fromkeys(GENTLE_TASKS, "v2")
+    releases = {task: REGISTRY.release_of(task) for task in TASKS}
+    assert releases == {
+        **dict.fromkeys(PAPER_TASKS, "v1"),
+        **dict.fromkeys(GENTLE_TASKS, "v2"),
+        **dict.fromkeys(CARE_TASKS, "v4"),
+    }
     assert REGISTRY.split("scratch", "half").release == "v1"
 
 
