@@ -9,7 +9,7 @@ from assistax_board.api import live as live
 from assistax_board.api import operations, public, submitting, working
 from assistax_board.api.desk import Desk
 from assistax_board.api.errors import add_error_handlers
-from assistax_board.api.guards import BodyLimit, HeadAsGet, UpgradeLimit
+from assistax_board.api.guards import BodyLimit, HeadAsGet
 from assistax_board.api.rates import Limiter
 from assistax_board.live.rooms import Rooms
 from assistax_board.live.seats import Seats
@@ -23,7 +23,6 @@ MIDDLEWARE = (
     Middleware(SecurityHeaders),
     Middleware(HeadAsGet),
     Middleware(BodyLimit),
-    Middleware(UpgradeLimit),
     Middleware(operations.Observe),
 )
 ROUTERS = (

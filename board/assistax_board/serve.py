@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import ctypes
+import gc
 import ipaddress
 import os
 import resource
@@ -20,6 +21,8 @@ import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from assistax_board.api.guards import Doorkeeper, denial
+from assistax_board.problems import Problem
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.service import Service
@@ -32,6 +35,7 @@ _stopping = threading.Event()
 SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
 CONNECTIONS = 4000  # of all kinds; each may have a file beside it
+LISTENERS, TAKEN = 16, 4  # connections wait at so many, which take so many in one turn
 TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given back
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
@@ -139,7 +143,7 @@ def check_proxy(proxy: str | None) -> None:
 def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
     """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
-        app,
+        Doorkeeper(app),
         host=host,
         port=port,
         log_level="warning",
@@ -174,6 +178,20 @@ class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
         else:
             self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
 
+    def handle_websocket_upgrade(self, *request: Any) -> None:
+        """Ask at the door first: to refuse a connection that was made costs twice as much."""
+        asking = self.app({**self.scope, "type": "websocket"}, None, None)
+        try:
+            asking.send(None)  # it waits for nothing
+        except StopIteration:
+            super().handle_websocket_upgrade(*request)
+        except Problem as problem:
+            answer = denial(problem)
+            fields = (b"%b: %b" % field for field in answer.raw_headers)
+            head = (b"HTTP/1.1 %d " % answer.status_code, b"Connection: close", *fields)
+            self.transport.write(b"\r\n".join((*head, b"", answer.body)))
+            self.transport.close()
+
 
 class _Brief(WebSocketsSansIOProtocol):
     """Hangs up when a conversation is over: a peer that takes nothing would keep it for ever."""
@@ -184,6 +202,10 @@ class _Brief(WebSocketsSansIOProtocol):
         finally:
             self.loop.call_later(CLOSE_SECONDS, self.transport.abort)
 
+    async def send(self, message: Any) -> None:
+        await super().send(message)
+        self.handshake_complete |= self.close_sent  # a refusal is an answer, and no error to log
+
 
 class _Server(uvicorn.Server):
     """Stops the workers while it still answers, so that they can give their jobs back."""
@@ -191,6 +213,15 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, stop_workers: Callable[[], None]) -> None:
         super().__init__(config)
         self._stop_workers = stop_workers
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        # In a turn of the event loop uvloop takes one connection of each listener, and asyncio's
+        # own loop a whole backlog: one is too few for a crowd, and a crowd holds up the loop.
+        listener = self.config.bind_socket()
+        self.config.backlog = TAKEN
+        await super().startup([listener, *(listener.dup() for _ in range(LISTENERS - 1))])
+        listener.listen(CONNECTIONS)
+        gc.freeze()  # a full collection looked at all modules: a tenth of a second
 
     async def main_loop(self) -> None:
         if not _stopping.is_set():

@@ -7,10 +7,7 @@ value of a hidden partner; a word of a table cannot.
 from typing import Literal
 
 SubmissionState = Literal["queued", "running", "scored", "refused", "failed", "retracted"]
-# "held" jobs wait until the public panel of their submission is done.
-JobState = Literal["held", "waiting", "leased", "done", "cancelled"]
 SeasonState = Literal["draft", "open", "closing", "closed"]
-PanelName = Literal["public", "A", "B"]
 Kind = Literal["file", "live", "reference"]  # a reference is nobody's: zero actions, a script
 AttemptState = Literal["free", "reserved", "spent", "refunded"]
 Scope = Literal["submit", "work", "organise"]

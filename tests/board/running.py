@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 import uvicorn
 
@@ -31,12 +31,17 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(service: Service, port: int = 0, proxy: str | None = None) -> Generator[Served]:
+def served(
+    service: Service,
+    port: int = 0,
+    proxy: str | None = None,
+    kind: Callable[[uvicorn.Config], uvicorn.Server] = uvicorn.Server,
+) -> Generator[Served]:
     """Serve until the block ends."""
     port = free_port("127.0.0.1", port)
     config = config_of(create_app(service), "127.0.0.1", port, proxy)
     config.lifespan, config.log_level = "off", "error"
-    server = uvicorn.Server(config)
+    server = kind(config)
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:

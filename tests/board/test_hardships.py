@@ -1,5 +1,6 @@
 """Clients that are slow or silent, a disk that is full, a server that is away for a while."""
 
+import gc
 import socket
 import threading
 import time
@@ -60,6 +61,42 @@ def test_who_says_nothing_is_hung_up_on(
         silent = [connected(server, data) for _ in range(50)]
         assert httpx2.get(f"{server.address}/api/health").status_code == 200
         assert all(map(hung_up, silent))
+
+
+@pytest.mark.parametrize("loop", ["asyncio", "auto"])
+def test_a_crowd_is_taken_in_a_few_at_a_turn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Any
+) -> None:
+    """However many wait, a turn of the event loop takes some of them and leaves the others."""
+    monkeypatch.setattr(serve, "stop_limited", lambda: None)  # it would be for good
+    taken, loops, over = [0], [], threading.Event()
+    made = serve._IdleTimeout.connection_made  # private: nothing public knows of connections
+
+    def connection_made(self: Any, transport: Any) -> None:
+        loops.append(self.loop)
+        taken[-1] += 1
+        made(self, transport)
+
+    def turn() -> None:
+        taken.append(0)
+        if not over.is_set():
+            loops[0].call_soon(turn)
+
+    def kind(config: Any) -> Any:
+        config.loop = loop
+        return serve._Server(config, lambda: None)  # private: what `serve` runs
+
+    monkeypatch.setattr(serve._IdleTimeout, "connection_made", connection_made)
+    with served(new_service(tmp_path), kind=kind) as server:
+        assert httpx2.get(f"{server.address}/api/health").status_code == 200
+        loops[0].call_soon_threadsafe(time.sleep, 1.0)  # the system lets the crowd wait meanwhile
+        loops[0].call_soon_threadsafe(turn)
+        crowd = [connected(server, HALF + b"Connection: close\r\n\r\n") for _ in range(300)]
+        answers = [connection.recv(12) for connection in crowd]
+        assert all(map(hung_up, crowd)) and set(answers) == {b"HTTP/1.1 200"}
+        over.set()
+    gc.unfreeze()
+    assert 1 < max(taken) <= serve.LISTENERS * serve.TAKEN
 
 
 @pytest.mark.slow

@@ -66,6 +66,15 @@ def test_a_function_answers_from_another_process_that_is_gone_then() -> None:
         os.kill(pid, 0)
 
 
+def niceness() -> list[int]:
+    return [os.getpriority(os.PRIO_PROCESS, process) for process in (os.getpid(), os.getppid())]
+
+
+def test_what_looks_at_files_comes_after_requests() -> None:
+    least = min(10, 19 - os.nice(0))  # more than 19 there is not
+    assert min(play(niceness)) - os.nice(0) >= least
+
+
 def test_seconds_and_bytes_are_bounded() -> None:
     with pytest.raises(OverBudgetError, match="seconds"):
         play(spin, seconds=1)

@@ -5,20 +5,22 @@ import contextlib
 import threading
 import time
 from pathlib import Path
-from socket import SHUT_RDWR
+from socket import SHUT_RDWR, create_connection
 from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
+from limits import parse
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from assistax_board.api import guards
 from assistax_board.client import Client
 from assistax_board.live import client as live_client
 from assistax_board.live import seats
 from assistax_board.live.messages import decode, encode, pack_rows, unpack_rows
 from assistax_board.live.robot import LiveRobot
-from assistax_board.live.rooms import SEATS, BankEmpty, Rooms
+from assistax_board.live.rooms import WAITING, BankEmpty, Rooms
 from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
 from assistax_board.service import Service
@@ -339,7 +341,7 @@ def test_a_crowd_at_the_door_is_sent_away(tmp_path: Path) -> None:
 
     async def crowd() -> list[Any]:
         leave = asyncio.Event()
-        coming = [asyncio.create_task(come(leave)) for _ in range(SEATS + 3)]
+        coming = [asyncio.create_task(come(leave)) for _ in range(WAITING + 3)]
         await asyncio.sleep(0.1)
         sent_away = [task.exception() for task in coming if task.done()]
         leave.set()
@@ -349,6 +351,54 @@ def test_a_crowd_at_the_door_is_sent_away(tmp_path: Path) -> None:
 
     sent_away = asyncio.run(asyncio.wait_for(crowd(), 20.0))
     assert [problem.code for problem in sent_away] == 3 * ["too_many_requests"]
+
+
+def test_a_crowd_that_knocks_in_one_turn_is_sent_away_before_connections_are_made(
+    tmp_path: Path,
+) -> None:
+    rooms = Rooms(places_of(new_service(tmp_path)))
+
+    async def crowd() -> list[int]:
+        sent_away = []
+        for _ in range(2):  # the second comes when the turn of the first is over
+            sent_away.append(0)
+            for _ in range(WAITING + 3):
+                try:
+                    rooms.knock()
+                except Problem:
+                    sent_away[-1] += 1
+            await asyncio.sleep(0.0)
+        return sent_away
+
+    assert asyncio.run(crowd()) == [3, 3]
+
+
+def test_live_connections_are_counted_by_the_address_that_a_proxy_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """No connection is made of one that is refused, and its refusal is no error to log."""
+    monkeypatch.setattr(guards, "READ", parse("2/minute"))
+    made = []
+    for proxy in (None, "127.0.0.1"):
+        with served(new_service(tmp_path / str(proxy)), proxy=proxy) as server:
+            host, port = server.address.removeprefix("http://").split(":")
+            answers = []
+            for number in range(6):
+                with create_connection((host, int(port)), 10.0) as line:
+                    line.sendall(UPGRADE % (b"10.0.0.%d" % (number % 3)))
+                    answers.append(b"".join(iter(lambda: line.recv(4096), b"")))
+            made.append([int(answer.split()[1]) for answer in answers])
+            for answer in answers:
+                assert b"Retry-After: " in answer.title() and b"Connection: Close" in answer.title()
+    assert made == [[401, 401, 429, 429, 429, 429], [401] * 6]
+    assert not caplog.records
+
+
+UPGRADE = (
+    b"GET /api/live/none HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+    b"X-Forwarded-For: %b\r\n\r\n"
+)
 
 
 def places_of(service: Service) -> Seats:

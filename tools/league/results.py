@@ -207,7 +207,7 @@ def _beside(tasks: Sequence[Played]) -> Iterator[str]:
             best, returns = task.methods[0].row, task.league.by_partner
             own = returns.filter(pl.col("row") == RESPONSE).select("partner", own="mean")
             both = returns.filter(pl.col("row") == best).join(own, on="partner")
-            share = both["mean"].mean() / both["own"].mean()
+            share = both["mean"].to_numpy().sum() / both["own"].to_numpy().sum()
             yield f"`{best}` earns {share:.0%} in `{task.task}`"
 
 

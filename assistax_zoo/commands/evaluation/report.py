@@ -149,7 +149,8 @@ def report(
     with stdout_is_data():
         if watch:
             _record_worst(folder)
-        episodes = [_recorded(path) for path in _recordings(folder)]
+        recordings = sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
+        episodes = [_recorded(path) for path in recordings]
         write_report(folder, out, episodes, contrasts=figures)
     print(out)
 
@@ -163,10 +164,6 @@ def _record_worst(folder: Path) -> None:
     with progress(f"play {pair['task']}", EPISODE) as advance:
         pair |= {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
         trajectories(**pair, out=folder / f"worst{RECORDED}")
-
-
-def _recordings(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
 
 
 def _recorded(path: Path) -> bytes:

@@ -89,23 +89,25 @@ class BodyLimit:
         return counted
 
 
-class UpgradeLimit:
-    """ASGI middleware: live connections are counted before anything else is done for them."""
+class Doorkeeper:
+    """The outermost ASGI application: says who may open a live connection, before one is made."""
 
     def __init__(self, app: Any) -> None:
         self._app = app
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Pass a connection on unless its address, or its token, asks too often."""
-        if scope["type"] == "websocket":
-            connection, limiter = HTTPConnection(scope), scope["app"].state.limiter
-            try:
-                limiter.hit(READ, client_of(connection))
-                limiter.hit(UPGRADE, bearer_token(connection))
-            except Problem as problem:
-                await denial(problem)(scope, receive, send)
-                return
-        await self._app(scope, receive, send)
+        """Pass a request on; without `receive`, only say whether its sender may come in.
+
+        Raises:
+            Problem: A crowd is at the door, or its address or its token asks too often.
+        """
+        if receive is not None:
+            await self._app(scope, receive, send)
+            return
+        connection, state = HTTPConnection(scope), self._app.state
+        state.rooms.knock()
+        state.limiter.hit(READ, client_of(connection))
+        state.limiter.hit(UPGRADE, bearer_token(connection))
 
 
 def bearer_token(connection: HTTPConnection) -> str:
@@ -200,7 +202,6 @@ def sign_in(request: Request, token: str, scope: Scope) -> Principal:
 
 Submitter = Annotated[Principal, signed_in("submit")]
 Worker = Annotated[Principal, signed_in("work")]
-Organiser = Annotated[Principal, signed_in("organise")]
 
 
 async def _answer(send: Any, problem: Problem) -> None:

@@ -24,6 +24,7 @@ RESUME_SECONDS = 60.0  # for a lost connection to come back within a batch
 SEATS = 400  # connections of all labs here: requests need room beside them
 POLL_SECONDS = 0.05  # between two looks at what was asked, or answered, at another server
 LOOK_SECONDS = 1.0  # between two looks at which connections have ended
+WAITING = 64  # at the door; who is sent away comes again
 DOORS = 2  # at which connections come and go: a crowd there leaves the processor to requests
 BOOK_SECONDS = 1.0  # of thinking that are written down together
 
@@ -104,14 +105,32 @@ class Rooms:
         Raises:
             Problem: Too many are waiting.
         """
-        if self._coming >= SEATS:
-            raise Problem("too_many_requests", "too many live robots come at once; try again later")
+        self._check_door()
         self._coming += 1
         try:
             async with self._doors:
                 yield
         finally:
             self._coming -= 1
+
+    def knock(self) -> None:
+        """Say before a connection is made whether its client would be sent away at the door.
+
+        Many knock in one turn of the event loop; each counts until its own turn has come.
+
+        Raises:
+            Problem: Too many are waiting.
+        """
+        self._check_door()
+        self._coming += 1
+        asyncio.get_running_loop().call_soon(self._let_go)
+
+    def _check_door(self) -> None:
+        if self._coming >= WAITING:
+            raise Problem("too_many_requests", "too many live robots come at once; try again later")
+
+    def _let_go(self) -> None:
+        self._coming -= 1
 
     async def take_seat(self, submission: str, owner: str) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.

@@ -134,14 +134,6 @@ def _flatten(attributes: Attributes, x: Any) -> Any:
     return x.reshape(int(np.prod(x.shape[:axis])), -1)
 
 
-def _squeeze(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = None) -> Any:
-    return jnp.squeeze(x, axes)
-
-
-def _unsqueeze(attributes: Attributes, x: Any, axes: tuple[int, ...]) -> Any:
-    return jnp.expand_dims(x, axes)
-
-
 def _slice(
     attributes: Attributes,
     x: Any,
@@ -177,18 +169,6 @@ def _split(attributes: Attributes, x: Any, sizes: tuple[int, ...] | None = None)
     return jnp.split(x, np.cumsum(sizes)[:-1].tolist(), axis)
 
 
-def _concat(attributes: Attributes, *inputs: Any) -> Any:
-    return jnp.concatenate(inputs, attributes["axis"])
-
-
-def _transpose(attributes: Attributes, x: Any) -> Any:
-    return jnp.transpose(x, attributes.get("perm"))
-
-
-def _softmax(attributes: Attributes, x: Any) -> Any:
-    return jax.nn.softmax(x, attributes.get("axis", -1))
-
-
 def _layer_norm(attributes: Attributes, x: Any, scale: Any, bias: Any = None) -> Any:
     axis = attributes.get("axis", -1)
     axes = tuple(range(axis % x.ndim, x.ndim))
@@ -204,28 +184,16 @@ def _reduce_mean(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = 
     return x.mean(axes, keepdims=bool(attributes.get("keepdims", 1)))
 
 
-def _cast(attributes: Attributes, x: Any) -> Any:
-    return x.astype(jnp.float32)
-
-
-def _where(attributes: Attributes, condition: Any, a: Any, b: Any) -> Any:
-    return jnp.where(*_broadcast(condition, a, b))
-
-
 def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda attributes, *inputs: function(*_broadcast(*inputs))
-
-
-def _broadcast(*inputs: Any) -> list[Any]:
-    return jnp.broadcast_arrays(*inputs)
+    return lambda attributes, *inputs: function(*jnp.broadcast_arrays(*inputs))
 
 
 OPERATORS: dict[str, Callable[..., Any]] = {
     "Abs": _simple(jnp.abs),
     "Add": _elementwise(jnp.add),
-    "Cast": _cast,
+    "Cast": _simple(lambda x: x.astype(jnp.float32)),
     "Clip": _clip,
-    "Concat": _concat,
+    "Concat": lambda attributes, *inputs: jnp.concatenate(inputs, attributes["axis"]),
     "Div": _elementwise(jnp.divide),
     "Elu": lambda attributes, x: jax.nn.elu(x, attributes.get("alpha", 1.0)),
     "Exp": _simple(jnp.exp),
@@ -245,14 +213,14 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "Reshape": _reshape,
     "Sigmoid": _simple(jax.nn.sigmoid),
     "Slice": _slice,
-    "Softmax": _softmax,
+    "Softmax": lambda attributes, x: jax.nn.softmax(x, attributes.get("axis", -1)),
     "Softplus": _simple(jax.nn.softplus),
     "Split": _split,
     "Sqrt": _simple(jnp.sqrt),
-    "Squeeze": _squeeze,
+    "Squeeze": _simple(jnp.squeeze),
     "Sub": _elementwise(jnp.subtract),
     "Tanh": _simple(jnp.tanh),
-    "Transpose": _transpose,
-    "Unsqueeze": _unsqueeze,
-    "Where": _where,
+    "Transpose": lambda attributes, x: jnp.transpose(x, attributes.get("perm")),
+    "Unsqueeze": _simple(jnp.expand_dims),
+    "Where": _elementwise(jnp.where),
 }

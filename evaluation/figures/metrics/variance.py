@@ -76,7 +76,8 @@ def variance_components(
     spread = spread_of(scores, episodes, noise, starts, cells)
     chance = None
     if episodes > 1 and noise > 0:
-        ratio = _residual(scores, cells) * episodes / noise
+        residual = _left_of_both(scores, cells) / (cells.sum() - sum(cells.shape) + 1)
+        ratio = residual * episodes / noise
         within = int((cells.sum(axis=0) - 1).sum()) * (episodes - 1)
         chance = float(stats.f.sf(ratio, freedom, within))
     return Variance(spread, spread.interaction_index, chance)
@@ -152,11 +153,6 @@ def spread_of(
         starts,
     )
     return Spread(*(math.sqrt(max(float(variance), 0.0)) for variance in variances))
-
-
-def _residual(scores: np.ndarray, cells: np.ndarray) -> float:
-    """Return the mean square beside rows and columns."""
-    return _left_of_both(scores, cells) / (cells.sum() - sum(cells.shape) + 1)
 
 
 def _left_of_columns(scores: np.ndarray, cells: np.ndarray) -> float:

@@ -14,7 +14,7 @@ from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.played import hidden_in_words, statement_of
-from assistax_board.store.shown import PartnerScore, Score, Season, Submission
+from assistax_board.store.shown import Score, Season, Submission
 
 _ENTRIES = 200  # of the ledger on one page
 LAST_ENTRY = 2**31 - 1  # that a database counts to
@@ -84,7 +84,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     board = site.boards.of(submission.task) if submission.state == "scored" else None
     receipt = site.queries.receipt(submission.id)
     partners = site.queries.partner_scores([submission.id], versions[0]) if versions else []
-    means = [_mean(partner) for partner in partners]
+    means = [sum(partner.returns) / len(partner.returns) for partner in partners]
     season = site.queries.season(submission.season) if submission.season else None
     return {
         "submission": submission,
@@ -161,7 +161,3 @@ def best_of_each(scores: Sequence[Score], panel: str) -> list[Score]:
         if kept is None or score.figures["mean"] > kept.figures["mean"]:
             best[score.submitter, score.method] = score
     return sorted(best.values(), key=lambda score: (-score.figures["mean"], score.submitter))
-
-
-def _mean(score: PartnerScore) -> float:
-    return sum(score.returns) / len(score.returns)
