@@ -268,16 +268,19 @@ def feed(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     waits, enters, takes = (obs[:, 37 + stage : 38 + stage] for stage in range(3))
     goes_in = takes + enters * (obs[:, 36:37] > n["open"])
     where = jnp.where(waits + enters > 0.5, n["wait"], n["leave"])
-    target = obs[:, 24:27] + jnp.where(goes_in > 0.5, -n["deep"], where) * forward
-    velocity = capped(n["approach"] * (target - obs[:, 14:17]), n["fast"])
-    return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"], upright=True)
+    way = obs[:, 24:27] + jnp.where(goes_in > 0.5, -n["deep"], where) * forward - obs[:, 14:17]
+    return chain.drive(
+        obs,
+        capped(n["approach"] * way, n["fast"]),
+        -forward,
+        turn=n["turn"],
+        damping=n["damping"],
+        upright=True,
+    )
 
 
 def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
-    """Gentle brushing: before the place until it is shown, then to and fro over it.
-
-    In and out of the mouth between the lips; around what it touches on the way.
-    """
+    """Gentle brushing: before the place until it is shown, then to and fro; in between the lips."""
     mouth, forward = obs[:, 24:27], obs[:, 27:30]
     out, beside = 0.1 * obs[:, 30:31], 0.1 * jnp.linalg.norm(obs[:, 31:33], axis=-1, keepdims=True)
     towards, normal = 0.2 * obs[:, 39:42], obs[:, 42:45]
@@ -285,20 +288,22 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     shown, force = obs[:, 63:64] > 0.5, 5.0 * obs[:, 68:69]
     height = -(towards * normal).sum(-1, keepdims=True)
     aside = towards + height * normal
-    rub = capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal
     way = aside + (jnp.where(inner, n["inside"], n["above"]) - height) * normal
     ahead = (way * forward).sum(-1, keepdims=True)
     far = jnp.linalg.norm(way - ahead * forward, axis=-1, keepdims=True) > 0.02
     way = way + jnp.where(far & ~inner, n["round"] - out - ahead, 0.0) * forward
-    hover = capped(n["approach"] * way, n["fast"])
     # From the place's middle along its row: 8 mm to the end that comes next.
     at = jnp.abs(0.008 * obs[:, 62:63] - (towards * obs[:, 45:48]).sum(-1, keepdims=True))
     rubs = (at < n["over"]) & (jnp.abs(aside).max(axis=1, keepdims=True) < 0.03)
-    at_place = jnp.where(rubs & (height > -0.002) & shown, rub, hover)
+    at_place = jnp.where(
+        rubs & (height > -0.002) & shown,
+        capped(n["rub"] * aside, n["slide"]) + _pressing(n, force) * normal,
+        capped(n["approach"] * way, n["fast"]),
+    )
     # Between the lips, and before them until it may go in there.
     where = jnp.where(inner & (beside < 0.01) & shown, -0.01, n["gate"])
-    way = capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
-    velocity = jnp.where(inner == ((out < -0.002) & (beside < 0.03)), at_place, way)
+    to_mouth = capped(n["approach"] * (mouth + where * forward - obs[:, 14:17]), n["fast"])
+    velocity = jnp.where(inner == ((out < -0.002) & (beside < 0.03)), at_place, to_mouth)
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 

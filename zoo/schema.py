@@ -241,8 +241,11 @@ class RegistryFile(StrictModel):
             for name, entry in self.releases.items()
             if ":" not in name and task in entry.environments
         ]
-        whole = [name for name in having if release_number(name) <= newest]
-        return max(whole or having, key=release_number, default=self.release)
+        return max(
+            [name for name in having if release_number(name) <= newest] or having,
+            key=release_number,
+            default=self.release,
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegistryFile":

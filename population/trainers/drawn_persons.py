@@ -147,8 +147,7 @@ class IdlePersons(DrawnPersons):
         humans: Any = None,
     ) -> tuple[Any, jax.Array]:
         """Return the carries and no torques [N, A]."""
-        actions = SEAT_SIZES[self.player.controller.task][1]
-        return carry, jnp.zeros((obs.shape[0], actions), obs.dtype)
+        return carry, jnp.zeros((len(obs), SEAT_SIZES[self.player.controller.task][1]), obs.dtype)
 
 
 class OnePersonEach(DrawnPersons):

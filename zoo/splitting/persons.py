@@ -31,8 +31,9 @@ def asks_for_persons(split: str | None, patterns: str | Sequence[str] | None) ->
 
 def has_persons_alone(data: RegistryFile, task: str) -> bool:
     """Return whether a task's partners are persons, and no teams."""
-    known = any(task in release.persons for release in data.releases.values())
-    return known and not any(team.startswith(f"{task}/") for team in data.teams)
+    return any(task in release.persons for release in data.releases.values()) and not any(
+        team.startswith(f"{task}/") for team in data.teams
+    )
 
 
 def choose_persons(
