@@ -37,6 +37,7 @@ demo: $(STAMP)
 	@echo 'its page, with the numbers that matter:       demo/persons.html'
 	@echo 'cross-play of 12 teams, one row an episode:   demo/crossplay'
 	@echo 'the cross-play matrix, clustered:             demo/crossplay.png'
+	@echo 'more tasks with robots and persons:           gentle_bath gentle_lift gentle_feeding gentle_brushing'
 
 results: $(STAMP)
 	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1
