@@ -11,7 +11,7 @@ from assistax_base.digest import sha256
 from assistax_base.errors import FormatError
 from assistax_zoo.comparing import compare_named
 from assistax_zoo.shell.main import run
-from evaluation.figures.contrasts import read_contrasts
+from evaluation.figures.contrasts import named_pairs, read_contrasts
 from evaluation.figures.metrics.inference import mean_test
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.record import tables
@@ -85,6 +85,15 @@ def test_the_figures_are_those_of_the_test_side(rows: dict[str, Path], file: Pat
     gru = compare_named(file, [rows["ppo"], rows["gru"]]).contrasts[0]
     sides = [Record.read(rows[name]).returns.evaluated_side for name in ("gru", "ppo")]
     assert gru.p == mean_test(*(side.scores for side in sides)).p
+
+
+def test_methods_of_a_task_that_the_file_does_not_name_are_pairs_too(file: Path) -> None:
+    named, _ = read_contrasts(file)
+    both = [(task, method) for task in ("bed_bath", "scratch") for method in ("gru", "ppo")]
+    assert named_pairs(named, [*both, ("bed_bath", "told-preference")]) == [
+        ("bed_bath", "gru", "ppo"),
+        ("scratch", "gru", "ppo"),
+    ]
 
 
 def test_a_contrast_that_was_not_named_is_called_so(rows: dict[str, Path], file: Path) -> None:
