@@ -201,7 +201,7 @@ def test_what_was_handed_in_by_the_close_is_played(tmp_path: Path) -> None:
     season = open_season(service)
     id = service.submit(new_submitter(service), draft(season=season))
     service.close_season("spring")
-    with pytest.raises(Problem, match="only an open one"):
+    with pytest.raises(Problem, match="it must be open"):
         service.submit(new_submitter(service), draft(request="late", season=season))
     assert state_of(service, season) == "closing"
     assert work_off(service) == 3 + 2 + 2
