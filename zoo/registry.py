@@ -297,27 +297,26 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
     for team, entry in members:
         prefix = f"{team.namespace}:" if team.namespace else ""
         for role, place in sorted(entry.policies.items(), reverse=True):
-            policies.append(
-                PolicyEntry(
-                    id=f"{team}/{role}",
-                    team=str(team),
-                    task=team.task,
-                    algorithm=team.algorithm,
-                    role=role,
-                    disability=team.disability,
-                    setting=settings.get(f"{prefix}{team.disability}"),
-                    seed=team.seed,
-                    release=f"{prefix}{team.release}",
-                    spec=data.shards[place.shard].spec,
-                    shard=place.shard,
-                    row=place.row,
-                    sha256=place.sha256,
-                    run=entry.run,
-                    training=data.runs[entry.run],
-                    self_play=entry.self_play if isinstance(entry, Team) else None,
-                    trained_against=entry.trained_against if isinstance(entry, Ego) else None,
-                )
+            policy = PolicyEntry(
+                id=f"{team}/{role}",
+                team=str(team),
+                task=team.task,
+                algorithm=team.algorithm,
+                role=role,
+                disability=team.disability,
+                setting=settings.get(f"{prefix}{team.disability}"),
+                seed=team.seed,
+                release=f"{prefix}{team.release}",
+                spec=data.shards[place.shard].spec,
+                shard=place.shard,
+                row=place.row,
+                sha256=place.sha256,
+                run=entry.run,
+                training=data.runs[entry.run],
+                self_play=entry.self_play if isinstance(entry, Team) else None,
+                trained_against=entry.trained_against if isinstance(entry, Ego) else None,
             )
+            policies.append(policy)
     return Registry(data=data, path=path, policies=policies)
 
 

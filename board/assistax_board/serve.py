@@ -180,6 +180,7 @@ class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
 
     def handle_websocket_upgrade(self, *request: Any) -> None:
         """Ask at the door first: to refuse a connection that was made costs twice as much."""
+        # Through uvicorn's own layers, which know whose word on a client's address is taken.
         asking = self.app({**self.scope, "type": "websocket"}, None, None)
         try:
             asking.send(None)  # it waits for nothing

@@ -136,10 +136,9 @@ def _panels(
     what = f"{title}: {', '.join(tasks)}" if len(tasks) <= 2 else f"{title}, {len(tasks)} tasks"
     figure = style.titled_figure(what, caption, whole, tall)
     wide = (whole - right) / columns
-    rects = []
-    for place in range(len(tasks)):
-        line, column = divmod(place, columns)
-        bottom = tall - 0.6 - (line + 1) * each + 0.55
-        size = (wide - left - 0.15) / whole, (each - 0.65) / tall
-        rects.append(((column * wide + left) / whole, bottom / tall, *size))
-    return figure, rects
+    size = (wide - left - 0.15) / whole, (each - 0.65) / tall
+    corners = (divmod(place, columns) for place in range(len(tasks)))
+    return figure, [
+        ((column * wide + left) / whole, (tall - 0.05 - (line + 1) * each) / tall, *size)
+        for line, column in corners
+    ]

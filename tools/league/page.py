@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
 from assistax_zoo.comparing import compare_named
-from evaluation.figures.contrasts import ContrastFigure, ContrastFigures
+from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import league_table, ordered, read_league, row_folders
 from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
 from evaluation.plots.style import save_figure
@@ -68,13 +68,12 @@ def write_page(
     if curves:
         written += _figure(validation_curves(curves), images / "validation.png")
     written.append(_csv(records, out / "rows.csv"))
-    tested: tuple[ContrastFigure, ...] = ()
+    tested: ContrastFigures | None = None
     if contrasts is not None:
         methods = [place for task in places for place in row_folders(task).values()]
-        figures = compare_named(contrasts, methods)
-        tested = figures.contrasts
-        written.append(_csv(_contrast_table(figures), out / "contrasts.csv"))
-        about = {"file": figures.file, "sha256": figures.sha256, "notes": list(figures.notes)}
+        tested = compare_named(contrasts, methods)
+        written.append(_csv(_contrast_table(tested), out / "contrasts.csv"))
+        about = {"file": tested.file, "sha256": tested.sha256, "notes": list(tested.notes)}
         path = out / "contrasts.json"
         atomic_write(path, (json.dumps(about, indent=1) + "\n").encode())
         written.append(path)

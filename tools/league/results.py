@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from assistax_base.errors import listing
-from evaluation.figures.contrasts import ContrastFigure
+from evaluation.figures.contrasts import ContrastFigure, ContrastFigures
 from evaluation.figures.league import (
     FIRST,
     LAST,
@@ -23,8 +23,8 @@ from evaluation.figures.metrics.inference import holm
 from evaluation.plots.league import FAILED, failures
 from evaluation.record.record import Record
 from tools.league.rows import rows
+from tools.release_page.markdown import table
 
-ALPHA = 0.05  # chance that any contrast is found wrongly
 LIMITS = """- Persons are numbers and a program. Nothing here is about people, or about partners
   that are networks.
 - The persons of the test side are corners of the training side's range (`spring`), or move by
@@ -60,14 +60,14 @@ class Played:
 
     def by_family(self, row: str) -> dict[str, float]:
         """Return the mean return of a row with the partners of each algorithm, or family."""
-        table = Record.read(self.folder / row).table
-        means = table.group_by("partner_algorithm").agg(pl.col("return").mean())
+        episodes = Record.read(self.folder / row).table
+        means = episodes.group_by("partner_algorithm").agg(pl.col("return").mean())
         return dict(sorted(means.iter_rows()))
 
 
 def results_page(
     tasks: Sequence[Played],
-    contrasts: Sequence[ContrastFigure],
+    tested: ContrastFigures | None,
     records: pl.DataFrame,
     places: Mapping[str, str],
     figures: Mapping[str, str],
@@ -76,14 +76,15 @@ def results_page(
 
     Args:
         tasks: What was played.
-        contrasts: Those that were named, with their figures.
+        tested: The contrasts of a file, with their figures; None without a file.
         records: A row of each row's making: `steps` and `device_minutes_in_all`.
         places: Links: "images" and "tables", relative to the page.
         figures: What they show, by name.
     """
     images, tables = places["images"], places["tables"]
+    contrasts, alpha = (tested.contrasts, tested.alpha) if tested else ((), 1.0)
     said = "\n".join(
-        f"{place}. {text}" for place, text in enumerate(sentences(tasks, contrasts), 1)
+        f"{place}. {text}" for place, text in enumerate(sentences(tasks, contrasts, alpha), 1)
     )
     missing = [
         f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
@@ -111,18 +112,20 @@ def results_page(
     return "\n\n".join(parts) + "\n"
 
 
-def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> Iterator[str]:
+def sentences(
+    tasks: Sequence[Played], contrasts: Sequence[ContrastFigure], alpha: float
+) -> Iterator[str]:
     """Yield what the first screen says beside the table of tasks, ten sentences at most."""
     for found, words in ((True, "Above PPO"), (False, "Not shown to be above PPO")):
         some = [c for c in contrasts if c.named and (c.found and c.difference.mean > 0) == found]
         if some:
             said = [_contrast(contrast, detectable=not found) for contrast in some]
-            yield f"{words} at Holm's 5% over all named contrasts: {listing(said, 12)}."
+            yield f"{words} at Holm's {alpha:.0%} over all named contrasts: {listing(said, 12)}."
     chances = holm([contrast.p for contrast in contrasts])
     others = [
         _contrast(contrast, detectable=False)
         for contrast, chance in zip(contrasts, chances, strict=True)
-        if not contrast.named and chance <= ALPHA and contrast.difference.mean > 0
+        if not contrast.named and chance <= alpha and contrast.difference.mean > 0
     ]
     if others:
         yield (
@@ -131,10 +134,7 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
         )
     for start, some in (
         ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
-        (
-            "Of what robots of one person each earn with that person",
-            _beside(tasks),
-        ),
+        ("Of what robots of one person each earn with that person", _beside(tasks)),
     ):
         if said := [text for text in some if text]:
             yield f"{start}, {listing(said, 12)}."
@@ -151,21 +151,17 @@ def sentences(tasks: Sequence[Played], contrasts: Sequence[ContrastFigure]) -> I
 
 def _choices(tasks: Sequence[Played]) -> str:
     """Return the table of which method to choose for a task, and what it does badly."""
-    lines = [
-        "| task | choose | return | PPO | script | told | safe success | violations | fails with |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    headings = "task, choose, return, PPO, script, told, safe success, violations, fails with"
+    lines = []
     for task in tasks:
         best = task.methods[0]
         others = [_figure(row) if (row := task.row(n)) else "" for n in (PPO, SCRIPT, TOLD)]
-        safe, hurt = (
-            f"{part.mean:.0%}" if part else "" for part in (best.safe_success, best.violations)
-        )
+        shares = [f"{x.mean:.0%}" if x else "" for x in (best.safe_success, best.violations)]
         fails = failures(task.league.by_partner).filter(row=best.row)
         fail = f"{int(fails['fails'].sum())} of {fails.height} persons"
-        cells = (f"`{best.row}`", f"**{_figure(best)}**", *others, safe, hurt, fail)
-        lines.append(f"| `{task.task}` | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        first = f"`{task.task}`", f"`{best.row}`", f"**{_figure(best)}**"
+        lines.append((*first, *others, *shares, fail))
+    return table(headings.split(", "), lines)
 
 
 def _figure(row: LeagueRow) -> str:
@@ -223,15 +219,11 @@ def _apart(task: Played) -> str | None:
 
 
 def _contrast_lines(contrasts: Sequence[ContrastFigure]) -> str:
-    lines = [
-        "| contrast | task | difference | p | p by Holm | detectable |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = []
     for c in contrasts:
         low, high = c.difference.mean_ci or (float("nan"),) * 2
-        holm = "not named" if c.p_holm is None else _chance(c.p_holm)
-        lines.append(
-            f"| `{c.method}` - `{c.baseline}` | `{c.task}` | {c.difference.mean:.0f} [{low:.0f}, "
-            f"{high:.0f}] | {_chance(c.p)} | {holm} | {c.detectable_holm:.0f} |"
-        )
-    return "\n".join(lines)
+        holms = "not named" if c.p_holm is None else _chance(c.p_holm)
+        names = f"`{c.method}` - `{c.baseline}`", f"`{c.task}`"
+        difference = f"{c.difference.mean:.0f} [{low:.0f}, {high:.0f}]"
+        lines.append((*names, difference, _chance(c.p), holms, f"{c.detectable_holm:.0f}"))
+    return table(["contrast", "task", "difference", "p", "p by Holm", "detectable"], lines)

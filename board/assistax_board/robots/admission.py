@@ -71,9 +71,7 @@ class Admission:
         observation_size, action_size = self._sizes[task]
         if is_safetensors(data):
             robot = _read_safetensors(data, observation_size, action_size)
-        elif (
-            data[:1] == b"\x08"
-        ):  # an ONNX model begins with its version, as protobuf's first field
+        elif is_onnx(data):
             robot = _read_onnx(data, observation_size, action_size)
         else:
             raise Refusal("unknown_format")
@@ -112,6 +110,11 @@ def robot_sizes(registry: Any) -> dict[str, tuple[int, int]]:
 def is_safetensors(data: bytes) -> bool:
     """Return whether bytes begin as a safetensors file: a length, then JSON."""
     return len(data) > 9 and data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data)
+
+
+def is_onnx(data: bytes) -> bool:
+    """Return whether bytes begin as an ONNX model: its version, as protobuf's first field."""
+    return data[:1] == b"\x08"
 
 
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
