@@ -1,5 +1,6 @@
 """A job has a budget: what takes more is refused with a word, and the worker goes on without it."""
 
+import mmap
 import subprocess
 import sys
 import threading
@@ -32,7 +33,9 @@ class Greedy(FakeScorer):
         kept, end = [], time.monotonic() + 30
         while not self.stopped.is_set() and time.monotonic() < end:
             if self.takes == "memory" and len(kept) < 300:
-                kept.append(b"x" * MIB)
+                # Pages of its own: `bytes` would take what the process has and does not use.
+                kept.append(mmap.mmap(-1, MIB))
+                kept[-1].write(b"x" * MIB)
             elif self.takes == "clock":
                 time.sleep(0.01)
         return super().play(work, robot, release)
