@@ -257,9 +257,7 @@ def _population(
 ) -> Cast:
     """Return the cast of a cross-play: all of the task where no glob is given."""
     registry = _locked(open_zoo(zoo), lock, task, None).registry
-    return cast_population(
-        registry, task, egos or f"{task}/*", partners or f"{task}/*", release, persons
-    )
+    return cast_population(registry, task, egos or f"{task}/*", partners, release, persons)
 
 
 def _needed(

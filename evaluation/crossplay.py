@@ -19,6 +19,7 @@ from evaluation.play.shares import run_blocks_on_ray
 from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record
+from zoo.ids import PERSONS
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -29,7 +30,7 @@ def cast_population(
     registry: Registry,
     task: str,
     robots: str | Sequence[str],
-    humans: str | Sequence[str],
+    humans: str | Sequence[str] | None,
     release: str | None = None,
     persons: int | None = None,
 ) -> Cast:
@@ -37,17 +38,18 @@ def cast_population(
 
     They are of a release, the task's default if not given; a glob that names a release is taken at
     its word. In place of humans there may be persons, "persons" for those of the test side, at most
-    `persons` of them.
+    `persons` of them. None are all humans; of a task that has persons alone, persons.
 
     Raises:
         ZooError: The registry cannot give them.
     """
     share_cores()
     egos = in_release(registry, robots, release, task=task, role="robot")
-    if asks_for_persons(None, humans):
-        split, partners = choose_partners(registry, task, None, humans, persons)
+    dealt = None if humans else _split(registry, task, (), release)
+    if asks_for_persons(None, humans) or (dealt and dealt.rule == PERSONS):
+        split, partners = choose_partners(registry, task, None, humans or PERSONS, persons)
     else:
-        partners = in_release(registry, humans, release, task=task, role="human")
+        partners = in_release(registry, humans or f"{task}/*", release, task=task, role="human")
         split = _split(registry, task, partners, release)
     return Cast.of(
         registry,

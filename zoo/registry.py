@@ -158,6 +158,8 @@ class Registry:
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
         """Return a verified split: the one named, or a release's default (the task's own).
 
+        The default of a release that has persons of the task alone is theirs.
+
         Args:
             task: Task the split is for.
             id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one
@@ -178,7 +180,7 @@ class Registry:
         if namespace in self.parts and namespace:
             arguments = {"id": name or None} if id else {"release": name}
             theirs = qualify_split(self.parts[namespace].split(task, **arguments), namespace)
-            if theirs not in self.splits:  # narrowed down by a lock to others
+            if theirs not in self.splits and theirs.rule != PERSONS:  # narrowed down by a lock
                 raise SplitError(f"split {theirs.id}", "one of this registry", "none")
             return theirs
         split = (
@@ -186,6 +188,8 @@ class Registry:
             if id
             else self._default_split(task, release or self.release_of(task))
         )
+        if split.rule == PERSONS:  # made here just now, and of no team
+            return split
         check_split(split)
         teams = self.data.teams
         if missing := [team for side in split.sides.values() for team in side if team not in teams]:
@@ -205,20 +209,23 @@ class Registry:
                 return candidates[0]
         ids = [split.id for split in known]
         close = nearest(full, ids) or ids
-        what = f"{len(matching)} that begin so" if matching else "none"
         raise SplitError(
-            f"split {shorten(name)} of task {shorten(task)}", f"one split ({listing(close)})", what
+            f"split {shorten(name)} of task {shorten(task)}",
+            f"one split ({listing(close)})",
+            f"{len(matching)} that begin so" if matching else "none",
         )
 
     def _default_split(self, task: str, release: str) -> Split:
         if release not in self.data.releases:
             allowed = f"one of {listing(self.data.releases)}"
             raise SplitError(f"release {shorten(release)}", allowed, "no such release")
-        defaults = self.data.releases[release].splits
-        if task not in defaults:
-            allowed = f"a default split (release {release} has one for {listing(sorted(defaults))})"
-            raise SplitError(f"task {shorten(task)}", allowed, "none")
-        return next(split for split in self.splits if split.id == defaults[task])
+        entry = self.data.releases[release]
+        if task in entry.splits:
+            return next(split for split in self.splits if split.id == entry.splits[task])
+        if task in entry.persons:
+            return self.split(task, f"{PERSONS}-s0-{release}")
+        allowed = f"a default split (release {release} has one for {listing(sorted(entry.splits))})"
+        raise SplitError(f"task {shorten(task)}", allowed, "none")
 
 
 def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Registry:

@@ -18,7 +18,7 @@ from zoo.ids import EGO, PERSONS
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
-from zoo.splitting.persons import asks_for_persons, choose_persons, has_persons_alone
+from zoo.splitting.persons import asks_for_persons, choose_persons
 from zoo.splitting.sides import SIDES, parse_split
 
 
@@ -102,12 +102,11 @@ def choose_partners(
     """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
     The default split is that of the release that the matching partners are of, if they are of one,
-    else the task's own; of a task that has persons alone, theirs. Persons, at most `persons` of
-    them, are chosen by `zoo.splitting.persons.choose_persons`.
+    else the task's own. Persons, at most `persons` of them, are chosen by
+    `zoo.splitting.persons.choose_persons`.
     """
-    if not (split or patterns) and has_persons_alone(registry.data, task):
-        split = PERSONS
-    if asks_for_persons(split, patterns):
+    by_default = not patterns and split in (None, *SIDES)
+    if asks_for_persons(split, patterns) or (by_default and registry.split(task).rule == PERSONS):
         return choose_persons(registry.data, task, split, patterns, persons)
     if persons is not None:
         raise ValueError(f"persons is {persons}, but other partners are named; leave it out")

@@ -55,7 +55,9 @@ def make_app(folder: Path, robots: tuple[Robot, ...] = ROBOTS, **options: Any) -
     app = FastAPI(docs_url=None, middleware=[Middleware(SecurityHeaders)])
     app.state.limiter = Limiter()
     add_error_handlers(app)
-    catalogue = SimpleNamespace(tasks=("scratch", "bed_bath", "arm_assist", "gentle_scratch"))
+    catalogue = SimpleNamespace(
+        tasks=("scratch", "bed_bath", "arm_assist", "gentle_scratch", "gentle_feeding")
+    )
     queries = Queries(fill(folder, robots))
     service = SimpleNamespace(
         queries=queries,

@@ -12,8 +12,8 @@ from assistax_board.robots.admission import Admission
 from assistax_board.rules.release_pack import add_persons, hidden_partners
 from assistax_board.rules.submissions import Admitted
 from assistax_board.store.played import (
-    describe_hidden,
-    hidden_in_words,
+    describe_partners,
+    partners_in_words,
     plays_in_words,
     statement_of,
     warning_of,
@@ -48,8 +48,9 @@ def test_a_season_of_persons_says_so_everywhere(tmp_path: Path) -> None:
     public = load_registry()
     entries = [e for e in public.of_task(GENTLE, "human") if _is_test(public, e)]
     version = public.env_version(entries[0])
-    assert f"{len(entries)} partners of trained teams, environment version {version}" in page
-    assert "hidden ones persons made of numbers" in page
+    assert f"{len(entries)} partners of trained teams (" in page
+    assert f"), environment version {version}" in page
+    assert "hidden ones are persons made of numbers" in page
     assert "The partners are trained policies" not in page
 
 
@@ -61,7 +62,7 @@ def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
     published(teams_of(2, task=GENTLE), tmp_path)
     add_persons(tmp_path, GENTLE, 6)
     registry = load_registry(tmp_path / "registry.json")
-    told = describe_hidden(registry, hidden_partners(registry, GENTLE))
+    told = describe_partners(registry, hidden_partners(registry, GENTLE))
     assert told == {
         "env_versions": [3],
         "persons": {"muscle": 3, "spring": 3},
@@ -72,7 +73,11 @@ def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("hidden", "words", "said"),
     [
-        (PERSONS, "8 persons (4 muscle, 4 spring), environment version 3", "hidden ones persons"),
+        (
+            PERSONS,
+            "8 persons (4 muscle, 4 spring), environment version 3",
+            "hidden ones are persons",
+        ),
         (
             TEAMS,
             "60 partners of trained teams (60 ippo), environment version 2",
@@ -87,7 +92,7 @@ def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
     ],
 )
 def test_kinds_in_words(hidden: Any, words: str, said: str) -> None:
-    assert words in hidden_in_words(hidden)
+    assert words in partners_in_words(hidden)
     assert plays_in_words(hidden, 2).startswith("public half: environment version 2; hidden: ")
     assert said in statement_of(hidden)
     assert "not validated models of people" in statement_of(hidden)

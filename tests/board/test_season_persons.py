@@ -28,7 +28,9 @@ from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.persons.rows import COUNT, drawn
 from assistax_envs.versions import VERSIONS
 from assistax_zoo.shell.main import run
+from evaluation.cast.cast import choose_partners
 from evaluation.figures.by_parameter import outcomes
+from evaluation.figures.normalised import SELF_PLAY
 from evaluation.play.how import How
 from evaluation.record.record import Record
 from tests.board.fakes import TASK as OTHER_TASK
@@ -190,6 +192,27 @@ def test_persons_have_no_robot_of_their_own(tmp_path: Path) -> None:
     work_off(service)
     played = {score.method for score in service.queries.scores(season=season, panel="B")}
     assert played == {"mine", "zero-action"}
+
+
+def test_a_task_of_persons_alone_has_a_board(tmp_path: Path) -> None:
+    """Its public half is persons of the test side, the same that `evaluate` plays."""
+    registry, task = load_registry(), "gentle_feeding"
+    catalogue = ZooCatalogue(registry, "native")
+    assert {task, "gentle_brushing"} < {*catalogue.tasks}
+    panel = catalogue.public_panel(task)
+    _, usual = choose_partners(registry, task, None, None)
+    assert set(panel) == {entry.id for entry in usual} and len(panel) == 200
+    references = catalogue.references(task)
+    assert SELF_PLAY not in references and "gru-ego-s3-v4" in references
+    robot = tmp_path / "robot.safetensors"
+    spec = registry.select(f"{task}/*/robot")[0].spec
+    write_policy_file(robot, spec, params_of(spec, 7))
+    names = panel[0], panel[-1]  # one of each family
+    asked = dataclasses.replace(_try_work(task, "safetensors", names), episodes=1)
+    table = ZooScorer(registry, catalogue, "native").play(asked, robot.read_bytes(), None)
+    arrived = decode_table(encode_table(table), names, 1, asked.preferences)
+    assert set(arrived["algorithm"]) == {"spring", "muscle"}
+    assert set(arrived["preference"]) == {"own"}
 
 
 @pytest.fixture(scope="module")

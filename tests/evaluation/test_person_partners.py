@@ -17,6 +17,7 @@ from evaluation.cast.cast import choose_partners
 from evaluation.cast.partners import zoo_partner
 from evaluation.cast.roster import joined, registry_roster
 from evaluation.cast.seats import version_of
+from evaluation.crossplay import cast_population
 from evaluation.ego_training import prepare
 from evaluation.film import Pair
 from evaluation.play.how import How
@@ -30,6 +31,7 @@ from zoo.parameters.storage import write_policy_file
 from zoo.registry import load_registry
 
 TASK, EGO = "gentle_scratch", "gentle_scratch/ppo-ego-s0-v2/robot"
+MOUTH = "gentle_feeding"  # whose release has persons alone
 CORNERS = "gentle_scratch/person-08*-v3"
 
 
@@ -56,6 +58,18 @@ def test_a_user_says_of_which_side(split, patterns, of, count) -> None:
     assert len(humans) == count
     assert {person(TASK, entry.row).side for entry in humans} == set(of)
     assert chosen.rule == "persons"
+
+
+@pytest.mark.parametrize(
+    ("split", "of"), [(None, "test"), ("validation", "validation"), ("train", "training")]
+)
+def test_a_task_without_teams_has_its_persons_by_default(split: str | None, of: str) -> None:
+    registry = load_registry()
+    chosen, humans = choose_partners(registry, MOUTH, split, None, 20)
+    assert chosen == registry.split(MOUTH, "persons" if of == "test" else chosen.id)
+    assert {person(MOUTH, entry.row).side for entry in humans} == {of} and len(humans) == 20
+    cast = cast_population(registry, MOUTH, f"{MOUTH}/*", None, persons=20)
+    assert cast.split == registry.split(MOUTH) and len(cast.sides) == 20
 
 
 def test_fewer_persons_are_a_part_of_more() -> None:

@@ -24,12 +24,12 @@ from zoo.exports.policies import export_policy
 from zoo.history.merkle import leaves, lost_leaves, with_roots
 from zoo.ids import parse_person
 from zoo.locking import make_lock
+from zoo.namespaces import merge
 from zoo.parameters.storage import load_stacks
 from zoo.persons.registered import described, person_splits
 from zoo.registry import Registry, load_registry, read_registry
 from zoo.schema import Split
 from zoo.splits import check_split, split_id
-from zoo.splitting.persons import has_persons_alone
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
@@ -65,9 +65,28 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert {table.count for table in release.persons.values()} == {COUNT}
     assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
     assert official.release_of("gentle_feeding") == "v4"  # which alone has it
-    alone = {task for task in TASKS if has_persons_alone(official.data, task)}
+    alone = {task for task in TASKS if official.split(task).rule == "persons"}
     assert alone == {"gentle_feeding", "gentle_brushing"}
     assert {name: official.root(name) for name in ROOTS} == ROOTS
+
+
+def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Registry) -> None:
+    """And each release has its own, however many follow it."""
+    older = official.split("gentle_feeding")
+    assert (older.release, older.held_out) == ("v4", None)
+    newer = official.data.releases["v4"].model_copy(update={"root": None})
+    releases = {**official.data.releases, "v5": newer}
+    data = official.data.model_copy(update={"releases": releases})
+    grown = dataclasses.replace(official, data=data)
+    assert grown.split("gentle_feeding", release="v4") == older
+    assert grown.split("gentle_feeding").release == "v5"
+    assert grown.split("gentle_feeding", older.id) == older
+    assert grown.split("gentle_feeding", "persons").release == "v5"
+    assert grown.split("gentle_scratch", release="v3").rule == "three-sides"  # it has teams
+    added = merge(official.data, {"lab": official.data})
+    lab = dataclasses.replace(official, data=added, parts={"": official, "lab": official})
+    assert lab.split("gentle_feeding", "lab:") == lab.split("gentle_feeding", "lab:persons")
+    assert lab.split("gentle_feeding", "lab:").id == f"lab:{older.id}"
 
 
 def test_a_person_is_found_by_its_id(official: Registry) -> None:

@@ -189,20 +189,19 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
     plain = plain.removeprefix(f"{task}/")
     if not re.match(rf"{PERSONS}(-|$)", plain):
         return None
-    known = [split for split in person_splits(data, task)]
+    known = list(person_splits(data, task))
     full = f"{namespace}:{task}/{plain}" if namespace else f"{task}/{plain}"
-    matching = [split for split in known if split.id == full]
-    side = VALIDATION if plain == f"{PERSONS}-{VALIDATION}" else None
-    if not matching and plain in (PERSONS, f"{PERSONS}-{VALIDATION}"):
-        matching = [
-            split
-            for split in known
-            if split.held_out == side and split_namespace(split.id)[0] == namespace
-        ][-1:]  # of the newest release that has any
+    side = VALIDATION if plain.startswith(f"{PERSONS}-{VALIDATION}") else None
+    matching = [
+        split for split in known if f"{split.id}-".startswith(f"{full}-") and split.held_out == side
+    ]
     if not matching:
-        allowed = ", ".join(split.id for split in known) or "none, for it has no persons"
-        raise SplitError(f"split {name} of task {task}", f"one of {allowed}", "none of this name")
-    return matching[0]
+        raise SplitError(
+            f"split {name} of task {task}",
+            f"one of {', '.join(split.id for split in known) or 'none, for it has no persons'}",
+            "none of this name",
+        )
+    return matching[-1]  # of the newest release that has any
 
 
 @functools.cache

@@ -29,13 +29,6 @@ def asks_for_persons(split: str | None, patterns: str | Sequence[str] | None) ->
     return bool(named) or PERSONS in (split or "")
 
 
-def has_persons_alone(data: RegistryFile, task: str) -> bool:
-    """Return whether a task's partners are persons, and no teams."""
-    return any(task in release.persons for release in data.releases.values()) and not any(
-        team.startswith(f"{task}/") for team in data.teams
-    )
-
-
 def choose_persons(
     data: RegistryFile,
     task: str,

@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import ZooError, counted
+from assistax_envs.versions import TASKS
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer
+from zoo.persons.registered import person_splits
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
 from zoo.splitting.create import create_split, partner_teams
@@ -27,9 +29,12 @@ def list_splits(
         assistax-zoo split list --task scratch
     """
     loaded = load_registry(registry)
-    splits = [split for split in loaded.splits if task in (None, split.task)]
+    every = [*loaded.splits, *(split for of in TASKS for split in person_splits(loaded.data, of))]
+    splits = [split for split in every if task in (None, split.task)]
     defaults = {
-        split for release in loaded.data.releases.values() for split in release.splits.values()
+        release.splits.get(task) or loaded.split(task, release=name).id
+        for name, release in loaded.data.releases.items()
+        for task in {**release.splits, **release.persons}
     }
     table = [{**_brief(split), "default": split.id in defaults} for split in splits]
     names = ("id", "n_train", "n_validation", "n_test")

@@ -92,7 +92,7 @@ def season_create(
         assistax-zoo season create spring --task scratch --release private --data my-board
     """
     from assistax_board.rules import seasons
-    from assistax_board.store.played import hidden_in_words
+    from assistax_board.store.played import partners_in_words
     from zoo.registry import load_registry
 
     text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")
@@ -101,7 +101,7 @@ def season_create(
     id = service.create_season(plan, release, load_registry())
     season = service.queries.season(id)
     hidden = season.hidden if season else None
-    print(f"season {name} is made, id {id}: it hides {hidden_in_words(hidden)}")
+    print(f"season {name} is made, id {id}: it hides {partners_in_words(hidden)}")
     print("nobody sees it until you open it: `assistax-zoo season open`")
 
 

@@ -4,6 +4,8 @@ import dataclasses
 from typing import Any
 
 from assistax_board.pages.crossplays import CrossPlay
+from assistax_board.rules.catalogue import public_entries
+from zoo.ids import PERSONS
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -29,13 +31,16 @@ class PartnerCard:
 
 
 def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) -> list[PartnerCard]:
-    """Return the humans of the task's default release, in the registry's order."""
+    """Return the humans of the task's default release; persons of the public half, if it has none.
+
+    They stand in the registry's order.
+    """
     split = registry.split(task)
+    humans = (
+        public_entries(registry, task) if split.rule == PERSONS else registry.of_task(task, "human")
+    )
     played = crossplay.humans if crossplay else {}
-    return [
-        _partner(entry, split.side(entry.team), played.get(entry.team))
-        for entry in registry.of_task(task, "human")
-    ]
+    return [_partner(entry, split.side(entry.team), played.get(entry.team)) for entry in humans]
 
 
 def choices(partners: list[PartnerCard]) -> dict[str, list[str]]:

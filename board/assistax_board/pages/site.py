@@ -15,7 +15,7 @@ from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
 from assistax_board.pages.videos import Videos
 from assistax_board.rules.catalogue import public_entries
-from assistax_board.store.played import in_version
+from assistax_board.store.played import describe_partners, partners_in_words
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Submission
 from zoo.registry import Registry
@@ -50,10 +50,9 @@ class Site:
         return task
 
     def public_in_words(self, task: str) -> str:
-        """Return what a task's public half is: how many partners, in which version."""
+        """Return what a task's public half is: who is played, in which version."""
         entries = public_entries(self.registry, task)
-        version = in_version([self.registry.env_version(entries[0])])
-        return f"{len(entries)} partners of trained teams, {version}"
+        return partners_in_words(describe_partners(self.registry, entries))
 
     def crossplay(self, task: str) -> CrossPlay:
         """Return a task's cross-play."""

@@ -38,9 +38,9 @@ def version_id(identity: dict[str, Any]) -> str:
 
 def public_entries(registry: Any, task: str) -> list[Any]:
     """Return the public test partners: one spec after another compiles least."""
-    split = registry.split(task)
-    humans = registry.of_task(task, "human")
-    chosen = [entry for entry in humans if split.side(entry.team) == "test"]
+    from evaluation.cast.cast import choose_partners
+
+    _, chosen = choose_partners(registry, task, None, None)
     return sorted(chosen, key=lambda entry: (entry.spec.digest, entry.id))
 
 
@@ -65,7 +65,7 @@ class ZooCatalogue:
         return tuple(
             task
             for name, release in releases
-            for task in release.splits
+            for task in {**release.splits, **release.persons}
             if name == self._registry.release_of(task)
         )
 

@@ -31,7 +31,7 @@ from assistax_board.rules.release_pack import (
 from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database
-from assistax_board.store.played import describe_hidden
+from assistax_board.store.played import describe_partners
 from assistax_board.store.schema import SEASON
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def create_season(
         "release": artefacts.put(packed),
         "secret": {"leaves": leaves},
         "panel_sizes": sizes,
-        "hidden": describe_hidden(private, entries),
+        "hidden": describe_partners(private, entries),
         "created_at": now,
     }
     with database.write() as connection:

@@ -19,8 +19,8 @@ TRAINED = "trained policies"
 PERSONS = "persons made of numbers, who were trained with no robot"
 
 
-def describe_hidden(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
-    """Return what is told of hidden partners: how many of which kind, in which version."""
+def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
+    """Return what is told of partners, hidden too: how many of which kind, in which version."""
     from zoo.ids import OWN
 
     def count(persons: bool) -> dict[str, int]:
@@ -31,27 +31,27 @@ def describe_hidden(registry: "Registry", entries: Sequence["PolicyEntry"]) -> d
     return {"env_versions": sorted(versions), "persons": count(True), "teams": count(False)}
 
 
-def hidden_in_words(hidden: Mapping[str, Any] | None) -> str:
-    """Return what is hidden, such as "200 persons (100 muscle, 100 spring), environment version 3".
+def partners_in_words(played: Mapping[str, Any] | None) -> str:
+    """Return who is played, such as "200 persons (100 muscle, 100 spring), environment version 3".
 
     A season that was made before this was recorded says so.
     """
-    if not hidden:
+    if not played:
         return "kinds not recorded"
     names = {"persons": "persons", "teams": "partners of trained teams"}
     parts = [
-        f"{sum(hidden[kind].values())} {name} "
-        f"({', '.join(f'{count} {what}' for what, count in hidden[kind].items())})"
+        f"{sum(played[kind].values())} {name} "
+        f"({', '.join(f'{count} {what}' for what, count in played[kind].items())})"
         for kind, name in names.items()
-        if hidden[kind]
+        if played[kind]
     ]
-    return f"{' and '.join(parts)}, {in_version(hidden['env_versions'])}"
+    return f"{' and '.join(parts)}, {in_version(played['env_versions'])}"
 
 
 def plays_in_words(hidden: Mapping[str, Any] | None, public: int | None) -> str:
     """Return what a season plays in one line."""
     versions = [] if public is None else [public]
-    return f"public half: {in_version(versions)}; hidden: {hidden_in_words(hidden)}"
+    return f"public half: {in_version(versions)}; hidden: {partners_in_words(hidden)}"
 
 
 def in_version(versions: Sequence[int]) -> str:
@@ -67,7 +67,7 @@ def statement_of(hidden: Mapping[str, Any] | None) -> str:
     elif hidden["teams"] and hidden["persons"]:
         who = f"Public partners are {TRAINED} in simulation, hidden ones {TRAINED} and {PERSONS}."
     elif hidden["persons"]:
-        who = f"Public partners are {TRAINED} in simulation, hidden ones {PERSONS}."
+        who = f"All partners are simulated; hidden ones are {PERSONS}."
     else:
         who = f"The partners are {TRAINED} in simulation."
     return f"{who} {NOT_PEOPLE}"

@@ -37,8 +37,7 @@ from assistax_board.store.shown import (
 )
 
 STATEMENT = (
-    "The partners are simulated: trained policies, and in some seasons persons made of numbers. "
-    f"{NOT_PEOPLE}"
+    f"The partners are simulated: trained policies, or persons made of numbers. {NOT_PEOPLE}"
 )
 
 

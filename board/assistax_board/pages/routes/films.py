@@ -98,13 +98,11 @@ def robot_of(site: Site, submission: Submission) -> HandedIn:
         raise NotFoundError("This robot's licence allows scoring alone, so it is not filmed.")
     if not site.queries.is_kept(file):
         raise NotFoundError("This robot's file is not here any more, so it cannot be filmed.")
-    split = site.registry.split(submission.task)
-    humans = site.registry.of_task(submission.task, "human")
-    of_training = [entry for entry in humans if split.side(entry.team) == "train"]
-    if not of_training:
+    teams = site.registry.split(submission.task).train
+    if not teams:
         raise NotFoundError(
             "All public partners count in the score, so there is none to film with."
         )
-    human = min(of_training, key=lambda entry: entry.id)
+    human = site.registry.policy(f"{min(teams)}/human")
     version = site.registry.env_version(human)
     return HandedIn(submission.task, file, human.id, human.sha256, version, site.read)

@@ -13,7 +13,7 @@ from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.store.played import hidden_in_words, statement_of
+from assistax_board.store.played import partners_in_words, statement_of
 from assistax_board.store.shown import Score, Season, Submission
 
 _ENTRIES = 200  # of the ledger on one page
@@ -137,7 +137,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
 def played_rows(site: Site, task: str, season: Season | None) -> list[tuple[str, str]]:
     """Return what is played, as rows of name and value: the public half, and what is hidden."""
     rows = [("public half", site.public_in_words(task))]
-    return rows if season is None else [*rows, ("hidden", hidden_in_words(season.hidden))]
+    return rows if season is None else [*rows, ("hidden", partners_in_words(season.hidden))]
 
 
 def _entered(site: Site, season: str) -> dict[str, list[Submission]]:
