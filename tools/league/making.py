@@ -201,15 +201,15 @@ def _trained(
 def _best_published(making: Making, seconds: dict[str, float]) -> str:
     """Return the published robot that is best with the validation side.
 
-    Candidates are the egos of the release, and the robots of the training side's teams: those of
-    other sides know a partner of theirs.
+    Candidates are the egos of the release, and the robots of its teams but of those that test or
+    validate: these know a partner of their side.
     """
     registry, split, task = making.registry, making.split, making.how.task
-    release = split.release
+    release, others = split.release, {*split.test, *split.validation}
     robots = [
         entry
         for entry in registry.select(task=task, role="robot")
-        if entry.release == release and (entry.trained_against or entry.team in split.train)
+        if entry.release == release and (entry.trained_against or entry.team not in others)
     ]
     if not robots:
         raise ValueError(f"release {release} has no robot of {task} that could be the best one")
