@@ -230,6 +230,7 @@ def test_an_empty_token_is_named(
         open_client(None, tmp_path / "token")
 
 
+@pytest.mark.slow
 def test_a_refused_file_says_why_at_home(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -75,6 +75,7 @@ def test_what_looks_at_files_comes_after_requests() -> None:
     assert min(play(niceness)) - os.nice(0) >= least
 
 
+@pytest.mark.slow
 def test_seconds_and_bytes_are_bounded() -> None:
     with pytest.raises(OverBudgetError, match="seconds"):
         play(spin, seconds=1)
@@ -82,6 +83,7 @@ def test_seconds_and_bytes_are_bounded() -> None:
         play(fill, most=512 * MIB)
 
 
+@pytest.mark.slow
 def test_who_dies_by_itself_is_told_from_who_was_ended() -> None:
     with pytest.raises(DiedError):
         play(abort)

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import re
+import shutil
 import subprocess
 import threading
 import time
@@ -261,6 +262,19 @@ def test_the_explorer_has_the_saved_pairs(client: TestClient) -> None:
         assert sorted(order["rows"]) == sorted(order["columns"]) == list(range(198))
     assert client.get(f"{numbers[1]}/secret.f32").status_code == 404
     assert client.get("/crossplays/scratch/0123/return.f32").status_code == 404
+
+
+def test_an_explorer_shows_robots_that_have_no_setting(tmp_path: Path) -> None:
+    """Such as egos, which an organiser lets play beside the robots of teams."""
+    shutil.copytree(PUBLISHED / "bed_bath", tmp_path / "bed_bath")
+    table = tmp_path / "bed_bath" / "pairs.parquet"
+    pairs = pl.read_parquet(table)
+    ego = pl.col("ego") == pairs["ego"][0]
+    pairs.with_columns(
+        pl.when(ego).then(None).otherwise(pl.col("ego_disability")).alias("ego_disability")
+    ).write_parquet(table)
+    read = CrossPlays(tmp_path).of("bed_bath")
+    assert read is not None and "–" in read.blocks("disability")[0]
 
 
 def test_a_page_that_the_reader_has_is_not_sent_again(client: TestClient) -> None:

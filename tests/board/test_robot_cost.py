@@ -52,6 +52,7 @@ def test_what_would_need_gigabytes_is_refused() -> None:
 
 
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
+@pytest.mark.slow
 def test_large_networks_are_let_in(torso: Any) -> None:
     spec = PolicySpec("robot", OBS, ACT, torso=torso, hidden=(512, 512), activation="relu")
     params = params_of(spec, 0)

@@ -50,6 +50,7 @@ def test_a_png_has_four_moments_two_by_two(tmp_path: Path, capfd: pytest.Capture
 
 
 @pytest.mark.parametrize("ending", ["gif", "webp"])
+@pytest.mark.slow
 def test_a_film_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path, ending: str):
     path = tmp_path / "robot.safetensors"
     params = jax.tree.map(

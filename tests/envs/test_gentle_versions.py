@@ -55,6 +55,7 @@ def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backen
     assert np.median(wrong[largest > 1.0]) < 1e-2
 
 
+@pytest.mark.slow
 def test_a_violation_ends_the_episode_in_version_3_alone() -> None:
     task = "gentle_scratch"
     for version in (2, 3):

@@ -17,7 +17,6 @@ from assistax_envs import TASKS, VERSIONS, disability_params, make
 from assistax_envs.versions import PLAYABLE
 from tests.envs.conftest import backends, random_actions, seat
 
-pytestmark = pytest.mark.usefixtures("optimised")
 FOLDER = Path(__file__).parent / "golden"
 SETTINGS = ["d1", "d9", "d3", "d7"]
 STEPS = (1, 10, 25, 50)

@@ -133,6 +133,7 @@ class Row(gymnasium.Env):
         return obs[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
 
+@pytest.mark.slow
 def test_gymnasium_passes_the_check_of_environments():
     from gymnasium.utils.env_checker import check_env
 
@@ -202,6 +203,7 @@ def test_pettingzoo_has_batches_of_both_seats():
         env.step({"robot": np.zeros((2, 7))})
 
 
+@pytest.mark.slow
 def test_jaxmarl_scans_over_ends_of_episodes():
     env = AssistaxMarlVectorEnv(TASK, 2, disability=("d1", "d9"), backend="native")
     still = {"robot": jnp.zeros((2, 7)), "human": jnp.zeros((2, 3))}

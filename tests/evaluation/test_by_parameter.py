@@ -59,6 +59,7 @@ def test_luck_alone_is_no_effect() -> None:
     assert abs(np.mean(shares)) < 0.001  # no bias, unlike the plain share, which is 0.4%
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_share_that_is_true() -> None:
     covered = 0
     for seed in range(40):

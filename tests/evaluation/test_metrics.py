@@ -119,6 +119,7 @@ def test_relative_gap_needs_positive_self_play():
 
 
 @pytest.mark.parametrize("repetitions", [200, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_intervals_over_teams_cover(repetitions: int):
     """Robot, human and pair effects of one size; self-play 2 higher. 24 teams."""
     names = [f"t{i}" for i in range(24)]

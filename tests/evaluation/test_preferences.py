@@ -272,6 +272,7 @@ def gentle(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     return load_registry(path)
 
 
+@pytest.mark.slow
 def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     gentle: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

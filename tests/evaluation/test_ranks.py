@@ -85,6 +85,7 @@ def test_three_seeds_find_four_of_five_true_orders() -> None:
     assert ranks[5, None] > 0.9
 
 
+@pytest.mark.slow
 def test_two_seeds_that_are_alike_by_luck_are_not_believed() -> None:
     """One method's seeds differ ten times as much as was known: at most 5% of lists are wrong."""
     world, rng = World(seeds=(10 * SEED, *(SEED,) * 5)), np.random.default_rng(0)

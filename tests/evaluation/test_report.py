@@ -360,6 +360,7 @@ def film_of(page: str) -> dict[str, Any] | None:
     return json.loads(data[1])["film"]
 
 
+@pytest.mark.slow
 def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_path: Path):
     """Not of what somebody typed: from Python, nothing was."""
     film = {"command": "assistax-zoo render --task scratch --seed 5", "preferences": {}}

@@ -107,6 +107,7 @@ def flipped(data: bytes, place: int, bit: int) -> bytes:
     return data[:place] + bytes([data[place] ^ (1 << bit)]) + data[place + 1 :]
 
 
+@pytest.mark.slow
 def test_one_bit_of_any_file_is_found(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Of each, at its beginning, its end, and between."""
     files, rng = files_of(home), random.Random(0)

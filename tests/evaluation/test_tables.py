@@ -236,6 +236,7 @@ def outcomes(path: Path, reader: str, places: Sequence[int]) -> tuple[int, list[
     return done.returncode, done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_a_panic_or_an_abort_of_the_reader_is_a_damaged_file(tmp_path: Path):
     """Real ones, of Polars' Rust: of the first eight bits that are fields' headers of a page.
 

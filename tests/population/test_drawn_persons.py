@@ -62,6 +62,7 @@ def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
     assert not np.array_equal(actions, changed)
 
 
+@pytest.mark.slow
 def test_persons_of_two_families_act_as_their_own_does() -> None:
     players = [PersonPlayer(TASK, family) for family in ("spring", "muscle")]
     rows = FamiliesPlayer.rows([ROWS[:3], ROWS[3:5]])

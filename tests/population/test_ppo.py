@@ -64,7 +64,13 @@ def deterministic_return(env, ppo, state, count=1):
     )
 
 
-@pytest.mark.parametrize("terminates", [False, True], ids=["time-limit", "planted-termination"])
+@pytest.mark.parametrize(
+    "terminates",
+    [
+        pytest.param(False, id="time-limit"),
+        pytest.param(True, id="planted-termination", marks=pytest.mark.slow),
+    ],
+)
 def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
     """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
     down.
@@ -130,7 +136,13 @@ def test_a_recurrent_team_remembers_what_a_feed_forward_one_cannot():
     assert figures["mean"] > 0.9 * env.episode_length  # without memory the best is half of it
 
 
-@pytest.mark.parametrize("planted", [False, True], ids=["aligned", "planted-shift"])
+@pytest.mark.parametrize(
+    "planted",
+    [
+        pytest.param(False, id="aligned"),
+        pytest.param(True, id="planted-shift", marks=pytest.mark.slow),
+    ],
+)
 def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
     """The first ratios of an update are 1: carries and `first` flags are those of the rollout."""
     if planted:
@@ -237,6 +249,7 @@ def test_learning_rate_falls_to_nothing_when_annealed():
     assert_same(after.members.learners["robot"].networks, state.members.learners["robot"].networks)
 
 
+@pytest.mark.slow
 def test_the_entropy_bonus_falls_to_nothing_when_annealed():
     """A large bonus makes noise grow. When a run is over it is worth nothing: noise shrinks."""
     spread = {}

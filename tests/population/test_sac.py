@@ -123,6 +123,7 @@ def test_the_temperature_drives_the_entropy_to_its_target():
     [("isac", match), pytest.param("masac", together, marks=pytest.mark.slow)],
     ids=["isac-match", "masac-together"],
 )
+@pytest.mark.slow
 def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward):
     env = ToyEnv(reward)
     sac, state, _ = run(
@@ -163,6 +164,7 @@ class Misplaced(SAC):
 
 
 @pytest.mark.parametrize("kind", [SAC, pytest.param(Misplaced, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
     """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is
     written over twice.

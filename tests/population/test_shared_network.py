@@ -91,6 +91,7 @@ def test_roles_share_one_network_and_keep_their_specs():
     ],
     ids=["ippo-match", "mappo-together", "ippo-gru-match"],
 )
+@pytest.mark.slow
 def test_a_shared_network_learns_both_roles(algorithm, reward, changes):
     env = ToyEnv(reward)
     config = preset(algorithm, **{**SMALL, "rollout_steps": 20, "shared": True, **changes})

@@ -173,6 +173,7 @@ def assert_same_policies(folder, other):
         assert (folder / name).read_bytes() == (other / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
     folder, updates = copy_of_killed, []
     assert not (folder / "teams.json").exists()
@@ -185,6 +186,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
     assert kept.equals(whole)
 
 
+@pytest.mark.slow
 def test_a_run_stopped_by_ctrl_c_goes_on_from_where_it_was(finished, tmp_path):
     folder, updates = tmp_path / "run", []
 

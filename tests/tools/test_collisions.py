@@ -84,6 +84,7 @@ def test_the_picture_puts_the_scene_beside_its_collisions() -> None:
     assert np.unique(rows[240:].reshape(-1, 3), axis=0).shape[0] > 20  # words, in several colours
 
 
+@pytest.mark.slow
 def test_the_paper_s_tasks_stand_in_one_small_png(tmp_path: Path) -> None:
     out = tmp_path / "collisions.png"
     main(out=out, width=160, height=120)

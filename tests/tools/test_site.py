@@ -17,6 +17,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return site.build(tmp_path_factory.mktemp("build"))
 
 
+@pytest.mark.slow
 def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
     settings = (ROOT / "zensical.toml").read_text(encoding="utf-8")
     docs = ROOT / "docs"

@@ -159,6 +159,7 @@ def test_published_bytes_never_change(hub: Hub, cache: Path, teams, team) -> Non
     assert hub.count(COMMITS) == 1
 
 
+@pytest.mark.slow
 def test_two_publishers_do_not_overwrite_each_other(
     hub: Hub, cache: Path, teams, monkeypatch
 ) -> None:
@@ -223,6 +224,7 @@ def test_a_tag_that_fails_is_added_the_next_time(hub: Hub, cache: Path, teams) -
 
 
 @pytest.mark.parametrize("route", ["PUT /lfs/", COMMITS])
+@pytest.mark.slow
 def test_a_publication_that_is_killed(route: str, hub: Hub, cache: Path, teams) -> None:
     put(teams())
     before = files(hub)

@@ -41,6 +41,7 @@ def test_blocks_hold_whole_configurations_of_one_program():
     ]
 
 
+@pytest.mark.slow
 def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     space = {"learning_rate": Range(1e-3, 1e-2), "minibatches": (2,)}
     sweep = Sweep("toy", "ippo", space, configurations=2, seeds=2, steps=480, block=4, fixed=FIXED)

@@ -70,7 +70,8 @@ class CrossPlay:
     def blocks(self, trait: str) -> tuple[list[str], list[str], list[list[float]]]:
         """Mean return by a trait of robot and human: its values, and the means [robots][humans]."""
         rows, columns = (
-            np.array([policy[trait] for policy in self.data[side]]) for side in ("rows", "columns")
+            np.array([policy[trait] or "–" for policy in self.data[side]])
+            for side in ("rows", "columns")
         )
         row_names, column_names = sorted(set(rows.tolist())), sorted(set(columns.tolist()))
         returns = self.values["return"]
