@@ -25,8 +25,8 @@ from evaluation.record.record import Record
 from tools.league.rows import rows
 from tools.release_page.markdown import table
 
-LIMITS = """- Persons are numbers and a program. Nothing here is about people, or about partners
-  that are networks.
+LIMITS = """- Persons are numbers and a program. Nothing here is about people. With partners that
+  are networks [it is otherwise](log/league.md#with-co-trained-teams).
 - The persons of the test side are corners of the training side's range (`spring`), or move by
   another law (`muscle`).
 - Checkpoints of all rows are chosen by the validation side, except those of best responses and of
