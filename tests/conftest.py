@@ -4,6 +4,7 @@ Rank promotion is an error in tests. MJX itself promotes ranks: whatever calls i
 `jax.numpy_rank_promotion("allow")`, which also serves users who are strict.
 """
 
+import functools
 import gc
 import os
 import sys
@@ -11,8 +12,9 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, get_type_hints
 
+import jaxtyping
 import pytest
 from beartype import BeartypeConf, beartype
 from beartype.roar import BeartypeClawDecorWarning
@@ -45,9 +47,11 @@ if tuple(int(part) for part in version("jaxlib").split(".")[:3]) < (0, 11, 1):
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 # An int is a float here as in PEP 484, and what beartype cannot check, such as a Protocol, stays
-# unchecked.
+# unchecked. What violates its type is a TypeError, as it would be in use.
 CHECK = BeartypeConf(
-    is_pep484_tower=True, warning_cls_on_decorator_exception=BeartypeClawDecorWarning
+    is_pep484_tower=True,
+    warning_cls_on_decorator_exception=BeartypeClawDecorWarning,
+    violation_type=TypeError,
 )
 
 
@@ -58,6 +62,36 @@ def check_annotations(function: FunctionType, *_: Any, **__: Any) -> Callable:
     return beartype(conf=CHECK)(function)
 
 
+def check_types(decorated: Any = None, *, typechecker: Any) -> Any:
+    """Check types alone where a module annotates no shapes: jaxtyping takes ten times as long."""
+    if decorated is None:
+        return functools.partial(check_types, typechecker=typechecker)
+    if "from jaxtyping import" in read_source(decorated.__module__):
+        return check_shapes(decorated, typechecker=typechecker)
+    if isinstance(decorated, FunctionType):
+        names, hints = decorated.__globals__, decorated.__annotations__
+        decorated.__annotations__ = {name: resolve(hint, names) for name, hint in hints.items()}
+        return check_annotations(decorated)
+    return decorated
+
+
+@functools.cache
+def read_source(module: str) -> str:
+    """Return a module's text."""
+    return Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+
+
+def resolve(hint: Any, names: dict[str, Any]) -> Any:
+    """Return a hint without strings; any value fits one that names what only a checker imports."""
+    holder = type("Holder", (), {"__annotations__": {"it": hint}})
+    try:
+        return get_type_hints(holder, names, include_extras=True)["it"]
+    except Exception:
+        return Any
+
+
+# The hook decorates by this name.
+check_shapes, jaxtyping.jaxtyped = jaxtyping.jaxtyped, check_types
 sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its checker by name
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
@@ -101,10 +102,13 @@ def test_a_heavy_import_is_found() -> None:
 
 
 def test_annotations_are_checked_in_tests() -> None:
+    from assistax_base.statistics import performance_profile
     from zoo.ids import parse_team
 
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(TypeError, match="violates type hint"):
         parse_team(3)
+    with pytest.raises(TypeCheckError):
+        performance_profile(np.ones(2), np.ones((1, 2)))
 
 
 def violations(root: Path) -> Iterator[str]:
