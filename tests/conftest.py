@@ -91,7 +91,8 @@ def resolve(hint: Any, names: dict[str, Any]) -> Any:
 
 
 # The hook decorates by this name.
-check_shapes, jaxtyping.jaxtyped = jaxtyping.jaxtyped, check_types
+check_shapes = jaxtyping.jaxtyped
+vars(jaxtyping)["jaxtyped"] = check_types
 sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its checker by name
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
 
