@@ -66,7 +66,7 @@ def check_types(decorated: Any = None, *, typechecker: Any) -> Any:
     """Check types alone where a module annotates no shapes: jaxtyping takes ten times as long."""
     if decorated is None:
         return functools.partial(check_types, typechecker=typechecker)
-    if "from jaxtyping import" in read_source(decorated.__module__):
+    if annotates_shapes(decorated.__module__):
         return check_shapes(decorated, typechecker=typechecker)
     if isinstance(decorated, FunctionType):
         names, hints = decorated.__globals__, decorated.__annotations__
@@ -76,9 +76,10 @@ def check_types(decorated: Any = None, *, typechecker: Any) -> Any:
 
 
 @functools.cache
-def read_source(module: str) -> str:
-    """Return a module's text."""
-    return Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+def annotates_shapes(module: str) -> bool:
+    """Return whether a module takes shapes from jaxtyping."""
+    text = Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+    return "from jaxtyping import" in text
 
 
 def resolve(hint: Any, names: dict[str, Any]) -> Any:

@@ -242,7 +242,7 @@ def with_starts(
     ("shape", "common"),
     [((1, 64, 2), False), ((24, 32, 9), False), ((8, 32, 32), True), ((1, 1, 32), False)],
 )
-@pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("repetitions", [300, 2000])
 @pytest.mark.slow
 def test_intervals_cover_the_luck_of_the_starts(
     shape: tuple[int, int, int], common: bool, repetitions: int

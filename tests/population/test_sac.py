@@ -120,7 +120,7 @@ def test_the_temperature_drives_the_entropy_to_its_target():
 
 @pytest.mark.parametrize(
     ("algorithm", "reward"),
-    [("isac", match), pytest.param("masac", together, marks=pytest.mark.slow)],
+    [("isac", match), ("masac", together)],
     ids=["isac-match", "masac-together"],
 )
 @pytest.mark.slow
@@ -163,7 +163,7 @@ class Misplaced(SAC):
         return state, dataclasses.replace(batch, truncated=jnp.zeros_like(batch.truncated)), keys
 
 
-@pytest.mark.parametrize("kind", [SAC, pytest.param(Misplaced, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [SAC, Misplaced])
 @pytest.mark.slow
 def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
     """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is

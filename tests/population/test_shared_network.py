@@ -84,10 +84,8 @@ def test_roles_share_one_network_and_keep_their_specs():
     ("algorithm", "reward", "changes"),
     [
         ("ippo", match, {}),
-        pytest.param("mappo", together, {"clip_eps": 0.2}, marks=pytest.mark.slow),
-        pytest.param(
-            "ippo", match, {"torso": "gru", "learning_rate": 3e-3}, marks=pytest.mark.slow
-        ),
+        ("mappo", together, {"clip_eps": 0.2}),
+        ("ippo", match, {"torso": "gru", "learning_rate": 3e-3}),
     ],
     ids=["ippo-match", "mappo-together", "ippo-gru-match"],
 )

@@ -29,8 +29,10 @@ def list_splits(
         assistax-zoo split list --task scratch
     """
     loaded = load_registry(registry)
-    every = [*loaded.splits, *(split for of in TASKS for split in person_splits(loaded.data, of))]
-    splits = [split for split in every if task in (None, split.task)]
+    splits = [split for split in loaded.splits if task in (None, split.task)]
+    splits += [
+        split for of in TASKS if task in (None, of) for split in person_splits(loaded.data, of)
+    ]
     defaults = {
         release.splits.get(task) or loaded.split(task, release=name).id
         for name, release in loaded.data.releases.items()
