@@ -225,6 +225,10 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
 METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "gru": ("", {"torso": "gru"}),
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
+    "asymmetric_gru": (
+        "population.methods.asymmetric:Asymmetric",
+        {"critic": "central", "torso": "gru"},
+    ),
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
     "rl2": ("", {"torso": "gru", "series": 5}),

@@ -35,7 +35,7 @@ from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.test_train import Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
-NAMES = ("asymmetric", "liam", "palm", "rma", "rl2")
+NAMES = ("asymmetric", "asymmetric_gru", "liam", "palm", "rma", "rl2")
 PROBE: dict[str, Any] = {**SMALL, "learning_rate": 3e-3, "num_envs": 64, "gamma": 0.5}
 TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 5, "minibatches": 2, "hidden": (8, 8)}
 
@@ -73,9 +73,10 @@ def test_a_critic_that_knows_the_partner_is_not_confused_by_what_it_brings():
     env = ToyEnv(noisy, episode_length=LENGTH)
     earned = {
         name: last(learn(env, name, 30, num_envs=32)[3], "term_own") / OWN / LENGTH
-        for name in ("ppo", "asymmetric")
+        for name in ("ppo", "asymmetric", "asymmetric_gru")
     }
     assert earned["asymmetric"] > max(0.6, earned["ppo"] + 0.3)
+    assert earned["asymmetric_gru"] > max(0.6, earned["ppo"] + 0.3)
 
 
 @pytest.mark.slow
@@ -195,7 +196,7 @@ def test_specs_of_before_are_as_they_were_and_latents_are_kept():
 @pytest.mark.parametrize(
     ("algorithm", "changes", "message"),
     [
-        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, gru, asymmetric, liam, palm"),
+        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, gru, asymmetric, asymm"),
         ("ppo", {"method": "sarsa"}, "method is 'sarsa'; allowed are gru, asymmetric"),
         ("ppo", {"latent": 3}, "only a method trains a latent"),
         ("liam", {"torso": "gru"}, "only a method trains a latent"),

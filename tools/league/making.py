@@ -10,6 +10,7 @@ from typing import Any
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
+from assistax_envs.preferences import WISHES
 from assistax_workshop.gates.persons import recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.cast.cast import choose_partners
@@ -149,7 +150,10 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     """Return what is to be trained with a split's training side."""
     row, sizes = making.row, making.sizes
     alone = row.source == "each" and split.rule == PERSONS
-    recipe = recipe_with_persons(split.task) if split.rule == PERSONS else {}
+    gentle = row.algorithm != "sac" and split.task in WISHES
+    recipe = recipe_with_persons(split.task) if gentle else {}
+    if split.rule != PERSONS:
+        recipe.pop("num_envs", None)  # of which every team gets the same share
     learning = prepare(
         making.registry,
         split.task,

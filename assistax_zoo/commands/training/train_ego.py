@@ -45,7 +45,8 @@ def train_ego(
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
         split: Split of the partners, an id or its beginning; default that of the release.
         partners: persons for a new person of the training side each episode, in place of networks.
-        algorithm: ppo, sac, or a method: gru, asymmetric, liam, palm, rma, rl2.
+        algorithm: ppo, sac, or a method: gru, asymmetric, asymmetric_gru, liam, palm,
+            rma, rl2.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
         preferences: What the humans of a gentle task like, such as p2,p3, in turns; default those
             of the split's training side, or all, drawn anew each episode.
