@@ -111,13 +111,18 @@ def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
     return jax.make_array_from_single_device_arrays(tuple(shape), sharding, list(parts))
 
 
-def state_specs(state: Any) -> Any:
+def state_specs(state: Any, by_partner: bool) -> Any:
     """Return how a training state is split, as a tree of its structure.
 
-    Counters of updates are of all members. The carries of frozen partners are laid out [partner,
-    member x simulation], everything else member by member.
+    Counters of updates are of all members; everything else is laid out member by member.
+
+    Args:
+        state: A training state, or its shapes.
+        by_partner: Whether frozen partners' carries are [partner, member x simulation] instead.
     """
     specs = jax.tree.map(lambda leaf: FIRST_AXIS if leaf.ndim else WHOLE, state)
+    if not by_partner:
+        return specs
     carries = jax.tree.map(lambda _: SECOND_AXIS, state.simulations.partners)
     return dataclasses.replace(
         specs, simulations=dataclasses.replace(specs.simulations, partners=carries)

@@ -66,6 +66,8 @@ class DrawnPersons(FrozenPartners):
         name: What they are called together, such as the id of their split.
     """
 
+    by_partner = False  # who is in a simulation changes, so minds are laid out as simulations are
+
     def __init__(
         self, player: PersonPlayer | FamiliesPlayer, rows: Float[jax.Array, "P W"], name: str
     ) -> None:

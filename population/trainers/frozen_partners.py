@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,8 @@ class FrozenPartners:
     Raises:
         ValueError: There is none, not all sit in the same seat, or a setting is missing.
     """
+
+    by_partner: ClassVar[bool] = True  # how carries are laid out: see `initial_carry`
 
     def __init__(self, stacks: Sequence[PolicyStack], settings: Mapping[str, Disability]) -> None:
         roles = {stack.spec.role for stack in stacks}

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from assistax_envs import make
 from assistax_envs.disability import DISABILITY_SETTINGS
+from assistax_envs.persons import PersonPlayer, persons
 from population.config import MIXED, Member, TrainConfig
 from population.devices import DeviceShares
 from population.hyperparameters import preset
@@ -26,6 +28,7 @@ from population.networks.stack import PolicyStack
 from population.runs import train as training
 from population.runs.checkpoints import Checkpoints
 from population.runs.train import initial_state, make_trainer, train
+from population.trainers.drawn_persons import OnePersonEach
 from population.trainers.frozen_partners import FrozenPartners
 from tests.population.toy_env import ToyEnv, match
 
@@ -90,6 +93,19 @@ def arguments(case, members=4):
         partners=names,
     )
     return config, partners
+
+
+def train_with_persons(folder, devices):
+    """Train a robot with each of four persons, on so many devices."""
+    rows = jax.numpy.asarray(persons("gentle_scratch")[:4])
+    partners = OnePersonEach(PersonPlayer("gentle_scratch"), rows, "some")
+    tiny = preset("ippo", num_envs=4, rollout_steps=8, hidden=(8,), minibatches=1, epochs=1)
+    team = tuple(Member(seed, MIXED) for seed in range(len(rows)))
+    config = TrainConfig(
+        "gentle_scratch", "ego", team, 64, tiny, self_play_episodes=0, partners=partners.ids
+    )
+    env = make("gentle_scratch")
+    train(config, env, folder, partners=partners, devices=jax.devices()[:devices])
 
 
 def in_another_order(config, trainer, shares=None):
@@ -246,6 +262,14 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
     assert difference(tmp_path / "resumed", two) == 0.0
     assert max(difference(tmp_path / name, first) for name in ("two", "four", "moved")) < ROUNDING
     assert difference(tmp_path / "planted", first) > 100 * ROUNDING
+
+
+@pytest.mark.slow
+def test_persons_are_shared_out_with_the_simulations_that_they_are_in(tmp_path):
+    for devices in (1, 2):
+        on_several_devices(train_with_persons, str(tmp_path / str(devices)), devices)
+    assert devices_of(tmp_path / "2") == 2
+    assert difference(tmp_path / "2", tmp_path / "1") < ROUNDING
 
 
 @pytest.mark.slow
