@@ -85,7 +85,7 @@ class ContrastFigure:
     method: str
     baseline: str
     metric: str
-    named: bool  # whether the file names it; else nothing of it is corrected
+    named: bool  # whether the file names it, with so many seeds; else nothing is corrected
     seeds: tuple[int, int]
     partners: int
     difference: Difference  # its intervals resample seeds and partners
@@ -168,21 +168,26 @@ def contrast_figures(
                 f"{contrast.words} was played on split {pair.split}, and {name} names "
                 f"{contrast.split}; evaluate both on that"
             )
-        figures.append(_figure(contrast, pair, file, seed, named=True))
-        chances.append(figures[-1].p)
-        if min(figures[-1].seeds) < contrast.seeds:
-            had = " and ".join(map(str, figures[-1].seeds))
+        figure = _figure(contrast, pair, file, seed, named=True)
+        if min(figure.seeds) < contrast.seeds:  # another contrast than the one that was named
+            had = " and ".join(map(str, figure.seeds))
             notes.append(
-                f"{contrast.words}: {had} seeds, and {contrast.seeds} of either were named"
+                f"{contrast.words}: {had} seeds, and {contrast.seeds} of either were named; counts "
+                "as p = 1"
             )
+            figure = dataclasses.replace(figure, named=False)
+        figures.append(figure)
+        chances.append(figure.p if figure.named else 1.0)
     adjusted = iter(holm(chances))
     done = iter(figures)
     corrected = []
     for contrast in file.contrasts:
         chance = next(adjusted)
         if contrast.words not in missing:
-            found = chance <= file.alpha
-            corrected.append(dataclasses.replace(next(done), p_holm=chance, found=found))
+            figure = next(done)
+            if figure.named:
+                figure = dataclasses.replace(figure, p_holm=chance, found=chance <= file.alpha)
+            corrected.append(figure)
     named = {(c.task, c.method, c.baseline) for c in file.contrasts}
     for (task, method, baseline), pair in pairs.items():
         if (task, method, baseline) not in named:

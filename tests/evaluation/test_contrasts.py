@@ -34,7 +34,7 @@ task = "scratch"
 split = "{SPLIT}"
 method = "sac"
 baseline = "ppo"
-seeds = 8
+seeds = 4
 """
 
 
@@ -76,8 +76,16 @@ def test_named_contrasts_are_tested_together(rows: dict[str, Path], file: Path) 
     assert 0 < gru.detectable < gru.detectable_holm < 50
     assert (gru.seeds, gru.partners) == ((4, 4), 8)  # the test side alone
     assert figures.sha256 == sha256(file.read_bytes())
-    assert figures.notes[0] == (
-        "sac less ppo on scratch, return: 4 and 4 seeds, and 8 of either were named"
+
+
+def test_fewer_seeds_than_named_are_another_contrast(rows: dict[str, Path], file: Path) -> None:
+    file.write_text(NAMED.replace("seeds = 4", "seeds = 8", 1))
+    gru, sac = compare_named(file, [rows[name] for name in ("ppo", "gru", "sac")]).contrasts
+    assert (gru.named, gru.p_holm, gru.found) == (False, None, None)
+    assert sac.named and sac.p_holm == pytest.approx(min(1.0, 2 * sac.p))
+    assert compare_named(file, [rows["ppo"], rows["gru"]]).notes[0] == (
+        "gru less ppo on scratch, return: 4 and 4 seeds, and 8 of either were named; counts as "
+        "p = 1"
     )
 
 
