@@ -111,17 +111,17 @@ def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
     return jax.make_array_from_single_device_arrays(tuple(shape), sharding, list(parts))
 
 
-def state_specs(state: Any, by_partner: bool) -> Any:
+def state_specs(state: Any, partners: Any) -> Any:
     """Return how a training state is split, as a tree of its structure.
 
     Counters of updates are of all members; everything else is laid out member by member.
 
     Args:
         state: A training state, or its shapes.
-        by_partner: Whether frozen partners' carries are [partner, member x simulation] instead.
+        partners: Frozen ones, whose carries may be [partner, member x simulation] instead.
     """
     specs = jax.tree.map(lambda leaf: FIRST_AXIS if leaf.ndim else WHOLE, state)
-    if not by_partner:
+    if not partners or not partners.by_partner:
         return specs
     carries = jax.tree.map(lambda _: SECOND_AXIS, state.simulations.partners)
     return dataclasses.replace(

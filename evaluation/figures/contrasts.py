@@ -156,38 +156,29 @@ def contrast_figures(
     Raises:
         ValueError: A pair was played on another split, or its tables lack the metric.
     """
-    figures, notes, missing, chances = [], [], [], []
+    played: list[ContrastFigure | None] = []
     for contrast in file.contrasts:
         pair = pairs.get((contrast.task, contrast.method, contrast.baseline))
-        if pair is None:
-            missing.append(contrast.words)
-            chances.append(1.0)
-            continue
-        if pair.split != contrast.split:
+        if pair and pair.split != contrast.split:
             raise ValueError(
                 f"{contrast.words} was played on split {pair.split}, and {name} names "
                 f"{contrast.split}; evaluate both on that"
             )
-        figure = _figure(contrast, pair, file, seed, named=True)
-        if min(figure.seeds) < contrast.seeds:  # another contrast than the one that was named
-            had = " and ".join(map(str, figure.seeds))
-            notes.append(
-                f"{contrast.words}: {had} seeds, and {contrast.seeds} of either were named; counts "
-                "as p = 1"
-            )
-            figure = dataclasses.replace(figure, named=False)
-        figures.append(figure)
-        chances.append(figure.p if figure.named else 1.0)
-    adjusted = iter(holm(chances))
-    done = iter(figures)
-    corrected = []
-    for contrast in file.contrasts:
-        chance = next(adjusted)
-        if contrast.words not in missing:
-            figure = next(done)
-            if figure.named:
-                figure = dataclasses.replace(figure, p_holm=chance, found=chance <= file.alpha)
-            corrected.append(figure)
+        played.append(_figure(contrast, pair, file, seed, named=True) if pair else None)
+    both = list(zip(file.contrasts, played, strict=True))
+    missing = tuple(contrast.words for contrast, figure in both if figure is None)
+    notes = [
+        f"{contrast.words}: {' and '.join(map(str, figure.seeds))} seeds, and {contrast.seeds} of "
+        "either were named; counts as p = 1"
+        for contrast, figure in both
+        if figure and not figure.named
+    ]
+    chances = holm([figure.p if figure and figure.named else 1.0 for figure in played])
+    corrected = [
+        dataclasses.replace(figure, p_holm=p, found=p <= file.alpha) if figure.named else figure
+        for figure, p in zip(played, chances, strict=True)
+        if figure
+    ]
     named = {(c.task, c.method, c.baseline) for c in file.contrasts}
     for (task, method, baseline), pair in pairs.items():
         if (task, method, baseline) not in named:
@@ -198,7 +189,7 @@ def contrast_figures(
             notes.append(f"{other.words}: not named in {name}, hence not corrected")
     if missing:
         notes.append(f"named and not played, they count as p = 1: {'; '.join(missing)}")
-    return ContrastFigures(name, digest, file.alpha, tuple(corrected), tuple(missing), tuple(notes))
+    return ContrastFigures(name, digest, file.alpha, tuple(corrected), missing, tuple(notes))
 
 
 def _figure(
@@ -211,7 +202,8 @@ def _figure(
     test = mean_test(a.mean(axis=2), b.mean(axis=2))
     return ContrastFigure(
         *(contrast.task, contrast.method, contrast.baseline, contrast.metric),
-        named=named,
+        # With fewer seeds it is another contrast than the one that was named.
+        named=named and min(len(a), len(b)) >= contrast.seeds,
         seeds=(len(a), len(b)),
         partners=a.shape[1],
         difference=difference,

@@ -133,15 +133,10 @@ def initial_state(
         for place, member in enumerate(config.members)
     ]
     start = shares.put((keys, jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *humans)))
-    specs = _specs(trainer, jax.eval_shape(trainer.initial, *start))
+    specs = state_specs(jax.eval_shape(trainer.initial, *start), partners)
     initial = shares.jit(trainer.initial, specs)
     # Copied, so that no two leaves share a buffer: each is donated to the first update.
     return jax.tree.map(jnp.copy, initial(*start))
-
-
-def _specs(trainer: Trainer, state: Any) -> Any:
-    """Return how a state is split over devices."""
-    return state_specs(state, trainer.partners is not None and trainer.partners.by_partner)
 
 
 def member_key(member: Member) -> jax.Array:
@@ -258,7 +253,7 @@ class _Training:
                 lambda state, _: trainer.update(state, hyper, partners), state, length=updates
             )
 
-        specs = (_specs(trainer, state), SECOND_AXIS)
+        specs = (state_specs(state, trainer.partners), SECOND_AXIS)
         jitted = shares.jit(scan, specs, static_argnames="updates", donate_argnames="state")
         hyper = shares.put(trainer.hyper(self.config.members))
         partners = shares.put(trainer.partners.params if trainer.partners else (), WHOLE)
