@@ -98,6 +98,15 @@ sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its chec
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow the cases of a test whose id has a word of its mark `slow_for`."""
+    for item in items:
+        words = [word for mark in item.iter_markers("slow_for") for word in mark.args]
+        if any(word in item.name.partition("[")[2] for word in words):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="module")
 def optimised() -> Iterator[None]:
     """Compile as users do, here and in processes that a test starts: bits are compared.

@@ -209,6 +209,7 @@ def test_a_list_are_seeds_of_one_method(zoo: az.Zoo) -> None:
     assert told(result.m_test).n == 2 * 3 and len(result.summary.egos) == 2
 
 
+@pytest.mark.slow
 def test_a_crossplay_clusters_and_draws(zoo: az.Zoo, tmp_path: Path) -> None:
     teams = "scratch/ippo-d?-s[01]-v0"
     globs = f"{teams}/robot", f"{teams}/human"

@@ -42,6 +42,7 @@ def test_the_test_half_is_refused_and_never_read(monkeypatch: pytest.MonkeyPatch
     assert not {*read} & {*split.test}
 
 
+@pytest.mark.slow
 def test_partners_act_as_the_zoo_has_them() -> None:
     split = load_registry().split(TASK)
     names = split.train[:2]

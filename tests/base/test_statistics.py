@@ -21,6 +21,7 @@ def test_iqm_by_hand():
     assert statistics.iqm(np.array([[0.0, 10], [20, 30]])) == 15.0  # over all entries
 
 
+@pytest.mark.slow
 @seed(0)
 @settings(max_examples=100, deadline=None)
 @given(arrays(np.float64, st.integers(1, 40), elements=FINITE))

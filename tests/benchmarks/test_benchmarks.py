@@ -26,6 +26,7 @@ def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFix
         assert row["compile_seconds"] > 0
 
 
+@pytest.mark.slow
 def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
     assert (
         run(
@@ -116,6 +117,7 @@ def test_train_tells_where_the_time_goes(algorithm: str, capfd: pytest.CaptureFi
     assert row["physics_share"] + row["networks_share"] + row["updates_share"] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_fetch_measures_whole_commands(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):

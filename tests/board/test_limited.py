@@ -59,6 +59,7 @@ def play(function: Any, *args: Any, seconds: int = 20, most: int = 1024 * MIB) -
     return run_limited(function, *args, seconds=seconds, most_bytes=most)
 
 
+@pytest.mark.slow
 def test_a_function_answers_from_another_process_that_is_gone_then() -> None:
     pid = play(answer)
     assert pid != os.getpid()
@@ -188,6 +189,7 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path) -> None:
         assert len({row.result()["id"] for row in answers}) == 4
 
 
+@pytest.mark.slow
 def test_a_live_robot_does_not_wait_for_files(tmp_path: Path) -> None:
     service, go_on = new_service(tmp_path), threading.Event()
     object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(60))))

@@ -107,6 +107,7 @@ def test_a_live_robot_is_scored(tmp_path: Path) -> None:
     assert 3.5 < score.figures["mean"] < 4.5  # the mean of 1 to 6, and the partners' own part
 
 
+@pytest.mark.slow
 def test_lost_connections_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_client, "PAUSE_SECONDS", 0.01)
     rng = np.random.default_rng(0)
@@ -458,6 +459,7 @@ def test_an_upgrade_lets_a_live_robot_begin_anew(tmp_path: Path) -> None:
     assert upgraded.adopt_version() == 0
 
 
+@pytest.mark.slow
 def test_several_workers_do_not_show(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()

@@ -141,6 +141,7 @@ def test_a_robot_of_another_version_is_warned_about(
     assert submission is not None and submission.warning is None
 
 
+@pytest.mark.slow
 def test_admission_reads_the_version_that_a_file_says(tmp_path: Path) -> None:
     sizes = {TASK: (ROBOT.observation_size, ROBOT.action_size)}
     admission, params = Admission(sizes), params_of(ROBOT, 1)

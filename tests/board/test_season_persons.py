@@ -194,6 +194,7 @@ def test_persons_have_no_robot_of_their_own(tmp_path: Path) -> None:
     assert played == {"mine", "zero-action"}
 
 
+@pytest.mark.slow
 def test_a_task_of_persons_alone_has_a_board(tmp_path: Path) -> None:
     """Its public half is persons of the test side, the same that `evaluate` plays."""
     registry, task = load_registry(), "gentle_feeding"

@@ -290,6 +290,7 @@ def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Pat
     assert table_bytes(tables[0]) == table_bytes(tables[1])
 
 
+@pytest.mark.slow
 def test_a_live_robot_is_a_callable(registry: Registry) -> None:
     partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))[:1]
     live = dataclasses.replace(work(partners), kind="live")
@@ -298,6 +299,7 @@ def test_a_live_robot_is_a_callable(registry: Registry) -> None:
     assert table.height == 2
 
 
+@pytest.mark.slow
 def test_admission_reads_both_formats(registry: Registry, files: dict[str, bytes]) -> None:
     admission = Admission(robot_sizes(registry))
     assert [admission(files[name], TASK).format for name in files] == ["safetensors", "onnx"]

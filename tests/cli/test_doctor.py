@@ -87,6 +87,9 @@ def test_problems_come_first_and_end_with_1(
     assert states == sorted(states, key=doctor.STATES.index)
 
 
+@pytest.mark.slow_for(
+    "cuda", "docs", "lerobot", "sb3", "wandb", "sign", "ray", "minari", "tensorboard"
+)
 @pytest.mark.parametrize("name", sorted(PROJECT["optional-dependencies"]))
 def test_a_missing_extra_is_named_with_the_line_that_installs_it(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -148,6 +151,7 @@ def test_a_registry_that_was_changed_is_broken(
     assert "expected root" in examined(capsys, 1)["registry"][0]["text"]
 
 
+@pytest.mark.slow
 def test_an_added_zoo_that_was_changed_is_broken(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

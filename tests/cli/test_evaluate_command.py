@@ -82,6 +82,7 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
     assert (summary["release"], summary["env_version"], summary["backend"]) == ("v0", 1, "native")
 
 
+@pytest.mark.slow
 def test_both_sides_give_the_gap_and_keep_the_tables(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
@@ -254,6 +255,7 @@ def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
     assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(alone, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_finished_crossplay_is_summarised_again_without_running(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
@@ -384,6 +386,7 @@ def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
     assert "--task" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_path: Path):
     """Whatever libraries print, when imported or from C, is not in it."""
     code = (

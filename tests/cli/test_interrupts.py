@@ -90,6 +90,7 @@ def interrupt(command: str, seconds: float, folder: Path) -> None:
     assert spent < SOON
 
 
+@pytest.mark.slow_for("evaluate")
 @pytest.mark.parametrize("command", ["evaluate", "train"])
 def test_a_command_ends_soon_with_one_line(command: str, tmp_path: Path) -> None:
     interrupt(command, random.Random(command).uniform(1.5, 5.0), tmp_path)

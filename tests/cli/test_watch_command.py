@@ -62,6 +62,7 @@ class Window:
         self.marks.append(self.user_scn.ngeom)
 
 
+@pytest.mark.slow
 def test_without_a_display_a_page_is_written(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def test_jaxmarl_is_the_environment_on_one_simulation(marl: AssistaxMarlEnv, mak
     assert {value.shape for value in infos.values()} == {(2,)}
 
 
+@pytest.mark.slow
 def test_jaxmarl_under_vmap_is_its_batch(marl: AssistaxMarlEnv):
     keys = jax.random.split(jax.random.key(3), 3)
     actions = {"robot": jnp.full((3, 7), 0.3), "human": jnp.full((3, 3), -0.2)}
@@ -95,6 +96,7 @@ def _at_step(state, step: int):
     return dataclasses.replace(state, step=jnp.full_like(state.step, step))
 
 
+@pytest.mark.slow
 def test_jaxmarl_resets_to_the_state_that_is_given(marl: AssistaxMarlEnv):
     _, start = marl.reset(jax.random.key(8))
     _, state = marl.reset(jax.random.key(9))

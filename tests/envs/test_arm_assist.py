@@ -69,6 +69,7 @@ def _distances(act: Players) -> np.ndarray:
     return np.asarray(jax.jit(lambda state: jax.lax.scan(body, state, jnp.arange(1000))[1])(state))
 
 
+@pytest.mark.slow
 def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
     signs = jnp.array([[a, b, c] for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
 
@@ -84,5 +85,6 @@ def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
     assert _distances(push).min() > 2.0 * ARRIVED
 
 
+@pytest.mark.slow
 def test_a_trained_robot_lifts_the_arm_to_the_waist() -> None:
     assert (_distances(team("arm_assist/ippo-d1-s2-v1", SIZE))[-1] < 1.5 * ARRIVED).mean() > 0.8

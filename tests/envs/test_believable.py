@@ -31,6 +31,7 @@ def _settled(task: str, seconds: float = 4.0) -> tuple[mujoco.MjModel, mujoco.Mj
     return model, data
 
 
+@pytest.mark.slow_for("bed_bath", "arm_assist")
 @pytest.mark.parametrize(
     "task", [*PAPER_TASKS, *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS)]
 )

@@ -55,6 +55,7 @@ def each_pair(among: tuple[str, ...] = BACKENDS) -> pytest.MarkDecorator:
 each_task_and_backend = each_pair()
 
 
+@pytest.mark.slow_for("gentle_brushing", "gentle_bath", "gentle_scratch")
 @each_task_and_backend
 def test_shapes_and_types(task: str, backend: str) -> None:
     env = environment(task, backend)
@@ -75,6 +76,7 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     ]
 
 
+@pytest.mark.slow_for("opposed", "random", "lift-native")
 @each_task_and_backend
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
 def test_a_whole_episode_stays_finite_and_ends_by_time(

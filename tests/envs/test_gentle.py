@@ -150,6 +150,7 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
     return readings, expected
 
 
+@pytest.mark.slow_for("native")
 @pytest.mark.parametrize("backend", ["native", "fused"])
 @one_gentle_task
 def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
@@ -382,6 +383,7 @@ def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None
     assert (np.asarray(seen[0]["human"]) != np.asarray(seen[1]["human"])).any()
 
 
+@pytest.mark.slow
 @one_gentle_task
 def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
     env = assistax_envs.make(task, "native", told=("human", "robot"))
@@ -412,6 +414,7 @@ def test_a_preference_is_drawn_by_its_own_key() -> None:
 # Scripts.
 
 
+@pytest.mark.slow_for("gentle_bath", "gentle_scratch", "bed_bath", "arm_assist")
 @pytest.mark.parametrize("task", [*PAPER_TASKS, *GENTLE_TASKS])
 def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
     """In three seconds, with an idle human: far nearer than a robot that does nothing."""

@@ -116,6 +116,7 @@ def liked_steps(table: Table) -> int:
     return round(STROKE / table.likes.speed / 0.02)
 
 
+@pytest.mark.slow
 def test_four_strokes_are_a_place_and_the_next_one_follows() -> None:
     table = Table()
     steps = liked_steps(table)

@@ -32,6 +32,7 @@ def _begun(task: str, preferences: list[str]) -> tuple[Any, Any, TouchReadings]:
     return env._task, state.task, env._sensors.read(values)
 
 
+@pytest.mark.slow
 def test_an_arm_starts_somewhere_on_its_way_and_slides_off_when_nobody_holds_it() -> None:
     state, model = (
         start("gentle_lift", "native", ["d1"] * 64),

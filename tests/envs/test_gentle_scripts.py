@@ -68,6 +68,7 @@ def test_the_papers_tasks_have_one_script() -> None:
     np.testing.assert_array_equal(script_of(PAPER_TASKS[0], model, 9)(obs), expected)
 
 
+@pytest.mark.slow_for("bath", "brushing", "lift")
 @pytest.mark.parametrize("task", RANGES)
 def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     model, obs = build_model(task), _seen(task)

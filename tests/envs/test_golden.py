@@ -62,6 +62,7 @@ def pinned_in(task: str, version: int) -> Path:
     return FOLDER / (f"{task}.json" if version == VERSIONS[task] else f"{task}-v{version}.json")
 
 
+@pytest.mark.slow_for("gentle_brushing", "gentle_feeding", "-2-native")
 @pytest.mark.parametrize(
     ("task", "version", "backend"),
     [

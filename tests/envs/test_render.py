@@ -214,6 +214,7 @@ def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.Monke
         gl.open_context(64, 64)
 
 
+@pytest.mark.slow
 @needs("libosmesa6", ctypes.util.find_library("OSMesa"))
 def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
     """In a process of its own, because PyOpenGL takes one platform a process; EGL fails there for

@@ -196,6 +196,7 @@ def test_a_band_holds_its_curve():
     assert np.all((profile[0] <= share) & (share <= profile[1]))
 
 
+@pytest.mark.slow_for("spread1", "spread2")
 @pytest.mark.parametrize(
     ("seeds", "partners", "spread"),
     [(1, 64, (0.0, 1.0, 1.0)), (32, 32, (1.0, 1.0, 1.0)), (32, 32, (1.0, 0.3, 0.3))],

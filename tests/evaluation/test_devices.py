@@ -22,6 +22,7 @@ print(len(jax.local_devices()))
 """
 
 
+@pytest.mark.slow_for("settings0", "settings1")
 @pytest.mark.parametrize(
     ("settings", "before", "count"),
     [

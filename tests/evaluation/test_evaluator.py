@@ -89,6 +89,7 @@ def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
     assert table.group_by("episode").agg(pl.col("key").n_unique())["key"].to_list() == [1, 1, 1]
 
 
+@pytest.mark.slow_for("two")
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(
     "job", [mixed_job(), make_job(stochastic=True)], ids=["two specs", "stochastic"]
@@ -110,6 +111,7 @@ def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
     assert run_job(MatrixGame(), job, tmp_path, max_envs=8).table.height == 50
 
 
+@pytest.mark.slow
 def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -237,6 +239,7 @@ def unfinished(folder: Path) -> list[Path]:
     return sorted((folder / PARTS_FOLDER).glob("part-*"))
 
 
+@pytest.mark.slow_for("column", "bit", "swapped")
 @pytest.mark.parametrize("damage", ["torn", "bit", "column", "swapped", "emptied"])
 def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
     """Whatever is wrong with it: also a value that Parquet's reader takes for good."""

@@ -84,6 +84,7 @@ def test_every_operator_has_a_case() -> None:
     assert onnx_program.OPERATORS.keys() < onnx_ego.OPERATORS, "what a service takes plays at home"
 
 
+@pytest.mark.slow_for("clip-mlp")
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 @pytest.mark.parametrize("squash", ["clip", "tanh"])
 def test_our_own_exports_play_as_the_policies_they_are_of(torso: Any, squash: Any) -> None:

@@ -133,6 +133,7 @@ def test_preferences_and_company_are_refused() -> None:
     assert job_of((3,), series=3)[1].episodes == 6
 
 
+@pytest.mark.slow
 def test_a_film_shows_a_person_with_its_own_body_and_wishes() -> None:
     registry = load_registry()
     name = "gentle_scratch/person-00042-v3"

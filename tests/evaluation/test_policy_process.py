@@ -214,6 +214,7 @@ def gone(pid: int) -> bool:
     return False
 
 
+@pytest.mark.slow_for("time.sleep")
 @pytest.mark.parametrize("line", ["time.sleep(100)", "os.kill(os.getpid(), signal.SIGSTOP)"])
 def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -> None:
     code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"

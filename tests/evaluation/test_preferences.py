@@ -182,6 +182,7 @@ class Pressed(NamedTuple):
     face: jax.Array
 
 
+@pytest.mark.slow
 def test_how_people_were_touched_is_in_tables_figures_and_pages(tmp_path: Path) -> None:
     table = run_job(Pressing(), job_of(), tmp_path / "job").table
     one = table.filter(pl.col("preference") == "p8")

@@ -88,6 +88,7 @@ def test_a_bias_is_found(episodes: pl.DataFrame, rows: pl.Expr, by: float) -> No
     assert problems and all(problem.startswith("return of ") for problem in problems)
 
 
+@pytest.mark.slow
 def test_every_column_is_compared(episodes: pl.DataFrame) -> None:
     for name in measured_columns(episodes):
         column = ~pl.col(name) if episodes[name].dtype == pl.Boolean else pl.col(name) * 1.5 + 400

@@ -222,6 +222,7 @@ def attack(folder: Path, name: str, path: tuple[str, ...], value: Any) -> None:
     seal(folder)
 
 
+@pytest.mark.slow_for("path0", "path2", "path3")
 @pytest.mark.parametrize(
     ("kind", "name", "path"),
     [

@@ -221,6 +221,7 @@ def play_stacks(
     return rollout.run(*params, disability_params(settings), episode_seeds(5, range(4)))
 
 
+@pytest.mark.slow_for("stochastic")
 @pytest.mark.parametrize("options", [{}, {"stochastic": True}, {"series": 2}], ids=str)
 def test_a_block_of_several_networks_is_what_each_two_of_them_give(options: dict[str, Any]):
     whole = play_stacks(*SEVERAL, THEIR_SETTINGS, **options)

@@ -279,6 +279,7 @@ def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
     assert restored == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}
 
 
+@pytest.mark.slow
 def test_as_many_devices_are_used_as_divide_the_members():
     cases = {(8, 4): 4, (6, 4): 3, (7, 4): 1, (5, 3): 1, (2, 4): 2, (1, 4): 1, (4, 1): 1}
     assert on_several_devices(count_shares, list(cases)) == list(cases.values())

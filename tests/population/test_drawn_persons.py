@@ -82,6 +82,7 @@ def test_persons_of_two_families_act_as_their_own_does() -> None:
     assert not np.array_equal(apart[0][2:], apart[1][2:])
 
 
+@pytest.mark.slow
 def test_a_robot_may_be_told_the_numbers_of_whom_it_meets(partners: DrawnPersons) -> None:
     env = assistax_envs.make(TASK, "native", told=("human", "robot"))
     telling = ToldNumbers(env, partners.numbers)
@@ -148,6 +149,7 @@ def test_idle_persons_have_a_body_and_do_nothing() -> None:
     np.testing.assert_array_equal(action, np.zeros((8, 3)))
 
 
+@pytest.mark.slow
 def test_each_member_keeps_its_own_person() -> None:
     rows = ROWS[[5, 40, 7]]
     partners = OnePersonEach(PersonPlayer(TASK), jnp.asarray(rows), "three")

@@ -117,6 +117,7 @@ def test_preferences_that_nobody_can_have_are_refused(task, names, partners, mes
         dataclasses.replace(config(PPO), task=task, preferences=names, partners=partners)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
 def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
     run, env, partners = config(kind, members=1), ToyEnv(match), population()

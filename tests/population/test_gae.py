@@ -41,6 +41,7 @@ def test_a_value_that_is_not_finite_after_termination_does_no_harm():
     np.testing.assert_allclose(result, 0.0)
 
 
+@pytest.mark.slow_for("gru")
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 def test_next_values_are_those_before_a_reset(torso):
     """Against a critic stepped by hand along each simulation, with the final observation as one

@@ -20,6 +20,7 @@ def toy(monkeypatch):
     monkeypatch.setattr(assistax_envs, "make", lambda task, backend, version=None: env)
 
 
+@pytest.mark.slow
 def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
     run = train(
         "scratch",

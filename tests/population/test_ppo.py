@@ -64,6 +64,7 @@ def deterministic_return(env, ppo, state, count=1):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "terminates",
     [
@@ -102,6 +103,7 @@ def test_an_episode_succeeds_whose_goal_held_at_any_step(paid, share):
     np.testing.assert_array_equal(np.asarray(metrics["success"])[ended], share)
 
 
+@pytest.mark.slow_for("mappo")
 @pytest.mark.parametrize(
     ("algorithm", "reward", "changes"),
     [
@@ -136,6 +138,7 @@ def test_a_recurrent_team_remembers_what_a_feed_forward_one_cannot():
     assert figures["mean"] > 0.9 * env.episode_length  # without memory the best is half of it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "planted",
     [
@@ -192,6 +195,7 @@ def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
             assert_same(*same)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("platform", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
@@ -230,6 +234,7 @@ class Diverging(ToyEnv):
         )
 
 
+@pytest.mark.slow
 def test_simulations_that_diverge_are_counted_and_start_again():
     env = Diverging(constant)
     ppo, state, hyper = start(env, PPOConfig(**SMALL))

@@ -64,6 +64,7 @@ def values(sac, state, role, action):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "terminates",
     [False, pytest.param(True, marks=pytest.mark.slow)],

@@ -103,6 +103,7 @@ def test_exported_rows_are_distinct_and_act(finished):
     assert len(np.unique(np.asarray(action)[:, 0, 0])) == 4
 
 
+@pytest.mark.slow
 def test_half_precision_is_written_and_what_is_written_is_evaluated(
     finished, tmp_path, monkeypatch
 ):
@@ -219,6 +220,7 @@ def cut_off(folder):
             file.write_bytes(file.read_bytes()[:10])
 
 
+@pytest.mark.slow_for("cut_off")
 @pytest.mark.parametrize("damage", [flip_a_bit, cut_off])
 def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, copy_of_killed, damage):
     folder, updates = copy_of_killed, []

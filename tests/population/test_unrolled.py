@@ -53,6 +53,7 @@ def test_gradients_are_those_of_the_cell(policy: Policy) -> None:
         assert jnp.linalg.norm(a - b) <= 2e-6 * jnp.linalg.norm(a) + 1e-9
 
 
+@pytest.mark.slow_for("two")
 @pytest.mark.parametrize("width", [16, 4], ids=["one scan", "two, of other widths"])
 def test_policy_and_critic_together_are_those_apart(policy: Policy, width: int) -> None:
     first = params_and_first(policy)[1]
@@ -96,6 +97,7 @@ def test_nothing_is_remembered_over_an_episode_s_start_even_if_it_diverged(polic
     assert all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.mark.slow_for("two")
 def test_members_side_by_side_have_their_own_gradients(policy: Policy) -> None:
     _, first = params_and_first(policy)
     stacked = jax.vmap(policy.init)(jax.random.split(jax.random.key(4), 3))
@@ -109,6 +111,7 @@ def test_members_side_by_side_have_their_own_gradients(policy: Policy) -> None:
         assert jnp.allclose(a[1], b, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.slow_for("clip")
 @pytest.mark.parametrize("squash", ["clip", "tanh"])
 def test_a_memory_unrolls_as_it_acts(squash: str) -> None:
     """Latents of a rollout are those that acted, whatever actions were drawn."""

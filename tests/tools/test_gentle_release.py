@@ -534,6 +534,7 @@ def test_minutes_and_commands(data: Path, tmp_path: Path, registry: Registry, sp
     assert text.endswith(f"--data {data} --out {tmp_path / 'page.md'}\n```\n")
 
 
+@pytest.mark.slow
 def test_check_finds_a_changed_table(
     data: Path, tmp_path: Path, registry: Registry, capfd: pytest.CaptureFixture[str]
 ):

@@ -154,6 +154,7 @@ def test_intervals_widen_with_the_teams() -> None:
     assert (same.value, same.ci) == (paired.value, paired.ci)
 
 
+@pytest.mark.slow
 @one_gentle_task
 def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
     env = make(task, "native")

@@ -192,6 +192,7 @@ def test_a_lost_answer_is_looked_up(hub: Hub, cache: Path, teams) -> None:
     )
 
 
+@pytest.mark.slow_for("POST")
 @pytest.mark.parametrize(
     "route", ["POST .*/repos/create", COMMITS, "POST .*/preupload/", "POST .*/tag/", "PUT /lfs/"]
 )

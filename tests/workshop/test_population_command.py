@@ -105,6 +105,7 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
     assert (after["published"], after["missing"], after["steps_to_train"]) == (2, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, monkeypatch, capsys):
     write_plan(place, OTHER)
     assert run(words(place, "--no-publish")) == 0
@@ -193,6 +194,7 @@ def test_adopted_teams_keep_parameters_and_provenance(place, monkeypatch, capsys
     assert rows(capsys, place)["toy-one"]["adoptable"] == 0  # trained for 96 steps
 
 
+@pytest.mark.slow
 def test_parameters_of_another_team_are_still_refused(place):
     """The defect that the check is for: a run folder whose rows are another team's."""
     write_plan(place, OTHER)
@@ -231,6 +233,7 @@ def test_one_failure_leaves_the_other_groups_alone(place, capsys):
     assert "rollout_steps is 9" in failed["error"]
 
 
+@pytest.mark.slow
 def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, capsys):
     """A real process holds the lock, as on another GPU; once it is killed, the run is free."""
     script = (

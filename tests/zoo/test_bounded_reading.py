@@ -45,6 +45,7 @@ def large(kind: str) -> bytes:
     return b'{"schema_version": 2, "lock_version": 2, "teams": {' + names + b"}}"
 
 
+@pytest.mark.slow_for("table", "splits")
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("kind", ["zeros", "list", "splits", "table"])
 def test_large_files_are_refused_in_little_memory(reader: str, kind: str, tmp_path: Path) -> None:

@@ -82,6 +82,12 @@ def grazing(task: str, kind: str, substeps: int, places: np.ndarray) -> np.ndarr
     return sensitivity(scene(task), some, substeps, within, shifts)
 
 
+@pytest.mark.slow_for(
+    "gentle_brushing-touching",
+    "gentle_feeding-touching",
+    "gentle_bath-touching",
+    "gentle_lift-touching",
+)
 @pytest.mark.parametrize("substeps", [1, 4])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("task", TASKS)
@@ -172,6 +178,7 @@ def defects(model: mujoco.MjModel, kind: str) -> list[tuple[str, int]]:
     return [(field, int(i)) for i in np.flatnonzero(values * seen)]
 
 
+@pytest.mark.slow_for("gentle_brushing", "gentle_feeding", "gentle_scratch")
 @pytest.mark.parametrize("kind", ["mass", "gear", "damping", "friction", "armature", "stiffness"])
 @pytest.mark.parametrize("task", TASKS)
 def test_one_percent_of_any_one_number_is_seen(task: str, kind: str) -> None:

@@ -35,6 +35,7 @@ def same(a, b) -> bool:
     )
 
 
+@pytest.mark.slow_for("gentle_feeding", "gentle_brushing", "gentle_bath", "gentle_scratch")
 @pytest.mark.parametrize("task", TASKS)
 def test_neighbours_and_batch_size_do_not_matter(task: str) -> None:
     states, run = mixture(task), engine(task)

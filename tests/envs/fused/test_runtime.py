@@ -326,6 +326,7 @@ def test_another_release_of_warp_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     )
 
 
+@pytest.mark.slow
 def test_processes_that_build_at_once_are_quiet_and_import_no_warp(own_cache: Path) -> None:
     code = (
         "import sys; from tests.envs.fused.test_runtime import TOY, cpu;"
