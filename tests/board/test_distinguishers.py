@@ -207,6 +207,7 @@ def differences(seasons: tuple[Season, Season]) -> list[tuple[str, str]]:
     return [(a, b) for a, b in zip(first, second, strict=True) if a != b]
 
 
+@pytest.mark.slow
 def test_answers_logs_and_statements_are_the_same(two: tuple[Season, Season]) -> None:
     hidden = [hidden_returns(season.service) for season in two]
     assert sorted(hidden[0]) == sorted(hidden[1])

@@ -93,6 +93,7 @@ def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
     assert summarise_evaluation(recorded(played(job_of(counting(ROBOT)))), CONTEXT).by_place == {}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
 def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() -> None:
     def pair(spec: PolicySpec) -> tuple[pl.DataFrame, pl.DataFrame]:

@@ -32,6 +32,8 @@ from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
 from zoo.schema import Split
 
+pytestmark = pytest.mark.slow  # the pages of a release that stays as it is
+
 TASK = "gentle_scratch"
 # By algorithm: setting, seed, million steps, mean self-play. MASAC's steps are 4% above IPPO's few,
 # and of one team 7%.
@@ -534,7 +536,6 @@ def test_minutes_and_commands(data: Path, tmp_path: Path, registry: Registry, sp
     assert text.endswith(f"--data {data} --out {tmp_path / 'page.md'}\n```\n")
 
 
-@pytest.mark.slow
 def test_check_finds_a_changed_table(
     data: Path, tmp_path: Path, registry: Registry, capfd: pytest.CaptureFixture[str]
 ):

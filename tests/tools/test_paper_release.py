@@ -44,6 +44,8 @@ from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay, Training
 
+pytestmark = pytest.mark.slow  # the pages of a release that stays as it is
+
 ROOT = Path(__file__).parents[2]
 POPULATION = teams(20)
 PUBLISHED: list[Team] = [
@@ -632,7 +634,6 @@ def test_every_table_has_as_many_cells_in_each_row():
             assert len({line.count(" | ") for line in block.splitlines()}) == 1
 
 
-@pytest.mark.slow
 def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
     assert run(words) == 0
     first = (
@@ -736,7 +737,6 @@ def test_pictures_are_those_that_the_data_allow():
     assert not figures(results())
 
 
-@pytest.mark.slow
 def test_the_committed_page_is_what_the_committed_tables_give(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):

@@ -27,6 +27,7 @@ def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
         assert f'"{page}.md"' in settings, f"{page} is not in nav of zensical.toml"
 
 
+@pytest.mark.slow
 def test_no_table_is_left_as_text(built: Path) -> None:
     for path in built.rglob("*.html"):
         assert not re.search(r"<p>[^<]*\|\s*-{3,}", path.read_text(encoding="utf-8")), path.name
@@ -34,6 +35,7 @@ def test_no_table_is_left_as_text(built: Path) -> None:
     assert page.count("<table") == 3
 
 
+@pytest.mark.slow
 def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
     page = (built / "api.html").read_text(encoding="utf-8")
     for name in az.__all__:
