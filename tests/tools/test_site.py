@@ -42,6 +42,7 @@ def test_every_name_has_its_place_in_the_reference(built: Path) -> None:
         assert f'id="assistax_zoo.{name}"' in page, f"docs/api.md lacks {name}"
 
 
+@pytest.mark.slow
 def test_every_command_is_described(built: Path) -> None:
     from assistax_zoo.shell.main import all_commands
 
@@ -50,6 +51,7 @@ def test_every_command_is_described(built: Path) -> None:
         assert f'id="assistax-zoo-{name.replace(".", "-")}"' in page
 
 
+@pytest.mark.slow
 def test_a_command_ends_with_its_example(built: Path) -> None:
     page = (built.parent / "docs" / "commands.md").read_text(encoding="utf-8")
     of_evaluate = page.partition("## assistax-zoo evaluate\n")[2].partition("\n## ")[0]
@@ -58,6 +60,7 @@ def test_a_command_ends_with_its_example(built: Path) -> None:
     assert "Table of Contents" not in page
 
 
+@pytest.mark.slow
 def test_a_picture_opens_at_its_own_size(built: Path) -> None:
     for name in ("images/gentle_lift.webp", "images/speed.png", "images/my_robot-1.png"):
         pages = [path.read_text(encoding="utf-8") for path in built.rglob("*.html")]
