@@ -7,7 +7,7 @@ command and "token.create" one of a group or below another command, and `assista
 
 import functools
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from importlib import metadata, util
 
 COMMANDS, GROUPS = "assistax_zoo.commands", "assistax_zoo.groups"
 # First words of commands that stand in a distribution that may be missing.
@@ -47,7 +47,7 @@ def installed_groups() -> dict[str, str]:
 
 
 def check_installed(words: Sequence[str]) -> None:
-    """Refuse a command whose distribution is missing.
+    """Refuse a command whose distribution, or its package, is missing.
 
     Args:
         words: Words of the command line after the program's name.
@@ -60,11 +60,17 @@ def check_installed(words: Sequence[str]) -> None:
         for command in commands:
             if tuple(words[: len(command)]) == command and ".".join(command) not in have:
                 raise ValueError(
-                    f"`{' '.join(command)}` belongs to {distribution}, which is not installed; "
-                    f"install it in a clone of assistax-zoo with: {INSTALL[distribution]}"
+                    f"`{' '.join(command)}` belongs to {distribution}, which is not installed, or "
+                    "only in part; install it in a clone of assistax-zoo with: "
+                    f"{INSTALL[distribution]}"
                 )
 
 
 @functools.cache
-def _points(group: str) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=group))
+def _points(group: str) -> tuple[metadata.EntryPoint, ...]:
+    """Return a group's entry points, but for those whose package is missing."""
+    return tuple(
+        point
+        for point in metadata.entry_points(group=group)
+        if util.find_spec(point.module.partition(".")[0])
+    )

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from assistax_base.errors import ZooError
-from assistax_zoo.shell import console, main
+from assistax_zoo.shell import console, installed, main
 
 ROOT = Path(__file__).parents[2]
 FIRST_WORDS = {name.split(".")[0] for name in main.all_commands()}
@@ -184,6 +184,32 @@ def test_help_of_a_command_ends_with_an_example(
     usage, _, rest = capsys.readouterr().out.partition("\n")
     assert usage.startswith(f"Usage: assistax-zoo {' '.join(command)}")
     assert f"assistax-zoo {' '.join(command)}" in rest
+
+
+def test_a_distribution_without_its_package_fails_its_own_commands_alone(
+    fake: Callable,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    about = tmp_path / "assistax_zoo_board-0.1.0.dist-info"  # stands before the installed one
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: assistax-zoo-board\n")
+    (about / "entry_points.txt").write_text(
+        "[assistax_zoo.commands]\nserve = absent_board.commands:serve\n"
+        "[assistax_zoo.groups]\ntoken = absent_board.commands:TOKEN\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    # Every process reads the entry points once, and this one did.
+    monkeypatch.setattr(installed, "_points", installed._points.__wrapped__)
+    fake(lambda: print("done"))
+    assert main.run(["fake"]) == 0
+    assert capsys.readouterr() == ("done\n", "")
+    for words in (["serve", "--help"], ["token", "list"]):
+        assert main.run(words) == 1
+        [line] = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"error: `{words[0]}` belongs to assistax-zoo-board, which is not ")
+        assert line.endswith(installed.INSTALL["assistax-zoo-board"])
 
 
 def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
