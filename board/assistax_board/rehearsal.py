@@ -73,8 +73,7 @@ def rehearse(stage: Stage) -> Iterator[str]:
     from zoo.registry import load_registry
 
     yield "stage 1 of 6: train hidden teams"
-    count = train_hidden(stage)
-    yield f"trained {count} hidden teams from a secret plan: {stage.private}"
+    yield f"trained {train_hidden(stage)} hidden teams from a secret plan: {stage.private}"
     if preferences_of(stage.task):
         add_persons(stage.private, stage.task, PERSONS)
         yield f"drew {PERSONS} hidden persons from a secret, beside them"

@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 import ctypes
+import errno
 import gc
-import ipaddress
 import os
 import resource
 import signal
@@ -122,24 +122,6 @@ def run_server(
     _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
 
 
-def check_proxy(proxy: str | None) -> None:
-    """Refuse a name for whom to believe that is not the address of a proxy.
-
-    Raises:
-        ValueError: It is none: a wider one would let clients choose their own addresses.
-    """
-    for part in (proxy or "").split(",") if proxy is not None else ():
-        try:
-            network = ipaddress.ip_network(part.strip())
-        except ValueError:
-            network = None
-        if network is None or network.prefixlen == 0:
-            raise ValueError(
-                f"the proxy is {part.strip()!r}; give its address as the server sees it, such as "
-                "127.0.0.1, or a network such as 10.0.0.0/24"
-            )
-
-
 def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
     """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
@@ -218,10 +200,12 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         # In a turn of the event loop uvloop takes one connection of each listener, and asyncio's
         # own loop a whole backlog: one is too few for a crowd, and a crowd holds up the loop.
-        listener = self.config.bind_socket()
+        listeners = listen(self.config.host, self.config.port)
         self.config.backlog = TAKEN
-        await super().startup([listener, *(listener.dup() for _ in range(LISTENERS - 1))])
-        listener.listen(CONNECTIONS)
+        more = [listener.dup() for listener in listeners for _ in range(LISTENERS - 1)]
+        await super().startup([*listeners, *more])
+        for listener in listeners:
+            listener.listen(CONNECTIONS)
         gc.freeze()  # a full collection looked at all modules: a tenth of a second
 
     async def main_loop(self) -> None:
@@ -326,14 +310,34 @@ def _stop(process: Any) -> None:
         process.wait()
 
 
+def listen(host: str, port: int) -> list[socket.socket]:
+    """Listen on each address of a host: browsers take localhost for ::1 or for 127.0.0.1.
+
+    Raises:
+        ValueError: The port is taken on one of them, or the host is not this machine.
+    """
+    listeners: list[socket.socket] = []
+    try:
+        # Of IPv4 first: a machine without IPv6 may have names for its addresses all the same.
+        for family, *_, place in sorted({*socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}):
+            try:
+                address = place[0], port, *place[2:]
+                listeners.append(socket.create_server(address, family=family))
+            except OSError as error:
+                if not listeners or error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                    raise
+            port = listeners[0].getsockname()[1]
+    except OSError as error:
+        for listener in listeners:
+            listener.close()
+        raise ValueError(
+            f"cannot listen on {host}:{port} ({error.strerror}); choose another port"
+        ) from error
+    return listeners
+
+
 def free_port(host: str, port: int) -> int:
     """Return the port, or a free one if it is 0; say so now if it is taken."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise ValueError(
-                f"cannot listen on {host}:{port} ({error.strerror}); choose another port"
-            ) from error
-        return probe.getsockname()[1]
+    with contextlib.ExitStack() as stack:
+        first, *_ = map(stack.enter_context, listen(host, port))
+        return first.getsockname()[1]

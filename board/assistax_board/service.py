@@ -272,8 +272,7 @@ class Service:
         """Return the partners of a job's chunk."""
         season = closing.season_of(connection, job.submission)
         if job.panel == "public":
-            task = _task_of(connection, job.submission)
-            names = self.catalogue.public_panel(task)
+            names = self.catalogue.public_panel(_task_of(connection, job.submission))
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
         return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])

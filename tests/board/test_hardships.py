@@ -305,9 +305,9 @@ def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
 @pytest.mark.parametrize("proxy", ["*", "caddy", "0.0.0.0/0", "", "127.0.0.1,*"])
 def test_who_is_believed_is_an_address(proxy: str) -> None:
     with pytest.raises(ValueError, match="give its address"):
-        serve.check_proxy(proxy)
+        guards.check_proxy(proxy)
 
 
 def test_addresses_and_networks_are_believed() -> None:
     for proxy in (None, "127.0.0.1", "10.0.0.0/24, ::1"):
-        serve.check_proxy(proxy)
+        guards.check_proxy(proxy)

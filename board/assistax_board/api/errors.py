@@ -107,5 +107,4 @@ def _answer(
         answer: Response = page(request, status, message)
         answer.headers.update(headers or {})
         return answer
-    content = {"error": {"code": code, "message": message}}
-    return JSONResponse(content, status, headers=headers)
+    return JSONResponse({"error": {"code": code, "message": message}}, status, headers=headers)

@@ -1,6 +1,7 @@
 """What stands before every request: size, rate, and who asks."""
 
 import asyncio
+import ipaddress
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -120,6 +121,24 @@ def denial(problem: Problem) -> Response:
     """Return the answer to a live connection that is refused."""
     headers = {"Retry-After": str(problem.retry_after or 10)}
     return Response(problem.message, CODES[problem.code], headers)
+
+
+def check_proxy(proxy: str | None) -> None:
+    """Refuse a name for whom to believe that is not the address of a proxy.
+
+    Raises:
+        ValueError: It is none: a wider one would let clients choose their own addresses.
+    """
+    for part in (proxy or "").split(",") if proxy is not None else ():
+        try:
+            network = ipaddress.ip_network(part.strip())
+        except ValueError:
+            network = None
+        if network is None or network.prefixlen == 0:
+            raise ValueError(
+                f"the proxy is {part.strip()!r}; give its address as the server sees it, such as "
+                "127.0.0.1, or a network such as 10.0.0.0/24"
+            )
 
 
 def largest_body(path: str) -> int:

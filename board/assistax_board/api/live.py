@@ -140,8 +140,7 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
     except ValueError:
         code = "malformed"
     if code is not None:
-        refuse = socket.app.state.service.live_refused
-        await run_in_threadpool(refuse, seat.submission, code)
+        await run_in_threadpool(socket.app.state.service.live_refused, seat.submission, code)
     elif is_asked:  # otherwise a new worker has begun anew
         await socket.app.state.rooms.hear(seat.submission, data)
 

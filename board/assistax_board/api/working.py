@@ -95,12 +95,10 @@ def result(
     seconds: Annotated[float, Query(ge=0, le=1e6)],
 ) -> Counted:
     """Bring a result; one that is there already is not counted again."""
-    data = body[: MAX_TABLE_BYTES + 1]
-    return Counted(counted=service.result(job, lease, data, seconds))
+    return Counted(counted=service.result(job, lease, body[: MAX_TABLE_BYTES + 1], seconds))
 
 
 @router.get("/artefacts/{sha256}", response_class=Response)
 def artefact(service: TheService, worker: Worker, sha256: str) -> Response:
     """Return a robot or a packed private release."""
-    data = service.artefacts.get(sha256)
-    return Response(data, media_type="application/octet-stream")
+    return Response(service.artefacts.get(sha256), media_type="application/octet-stream")

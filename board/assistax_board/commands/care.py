@@ -70,8 +70,7 @@ def service_backup(target: Path, /, *, data: Path) -> None:
     """
     from assistax_board.store.backup import back_up
 
-    count = back_up(data, target)
-    print(f"{target} has the database, the key and {count} artefacts")
+    print(f"{target} has the database, the key and {back_up(data, target)} artefacts")
 
 
 def service_restore(source: Path, /, *, data: Path) -> None:

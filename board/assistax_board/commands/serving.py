@@ -29,7 +29,7 @@ def serve(
 
     Args:
         data: Folder for the database, the artefacts and the signing key; made if it is new.
-        host: Address to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
+        host: Address or name to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
         port: Port to listen on; 0 takes a free one.
         workers: Local worker processes; 0 if all workers run elsewhere.
         database: URL of a PostgreSQL database instead of SQLite in the folder.
@@ -37,8 +37,7 @@ def serve(
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play rows to compare with, such as scripts, when no submission waits.
-        proxy: Address of the proxy in front of the server, such as 127.0.0.1. Its X-Forwarded-For
-            says where a request comes from; without it no proxy is believed.
+        proxy: Address of the proxy in front of the server, whose X-Forwarded-For is believed.
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
 
     Example:
@@ -46,9 +45,10 @@ def serve(
     """
     from assistax_board import folder
     from assistax_board import serve as serving
+    from assistax_board.api.guards import check_proxy
     from assistax_board.work.webhook import check_address, watched
 
-    serving.check_proxy(proxy)
+    check_proxy(proxy)
     check_address(webhook)
     folder.check_folder(data)
     with serving.stopped_by_signals():
@@ -60,7 +60,7 @@ def serve(
         service.adopt_version()
         if references:
             serving.add_references_later(service)
-        address = f"http://{host}:{port}"
+        address = f"http://{f'[{host}]' if ':' in host else host}:{port}"
         print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
         print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
         options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]

@@ -120,9 +120,7 @@ def countdown(seconds: float) -> str:
     if minutes < 1:
         return "in less than a minute" if seconds > 0 else "now"
     days, hours, rest = minutes // 1440, minutes // 60 % 24, minutes % 60
-    if days:
-        return f"in {days} days {hours} hours"
-    return f"in {hours} hours {rest} minutes"
+    return f"in {days} days {hours} hours" if days else f"in {hours} hours {rest} minutes"
 
 
 def words(name: str) -> str:

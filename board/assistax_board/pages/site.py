@@ -104,5 +104,4 @@ class Site:
     def fresh(self, template: str, path: str, status: int = 200, **values: Any) -> Response:
         """Answer with a page that is nobody else's."""
         page: Page = pack(self.render(template, path, **values).encode())
-        headers = {"Cache-Control": "no-store"}
-        return Response(page.body, status, headers, page.media_type)
+        return Response(page.body, status, {"Cache-Control": "no-store"}, page.media_type)

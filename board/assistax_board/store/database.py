@@ -80,8 +80,7 @@ class Database:
     def one_at_a_time(self, connection: sa.Connection, what: str) -> None:
         """Let only this transaction do `what` until it ends; in SQLite every writer is alone."""
         if not self.is_sqlite:
-            lock = sa.func.pg_advisory_xact_lock(sa.func.hashtext(what))
-            connection.execute(sa.select(lock))
+            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(what))))
 
     def close(self) -> None:
         """Give all connections back."""

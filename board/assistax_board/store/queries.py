@@ -138,8 +138,7 @@ class Queries:
         )
         query = query if version is None else query.where(PARTNER_SCORE.version == version)
         with self.database.read() as connection:
-            rows = connection.execute(query).mappings()
-            return [_partner_score(row) for row in rows]
+            return [_partner_score(row) for row in connection.execute(query).mappings()]
 
     def versions(self, task: str) -> list[tuple[str, dict[str, Any]]]:
         """Return (id, identity) of what scored this task; the first is the newest, the board's."""

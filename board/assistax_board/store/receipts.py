@@ -28,8 +28,7 @@ class Signer:
     @property
     def public_key(self) -> str:
         """The public half, as base64 of its 32 bytes: what `receipt verify --key` takes."""
-        raw = self._key.public_key().public_bytes_raw()
-        return base64.b64encode(raw).decode("ascii")
+        return base64.b64encode(self._key.public_key().public_bytes_raw()).decode("ascii")
 
     def secret(self, purpose: str) -> bytes:
         """Return a secret of all servers that have this key, another one for each purpose."""

@@ -53,8 +53,7 @@ class Webhook:
         self._url, self._sent_file = url, data / SENT_FILE
         path = data / SECRET_FILE
         if not path.is_file():
-            text = f"{secret_text(secrets.token_bytes(32))}\n"
-            atomic_write(path, text.encode(), OWNER)
+            atomic_write(path, f"{secret_text(secrets.token_bytes(32))}\n".encode(), OWNER)
         self._secret = path.read_text().strip()
         signature(self._secret, "", 0, b"")
         self._sent: dict[str, float] = {}  # when a notice that was posted had happened last

@@ -101,8 +101,7 @@ def act(service: Service, fields: dict[str, str]) -> str:
             service.retry(submission, extra_attempt=bool(fields["extra_attempt"]))
             return f"Submission {submission} is queued again."
         case "extend":
-            closes_at = seconds_of(datetime.fromisoformat(fields["closes"]))
-            service.extend_season(season, closes_at)
+            service.extend_season(season, seconds_of(datetime.fromisoformat(fields["closes"])))
             return f"Season {season} closes later."
         case "disqualify":
             return f"{service.disqualify(season, lab)} submissions of {lab} left season {season}."

@@ -1,0 +1,73 @@
+"""Where a server listens: on every address of its host."""
+
+import contextlib
+import gc
+import socket
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+
+from assistax_board import serve
+from tests.board.fakes import new_service
+from tests.board.running import served
+
+ELSEWHERE = "2001:db8::1"  # an address of documentation: no machine's
+
+
+def name(monkeypatch: pytest.MonkeyPatch, *addresses: str) -> None:
+    """Give localhost these addresses, whatever they are on this machine."""
+    resolve = socket.getaddrinfo
+
+    def getaddrinfo(host: Any, *words: Any, **options: Any) -> list[Any]:
+        hosts = addresses if host == "localhost" else [host]
+        return [found for each in hosts for found in resolve(each, *words, **options)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+
+
+@pytest.fixture
+def ipv6() -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("needs IPv6")
+
+
+def test_a_server_answers_on_each_address_of_its_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ipv6: None
+) -> None:
+    name(monkeypatch, "::1", "127.0.0.1", "127.0.0.1")
+    monkeypatch.setattr(serve, "stop_limited", lambda: None)  # it would be for good
+
+    def kind(config: Any) -> Any:
+        config.host = "localhost"
+        return serve._Server(config, lambda: None)  # private: what `serve` runs
+
+    with served(new_service(tmp_path), kind=kind) as server:
+        for address in ("127.0.0.1", "[::1]"):
+            health = server.address.replace("127.0.0.1", address) + "/api/health"
+            assert httpx2.get(health).status_code == 200
+    gc.unfreeze()
+
+
+def test_an_address_that_the_machine_lacks_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    name(monkeypatch, ELSEWHERE, "127.0.0.1")
+    with contextlib.closing(*serve.listen("localhost", 0)) as listener:
+        assert listener.getsockname()[0] == "127.0.0.1"
+    with pytest.raises(ValueError, match="cannot listen on 2001:db8::1:0 "):
+        serve.listen(ELSEWHERE, 0)
+
+
+def test_a_port_that_is_taken_on_one_address_is_refused(
+    monkeypatch: pytest.MonkeyPatch, ipv6: None
+) -> None:
+    name(monkeypatch, "127.0.0.1", "::1")
+    with (
+        socket.create_server(("::1", 0), family=socket.AF_INET6) as taken,
+        pytest.raises(ValueError, match=r"in use .*::1.*; choose another port"),
+    ):
+        serve.listen("localhost", taken.getsockname()[1])
+    port = serve.free_port("localhost", 0)
+    assert serve.free_port("localhost", port) == port
