@@ -27,6 +27,7 @@ from assistax_board.store.played import warning_of
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of
+from zoo.registry import load_registry
 
 CHECK_PARTNERS, CHECK_EPISODES = 3, 2
 POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
@@ -35,7 +36,9 @@ POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
 def read_file(path: Path) -> bytes:
     """Return a robot's file, or that of a robot of the zoo; one that is too large is not read."""
     if not path.exists() and not path.suffix:
-        return _robot_of_zoo(str(path))
+        from zoo.exports.policies import policy_file
+
+        return policy_file(str(path), "safetensors", load_registry)
     if not path.is_file():
         raise ValueError(
             f"{path} is not a file; give a .safetensors file, an .onnx file or an id of the zoo"
@@ -43,16 +46,6 @@ def read_file(path: Path) -> bytes:
     if path.stat().st_size > MAX_BYTES:
         raise Refusal("too_large", f"{path.stat().st_size} bytes")
     return path.read_bytes()
-
-
-def _robot_of_zoo(id: str) -> bytes:
-    from zoo.exports.policies import export_policy
-    from zoo.registry import load_registry
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot.safetensors"
-        export_policy(id, "safetensors", path, load_registry)
-        return path.read_bytes()
 
 
 def check_file(
@@ -69,8 +62,6 @@ def check_file(
     Raises:
         Refusal: What the server would say.
     """
-    from zoo.registry import load_registry
-
     loaded = load_registry(registry)
     data = read_file(path)
     sizes = robot_sizes(loaded)
@@ -183,7 +174,6 @@ def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
 def _robot_at_home(reference: str, task: str) -> Any:
     """Return the callable of a robot such as python:mine:make, as `evaluate` makes it."""
     from evaluation.cast.egos import read_egos
-    from zoo.registry import load_registry
 
     [ego] = read_egos([reference], load_registry(), task).stacks
     if not hasattr(ego, "act"):

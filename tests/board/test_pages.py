@@ -1,6 +1,7 @@
 """Pages: all are there, none runs what a name holds, forms are answered to their writers."""
 
 import dataclasses
+import hashlib
 import json
 import os
 import re
@@ -29,13 +30,16 @@ from assistax_board.pages.routes import films as film_routes
 from assistax_board.pages.security import FIELD
 from assistax_board.pages.videos import Pair, Videos, run_command
 from assistax_board.store import schema
+from assistax_board.store.database import Database
 from assistax_board.store.played import statement_of
 from assistax_board.store.queries import STATEMENT
-from assistax_board.store.schema import SCORE
+from assistax_board.store.schema import SCORE, SUBMISSION
 from assistax_envs.persons.rows import described_numbers, person
-from tests.board.board_data import HOSTILE, make_app
+from tests.board.board_data import HOSTILE, Robot, make_app
 from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
+from zoo.exports.policies import policy_file
+from zoo.registry import load_registry
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
 EXPLORER = "/tasks/scratch/explorer"
@@ -139,6 +143,33 @@ def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
     line = "partners met in training: not known"
     assert handed_in and all(line in client.get(address).text for address in handed_in)
     assert measure and all(line not in client.get(address).text for address in measure)
+
+
+def test_of_a_published_ego_it_is_said_whom_it_met(tmp_path: Path) -> None:
+    """Its bytes are those that `export` writes; what a changed file says of itself is no proof."""
+    ego = load_registry().policy("scratch/ppo-ego-s0-v1/robot")
+    assert ego.trained_against is not None
+    data = policy_file(ego.id, "safetensors", load_registry)
+    digest = hashlib.sha256(data).hexdigest()
+    changed = hashlib.sha256(data.replace(b"self_play", b"self-play")).hexdigest()
+    app = make_app(tmp_path, (Robot("lab", "published", 900.0), Robot("school", "changed", 800.0)))
+    database, ids = Database(f"sqlite:///{tmp_path / 'service.db'}"), {}
+    with database.write() as connection:
+        for method, sha256 in (("published", digest), ("changed", changed)):
+            row = {"sha256": sha256, "bytes": len(data), "created_at": 0.0}
+            connection.execute(schema.artefacts.insert(), row)
+            where = SUBMISSION.method == method
+            connection.execute(sa.update(schema.submissions).where(where).values(artefact=sha256))
+            ids[method] = connection.execute(sa.select(SUBMISSION.id).where(where)).scalar_one()
+    with TestClient(app) as client:
+        pages = {method: client.get(f"/submissions/{id}").text for method, id in ids.items()}
+    said = {m: re.findall(r"met in training: ([^<]+)", page) for m, page in pages.items()}
+    database.close()
+    split = ego.trained_against.split
+    assert said == {
+        "published": [f"the training side of {split}, as the registry says"],
+        "changed": ["not known"],
+    }
 
 
 def test_a_hostile_name_stays_a_text(client: TestClient) -> None:

@@ -8,7 +8,6 @@ from typing import Any, Literal
 from assistax_base.digest import sha256
 from assistax_base.errors import ExportError
 from assistax_base.files import atomic_write
-from population.networks.spec import PolicySpec
 from zoo.ids import OWN
 from zoo.met.published import met_in_training
 from zoo.parameters.storage import load_stacks, read_policy_file
@@ -40,7 +39,7 @@ def export_policy(
         ExportError: The file exists with other content.
         ZooError: The policy is not there, or damaged.
     """
-    content = pkgutil.resolve_name(_WRITERS[format])(*_read_policy(name, registry))
+    content = policy_file(name, format, registry)
     there = out.is_file() and out.read_bytes() == content
     if out.exists() and not there and not force:
         raise ExportError(str(out), "no file, or the same policy", "other content")
@@ -50,17 +49,20 @@ def export_policy(
     return {**facts, "sha256": sha256(content), "written": not there}
 
 
-def _read_policy(
-    name: str, registry: Callable[[], Registry]
-) -> tuple[PolicySpec, Any, dict[str, Any]]:
-    """Return spec, parameters and metadata of a policy of the registry or of a file."""
+def policy_file(name: str, format: Format, registry: Callable[[], Registry]) -> bytes:
+    """Return the bytes that `export_policy` writes."""
+    write = pkgutil.resolve_name(_WRITERS[format])
     if name.endswith(".safetensors"):
-        return read_policy_file(name)
+        return write(*read_policy_file(name))
     loaded = registry()
     entry = loaded.policy(name)
     if entry.disability == OWN:
-        expected, found = "a policy with parameters", "a person, who is a program and its numbers"
-        raise ExportError(name, expected, found, "read its numbers: `assistax-zoo show`")
+        raise ExportError(
+            name,
+            "a policy with parameters",
+            "a person, who is a program and its numbers",
+            "read its numbers: `assistax-zoo show`",
+        )
     [stack] = load_stacks(loaded, [entry])
     met = met_in_training(loaded, entry).claim if entry.role == "robot" else {}
     metadata = {
@@ -71,4 +73,4 @@ def _read_policy(
         "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
         **met,
     }
-    return stack.spec, stack.row(0), metadata
+    return write(stack.spec, stack.row(0), metadata)

@@ -266,6 +266,4 @@ def bounds_of(
     if crossplay is not None:
         known = [crossplay.best_returns.get(name) for name in partners]
         best += [] if None in known else [np.array(known)]
-    if low is None or not best:
-        return None
-    return Bounds(np.max(best, axis=0), low.mean(axis=(0, 2)))
+    return None if low is None or not best else Bounds(np.max(best, 0), low.mean(axis=(0, 2)))
