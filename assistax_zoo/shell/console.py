@@ -57,8 +57,7 @@ def answer(json: bool, content: Any, *lines: str) -> None:
 
 def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
     """Show changes and return whether the user takes them; only a terminal is asked."""
-    lines = [printable(f"  {change}") for change in changes]
-    print(*lines, sep="\n", file=sys.stderr)
+    print(*(printable(f"  {change}") for change in changes), sep="\n", file=sys.stderr)
     if yes or not sys.stdin.isatty():
         return yes
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
@@ -263,6 +262,4 @@ def _plain(value: Any) -> Any:
         return str(value)
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -52,7 +52,10 @@ def test_choices_are_those_of_the_validation_side(
     words = ["train-ego", "--task", "scratch", "--seeds", "4", "--steps", "288", *TINY]
     words += ["--validate", "3", "--best-of", "2", "--backend", "native", "--json"]
     assert run([*words, "--registry", str(registry), "--out", str(out)]) == 0
-    answer = json.loads(capfd.readouterr().out)["choices"]
+    printed = capfd.readouterr()
+    answer = json.loads(printed.out)["choices"]
+    assert "\n1 of 2, scratch ppo: " in printed.err  # counters begin anew in the second
+    assert "\n2 of 2, validate scratch, steps of policies: " in printed.err
     split = prepare(load_registry(registry), "scratch", steps=288).split
     played = Record.read(out / "validation").returns
     assert set(played.partners["partner_team"]) == set(split.validation)

@@ -27,7 +27,7 @@ def test_stages_write_what_each_robot_earns_with_each_person(
     plan = Plan(TASK, tmp_path, (0, 1), 600, 2, 25, 2, changes, horizon=30)
     run_stages(plan, ("told", "best", "script", "search", "read"), lines.append)
     files = read_stages(tmp_path)
-    assert [line.partition(":")[0] for line in lines] == [
+    assert [line.partition(":")[0] for line in lines if not line.startswith("stage ")] == [
         *(f"told with {side}" for side in STRANGERS),
         f"best with {SINGLE}",
         *(f"script with {side}" for side in (SINGLE, *STRANGERS)),
@@ -49,6 +49,14 @@ def test_stages_write_what_each_robot_earns_with_each_person(
     before = json.loads((tmp_path / "told.json").read_text())
     run_stages(plan, ("told",), lines.append)  # trained already: only played again
     assert json.loads((tmp_path / "told.json").read_text()) == before
+
+
+def test_each_stage_is_told_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    # Nothing public runs a stage without hours of training.
+    monkeypatch.setattr(persons, "_stage", lambda *_: {})
+    run_stages(Plan(TASK, tmp_path), ("ppo", "read"), lines.append)
+    assert lines == ["stage 1 of 2, ppo", "stage 2 of 2, read"]
 
 
 def test_a_stage_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from assistax_base.digest import sha256
 from assistax_base.files import write_json
 from assistax_envs.preferences import WISHES
 from assistax_workshop.gates.persons import recipe_with_persons
-from assistax_zoo.shell.console import TrainingLine
+from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, each_person, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
@@ -179,8 +179,8 @@ def _trained(
     stay as they are at the end of their training.
     """
     row, sizes, learning = making.row, making.sizes, _learning(making, split)
-    watched = row.source in ("train", "best-of")  # by the validation side
-    line, start = TrainingLine(str(folder)), time.perf_counter()
+    watched = "validation" in row.stages
+    line = TrainingLine(f"{row.stage('training')} in {folder}")
     kept: dict[str, Any] = {"snapshots": sizes.checkpoints * watched, "progress": line}
     with contextlib.closing(line):
         egos = train_egos(learning, folder, backend=making.how.backend, **kept)
@@ -191,7 +191,8 @@ def _trained(
         return run, ends
     start = time.perf_counter()
     playing: dict[str, Any] = {"best_of": sizes.best_of, "persons": sizes.validators}
-    chosen = choose(making.registry, learning, run, making.how, **playing)
+    with study_progress(row.stage("validation")) as line:
+        chosen = choose(making.registry, learning, run, making.how, on_progress=line, **playing)
     seconds["validation"] = time.perf_counter() - start
     picked = chosen.best if row.source == "best-of" else chosen.by_seed
     if not picked:
@@ -220,7 +221,8 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
     partners = _partners(making, "validation", making.sizes.validators)
     cast = cast_robots(registry, [entry.id for entry in robots], partners)
     start, folder = time.perf_counter(), making.runs / "validation"
-    evaluate(cast, making.how, folder, include_own=True)
+    with study_progress(making.row.stage("validation")) as line:
+        evaluate(cast, making.how, folder, include_own=True, on_progress=line)
     seconds["validation"] = time.perf_counter() - start
     returns = Record.read(folder).returns.evaluated_side
     return str(returns.egos["ego"][int(returns.scores.mean(axis=1).argmax())])
@@ -236,6 +238,8 @@ def _evaluate(making: Making, files: list[str], seconds: dict[str, float]) -> No
     references = making.sizes.references and not knowing and not row.told
     cast = cast_robots(making.registry, files, (split, humans), baselines=references)
     start, kept = time.perf_counter(), cache_root() / "references" if references else None
-    summary = evaluate(cast, making.how, folder, include_own=knowing, references=kept)
+    playing: dict[str, Any] = {"include_own": knowing, "references": kept}
+    with study_progress(row.stage("evaluation")) as line:
+        summary = evaluate(cast, making.how, folder, on_progress=line, **playing)
     seconds["evaluation"] = time.perf_counter() - start
     write_run(folder, making.command, summary.env_steps_per_second is not None)

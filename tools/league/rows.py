@@ -37,6 +37,17 @@ class Row:
         """The row whose training this one needs."""
         return PPO if self.source == "best-of" else self.name
 
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """What is done for it, in this order."""
+        training = () if self.source == "published" else ("training",)
+        validation = () if self.source in ("test", "each") else ("validation",)
+        return (*training, *validation, "evaluation")
+
+    def stage(self, name: str) -> str:
+        """Return a stage with its place, such as "2 of 3, validation of gru"."""
+        return f"{self.stages.index(name) + 1} of {len(self.stages)}, {name} of {self.name}"
+
 
 def rows() -> dict[str, Row]:
     """Return all rows that can be made, by name, in the league's order.

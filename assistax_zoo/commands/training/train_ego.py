@@ -62,7 +62,8 @@ def train_ego(
         --out runs/ego
     """
     what = training.what(steps)
-    with shown_training(f"{task} {algorithm}", json_lines) as progress:
+    first = "1 of 2, " if choosing.validate else ""
+    with shown_training(f"{first}{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare
 
         loaded = load_registry(registry)
@@ -112,7 +113,7 @@ def _choices(
     from evaluation.validation import choose
 
     task = prepared.config.task
-    with study_progress(f"validate {task}") as line:
+    with study_progress(f"2 of 2, validate {task}") as line:
         where = registry, prepared, egos.run, How(task, backend=backend)
         return choose(*where, best_of=choosing.best_of, on_progress=line)
 

@@ -125,7 +125,8 @@ def run_stages(
     """
     if unknown := [name for name in stages if name not in STAGES]:
         raise ValueError(f"stage is {unknown[0]!r}; allowed are {', '.join(STAGES)}")
-    for name in stages:
+    for number, name in enumerate(stages, 1):
+        progress(f"stage {number} of {len(stages)}, {name}")
         earned = _stage(plan, name, progress)
         write_json(plan.folder / f"{name}.json", earned)
         for side, figures in earned.get("sides", {}).items():
