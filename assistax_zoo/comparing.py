@@ -149,5 +149,4 @@ def compare_named(
         pairs[task, method, baseline] = Pair(*records, split)
         notes += comparison_notes(met)
     figures = contrast_figures(file, digest, path.name, pairs, seed=seed)
-    said = tuple(dict.fromkeys((*figures.notes, *notes)))
-    return dataclasses.replace(figures, notes=said)
+    return dataclasses.replace(figures, notes=tuple(dict.fromkeys((*figures.notes, *notes))))

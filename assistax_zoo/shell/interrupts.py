@@ -6,12 +6,17 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Generator
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import NoReturn
 
 EXIT_INTERRUPT = 130
 GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
+
+# What calls a module of C or C++ as it is loaded.
+LOADING = ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__
 
 _interrupted = threading.Event()
 _ending = threading.RLock()
@@ -74,8 +79,13 @@ def end_now() -> NoReturn:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Remember Ctrl-C before anybody's handler can make another error of it."""
+    """Remember Ctrl-C before anybody's handler can make another error of it.
+
+    A module of C++ that is being loaded, such as JAX's, lets no exception through: it aborts.
+    """
     _interrupted.set()
+    if any(caller.f_code in LOADING for caller, _ in traceback.walk_stack(frame)):
+        end_now()
     raise KeyboardInterrupt
 
 

@@ -152,6 +152,27 @@ def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> N
     assert done.stdout == "interrupted\n" * 2 + "3 0\n"
 
 
+def test_ctrl_c_while_jax_is_loaded_is_one_line() -> None:
+    """Its C++ makes an enumeration in Python, and would abort at an exception from there."""
+    program = """
+import enum, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+from assistax_zoo.shell.interrupts import ended_by_interrupts
+
+def press(frame, event, argument):
+    caller = frame.f_back and frame.f_back.f_code.co_name
+    if frame.f_code.co_filename == enum.__file__ and caller == "_call_with_frames_removed":
+        sys.setprofile(None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+with ended_by_interrupts():
+    sys.setprofile(press)
+    import jax
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+
+
 LAST_MOMENTS = {
     "lost in a destructor": """
 class Lost:

@@ -150,5 +150,4 @@ def _float32(leaves: Leaves) -> dict[str, Any]:
 
 def _content_sha256(spec: PolicySpec, metadata: Mapping[str, Any], leaves: Leaves) -> str:
     """Return the sha256 that a policy file carries of itself: of spec, metadata and leaves."""
-    content = [spec.to_json(), dict(metadata), row_sha256(leaves)]
-    return json_sha256(content, spaced=True)
+    return json_sha256([spec.to_json(), dict(metadata), row_sha256(leaves)], spaced=True)

@@ -44,8 +44,7 @@ def clean_cache(
     Example:
         assistax-zoo cache clean --what xla --what references --yes
     """
-    kinds = chosen_kinds(what)
-    results = [clean(kind) if yes else (held(kind), []) for kind in kinds]
+    results = [clean(kind) if yes else (held(kind), []) for kind in chosen_kinds(what)]
     shown, busy = [kind for kind, _ in results], [path for _, paths in results for path in paths]
     total = sum(kind.bytes for kind in shown)
     lines = [f"{_amount(kind)}  {kind.what}" for kind in shown]

@@ -29,8 +29,7 @@ Files = Mapping[str, Mapping[str, Any]]  # of stages, by name
 
 def read_stages(folder: Path) -> dict[str, dict[str, Any]]:
     """Return what stages left in a folder, by name."""
-    files = sorted(folder.glob("*.json"))
-    return {path.stem: json.loads(path.read_text()) for path in files}
+    return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
 
 
 def gates_of_persons(task: str, files: Files) -> list[Gate]:
