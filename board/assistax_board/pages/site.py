@@ -1,12 +1,16 @@
 """What all pages share: where their facts come from, and how they are kept and answered."""
 
+import contextlib
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
 
+from assistax_base.digest import sha256
+from assistax_base.errors import ZooError
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.cache import HTML, Page, PageCache, pack, respond
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
@@ -18,6 +22,7 @@ from assistax_board.rules.catalogue import public_entries
 from assistax_board.store.played import describe_partners, partners_in_words
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Submission
+from zoo.exports.policies import policy_file
 from zoo.registry import Registry
 
 LIVE = 1.0  # seconds that a page of the database may be old
@@ -42,6 +47,20 @@ class Site:
     cache: PageCache
     tokens: FormTokens
     read: Callable[[str], bytes]  # a file that was handed in, by its sha256
+
+    @functools.cached_property
+    def met_by_file(self) -> dict[str, str]:
+        """Whom published egos met, by the sha256 of the file that `export` writes of each.
+
+        So nothing that a file says of itself is asked.
+        """
+        met = {}
+        for ego in self.registry.policies:
+            if ego.task in self.tasks and ego.trained_against:
+                with contextlib.suppress(ZooError):  # its parameters are not on this machine
+                    file = policy_file(ego.id, "safetensors", lambda: self.registry)
+                    met[sha256(file)] = f"the training side of {ego.trained_against.split}"
+        return met
 
     def task(self, task: str) -> str:
         """Return the task if there is one of this name."""

@@ -1,6 +1,5 @@
 """Pages of what happened: a submission, the seasons and the ledger."""
 
-import contextlib
 import json
 import time
 from collections.abc import Sequence
@@ -9,8 +8,6 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from assistax_base.digest import sha256
-from assistax_base.errors import ZooError
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
@@ -18,8 +15,6 @@ from assistax_board.pages.routes.rows import being_computed
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.played import partners_in_words, statement_of
 from assistax_board.store.shown import Score, Season, Submission
-from zoo.exports.policies import policy_file
-from zoo.registry import Registry
 
 _ENTRIES = 200  # of the ledger on one page
 LAST_ENTRY = 2**31 - 1  # that a database counts to
@@ -96,7 +91,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "season": season,
         "plays": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,
-        "met": met_by_published(site.registry, submission),
+        "met": site.met_by_file.get(submission.artefact or ""),
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda score: (-score.created_at, score.panel)),
@@ -107,22 +102,6 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "axis": axis_over(means),
         "has_film": film_values(site, submission)["state"] is not None,
     }
-
-
-def met_by_published(registry: Registry, submission: Submission) -> str | None:
-    """Return whom the registry says a robot met, if its file is that of an ego of the registry.
-
-    What a file says of itself is not asked: its bytes are held against those of `export`.
-    """
-    egos = (
-        (ego.id, f"the training side of {ego.trained_against.split}")
-        for ego in registry.policies
-        if ego.task == submission.task and ego.trained_against
-    )
-    with contextlib.suppress(ZooError):  # their parameters are not on this machine
-        files = ((policy_file(id, "safetensors", lambda: registry), met) for id, met in egos)
-        return next((met for file, met in files if sha256(file) == submission.artefact), None)
-    return None
 
 
 def _own_figures(scores: Sequence[Score], versions: Sequence[str]) -> dict[str, Any] | None:
