@@ -132,8 +132,8 @@ def sentences(
     ]
     if others:
         yield (
-            f"Not named before, but above PPO if Holm corrects for all {len(chances)} contrasts "
-            f"that were played: {listing(others, 12)}."
+            "Not named before, or played with fewer seeds than named, but above PPO if Holm "
+            f"corrects for all {len(chances)} contrasts that were played: {listing(others, 12)}."
         )
     for start, some in (
         ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
