@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -47,20 +46,22 @@ class Site:
     cache: PageCache
     tokens: FormTokens
     read: Callable[[str], bytes]  # a file that was handed in, by its sha256
+    met: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)  # see `met_by_file`
 
-    @functools.cached_property
-    def met_by_file(self) -> dict[str, str]:
-        """Whom published egos met, by the sha256 of the file that `export` writes of each.
+    def met_by_file(self, task: str) -> dict[str, str]:
+        """Whom a task's published egos met, by the sha256 of the file that `export` writes of each.
 
-        So nothing that a file says of itself is asked.
+        So nothing that a file says of itself is asked. It is kept: some egos met thousands.
         """
-        met = {}
-        for ego in self.registry.policies:
-            if ego.task in self.tasks and ego.trained_against:
-                with contextlib.suppress(ZooError):  # its parameters are not on this machine
-                    file = policy_file(ego.id, "safetensors", lambda: self.registry)
-                    met[sha256(file)] = f"the training side of {ego.trained_against.split}"
-        return met
+        if task not in self.met:
+            met = {}
+            for ego in self.registry.policies:
+                if ego.task == task and ego.trained_against:
+                    with contextlib.suppress(ZooError):  # its parameters are not on this machine
+                        file = policy_file(ego.id, "safetensors", lambda: self.registry)
+                        met[sha256(file)] = f"the training side of {ego.trained_against.split}"
+            self.met[task] = met
+        return self.met[task]
 
     def task(self, task: str) -> str:
         """Return the task if there is one of this name."""
