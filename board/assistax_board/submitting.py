@@ -27,7 +27,6 @@ from assistax_board.store.played import warning_of
 from assistax_board.vocabulary import BACKEND, FINAL_STATES
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of
-from zoo.registry import load_registry
 
 CHECK_PARTNERS, CHECK_EPISODES = 3, 2
 POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
@@ -37,6 +36,7 @@ def read_file(path: Path) -> bytes:
     """Return a robot's file, or that of a robot of the zoo; one that is too large is not read."""
     if not path.exists() and not path.suffix:
         from zoo.exports.policies import policy_file
+        from zoo.registry import load_registry
 
         return policy_file(str(path), "safetensors", load_registry)
     if not path.is_file():
@@ -62,6 +62,8 @@ def check_file(
     Raises:
         Refusal: What the server would say.
     """
+    from zoo.registry import load_registry
+
     loaded = load_registry(registry)
     data = read_file(path)
     sizes = robot_sizes(loaded)
@@ -174,6 +176,7 @@ def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
 def _robot_at_home(reference: str, task: str) -> Any:
     """Return the callable of a robot such as python:mine:make, as `evaluate` makes it."""
     from evaluation.cast.egos import read_egos
+    from zoo.registry import load_registry
 
     [ego] = read_egos([reference], load_registry(), task).stacks
     if not hasattr(ego, "act"):
