@@ -37,7 +37,7 @@ def serve(
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play rows to compare with, such as scripts, when no submission waits.
-        proxy: Address of the proxy in front of the server, whose X-Forwarded-For is believed.
+        proxy: Address of the proxy whose X-Forwarded-For is believed, such as 127.0.0.1; else none.
         webhook: Address to which notices are posted, signed with `webhook-secret` of the folder.
 
     Example:
