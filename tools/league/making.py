@@ -150,8 +150,9 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     """Return what is to be trained with a split's training side."""
     row, sizes = making.row, making.sizes
     alone = row.source == "each" and split.rule == PERSONS
-    gentle = row.algorithm != "sac" and split.task in WISHES
-    recipe = recipe_with_persons(split.task) if gentle else {}
+    recipe: dict[str, Any] = {}
+    if split.task in WISHES and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
+        recipe = recipe_with_persons(split.task)
     if split.rule != PERSONS:
         recipe.pop("num_envs", None)  # of which every team gets the same share
     learning = prepare(
