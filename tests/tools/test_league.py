@@ -53,6 +53,10 @@ def test_a_stage_is_told_with_its_place() -> None:
         (["row", "dreamer", "scratch"], "row is 'dreamer'; allowed are best-fixed, ppo"),
         (["row", "ppo", "swim"], "task is 'swim'"),
         (["row", "ppo", "scratch", "--split", "half-s0-v0"], "has no validation side"),
+        (
+            ["row", "ppo", "gentle_scratch", "--split", "three-sides", "--side", "train"],
+            "only best responses are of another side",
+        ),
     ],
 )
 def test_what_cannot_be_made_gets_one_line(words, message, tmp_path, capsys) -> None:
@@ -96,8 +100,8 @@ seeds = 4
 """
     )
 
-    def make(name: str) -> dict:
-        words = ["row", name, "scratch", "--out", str(league), "--registry", str(registry)]
+    def make(name: str, *more: str) -> dict:
+        words = ["row", name, "scratch", "--out", str(league), "--registry", str(registry), *more]
         capfd.readouterr()
         code = run([*words, "--seeds", "4", "--contrasts", str(contrasts), *TINY])
         printed = capfd.readouterr()
@@ -132,11 +136,17 @@ seeds = 4
     assert list(row_folders(league / "scratch")) == [
         *("best-fixed", "ppo", "ppo-best-of-4", "gru", "mirror", "best-response")
     ]
+    trained = make("best-response", "--side", "train")
+    side = row_folders(league / "scratch/training-side")
+    assert trained["robots"] == 8 and list(side) == ["ppo", "gru", "best-response"]
+    met = {tuple(_partners(place)) for place in side.values()}
+    assert len(met) == 1 and set(*met) < set(split.train)
     out, images = tmp_path / "tables", tmp_path / "images"
     words = ["page", str(league), "--out", str(out), "--images", str(images)]
     assert run([*words, "--contrasts", str(contrasts)]) == 0
     assert {path.name for path in out.iterdir()} == {
         *("scratch-league.csv", "scratch-partners.csv", "scratch-validation.csv"),
+        "scratch-training-side.csv",
         *("rows.csv", "contrasts.csv", "contrasts.json"),
     }
     assert {path.name for path in images.iterdir()} == {
@@ -175,6 +185,8 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     put(tmp_path / "league/scratch", "ppo", np.full((4, 10), 200.0), baselines=True)
     put(tmp_path / "league/scratch", "gru", np.full((4, 10), 300.0))
     put(tmp_path / "league/scratch", "told-preference", np.full((4, 10), 350.0))
+    put(tmp_path / "league/scratch/training-side", "gru", np.full((4, 10), 380.0))
+    put(tmp_path / "league/scratch/training-side", "best-response", np.full((4, 10), 400.0))
     contrasts, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
     contrasts.write_text(NAMED)
     words = ["page", str(tmp_path / "league"), "--contrasts", str(contrasts), "--text", str(text)]
@@ -185,6 +197,7 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
     assert row.endswith("| 0 of 10 persons |") and "`gru` wins 66% of 151 points" in page
+    assert "each earn with that person, `gru` earns 380 of 400 (95%) in `scratch`" in page
     assert page.count("](images/") == 2  # nobody was validated, so there are no curves
     assert "nan" not in page and "Above PPO at Holm's 5% over all named contrasts: `gru`" in page
     first_screen = page[: page.index("![")]

@@ -32,7 +32,7 @@ def test_release_v1_is_table_6(role: str) -> None:
     assert all(entry.self_play for entry in teams)
 
 
-def test_egos_were_trained_with_persons_or_the_default_split() -> None:
+def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
     egos = REGISTRY.data.egos
     assert sorted(egos) == [
         "arm_assist/ppo-ego-s0-v1",
@@ -44,6 +44,8 @@ def test_egos_were_trained_with_persons_or_the_default_split() -> None:
         "gentle_lift/asymmetric-ego-s15-v3",
         "gentle_lift/ppo-ego-s0-v2",
         "gentle_lift/ppo-ego-s2-v3",
+        "gentle_scratch/asymmetric_gru-ego-s102-v3",
+        "gentle_scratch/asymmetric_gru-ego-s122-v3",
         "gentle_scratch/gru-ego-s7-v3",
         "gentle_scratch/ppo-ego-s0-v2",
         "gentle_scratch/ppo-ego-s0-v3",
@@ -51,6 +53,7 @@ def test_egos_were_trained_with_persons_or_the_default_split() -> None:
     ]
     for team, ego in egos.items():
         whom = "persons" if team.endswith(("-v3", "-v4")) else None
+        whom = "three-sides" if team.endswith("-s102-v3") else whom
         split = REGISTRY.split(team.partition("/")[0], whom)
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 

@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError
@@ -60,6 +60,7 @@ def row(
     checkpoints: int = 10,
     best_of: int = 4,
     sampled: int = 16,
+    side: Literal["test", "train"] = "test",
     persons: int | None = None,
     validators: int | None = None,
     references: bool = True,
@@ -85,7 +86,9 @@ def row(
         seed: Seed of the episodes.
         checkpoints: At how many equal steps the validation side is played.
         best_of: Of how many seeds the best is the row ppo-best-of-4's.
-        sampled: Test partners that have best responses.
+        sampled: Partners of the side that have best responses.
+        side: Whose partners these are. With those of the training side the best robots of all
+            methods in OUT play too, and the folder is OUT/TASK/training-side.
         persons: How many persons of the test side play.
         validators: How many of the validation side; default as many.
         references: Whether zero, random and script play too; once in a league is enough.
@@ -119,7 +122,7 @@ def row(
     )
     command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])
     chosen, folder = loaded.split(task, split), out / task
-    record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts))
+    record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side))
     print(json.dumps(record, indent=1))
 
 

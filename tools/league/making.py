@@ -5,7 +5,7 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
@@ -23,13 +23,15 @@ from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
 from evaluation.validation import check_validation, choose
 from population.runs.trained import TrainedRun
-from tools.league.rows import Row
+from tools.league.rows import Row, rows
 from zoo.ids import PERSONS
 from zoo.locations import cache_root
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
-RUNS, RECORD = "runs", "row.json"  # of a task's folder: trainings, and a row's record
+Side = Literal["test", "train"]
+# Of a task's folder: trainings, a row's record, and best responses to training partners.
+RUNS, RECORD, TRAINING_SIDE = "runs", "row.json", "training-side"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,11 +61,17 @@ class Making:
     folder: Path  # of the task
     command: str
     contrasts: Path | None = None
+    side: Side = "test"  # whose partners have best responses
+
+    @property
+    def place(self) -> Path:
+        """The folder of rows that play with this side."""
+        return self.folder if self.side == "test" else self.folder / TRAINING_SIDE
 
     @property
     def runs(self) -> Path:
         """The folder of the row's trainings, and of its record."""
-        return self.folder / RUNS / self.row.name
+        return self.place / RUNS / self.row.name
 
 
 def make_row(making: Making) -> dict[str, Any]:
@@ -75,16 +83,24 @@ def make_row(making: Making) -> dict[str, Any]:
         ValueError: The split has no validation side, or what is there is of another row.
     """
     check_validation(making.split)
+    if making.side != "test" and making.row.source != "each":
+        raise ValueError(
+            f"side is {making.side!r} for row {making.row.name!r}; only best responses are of "
+            "another side: leave side out, or play robots with that side by `evaluate --split`"
+        )
     digest = read_contrasts(making.contrasts)[1] if making.contrasts else None
     seconds: dict[str, float] = {}
     files, trainings = _robots(making, seconds)
-    _evaluate(making, files, seconds)
+    _evaluate(making, files, making.place / making.row.name, seconds)
+    if making.side == "train":
+        _play_beside(making, seconds)
     path = making.runs / RECORD
     before = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
     # What was found finished took no time now: it took what it took before.
     old = before.get("device_minutes", {})
     minutes = {name: max(round(s / 60, 2), old.get(name, 0.0)) for name, s in seconds.items()}
-    summary: Any = read_summary(making.folder / making.row.name)
+    summary: Any = read_summary(making.place / making.row.name)
+    played = getattr(summary, f"m_{making.side}")
     record = {
         "row": making.row.name,
         "task": making.how.task,
@@ -100,7 +116,7 @@ def make_row(making: Making) -> dict[str, Any]:
         "robot_files": {Path(file).name: file for file in files},
         "contrasts": digest,
         # Of best responses with all partners, not with each one's own.
-        "m_test": {"mean": summary.m_test.mean, "mean_ci": summary.m_test.mean_ci},
+        f"m_{making.side}": {"mean": played.mean, "mean_ci": played.mean_ci},
         "machine": describe_machine(),
     }
     making.runs.mkdir(parents=True, exist_ok=True)
@@ -133,8 +149,8 @@ def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[
 
 
 def sampled(making: Making) -> list[PolicyEntry]:
-    """Return the partners of the test side that have best responses: a draw, fewer part of more."""
-    _, humans = _partners(making, "test", making.sizes.persons)
+    """Return the partners of the side that have best responses: a draw, fewer part of more."""
+    _, humans = _partners(making, making.side, making.sizes.persons)
     drawn = sorted(humans, key=lambda human: sha256(human.id.encode()))[: making.sizes.sampled]
     return sorted(drawn, key=lambda human: human.id)
 
@@ -229,10 +245,20 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
     return str(returns.egos["ego"][int(returns.scores.mean(axis=1).argmax())])
 
 
-def _evaluate(making: Making, files: list[str], seconds: dict[str, float]) -> None:
-    """Play the robots with the test side into the row's folder."""
-    row, folder = making.row, making.folder / making.row.name
-    split, humans = _partners(making, "test", making.sizes.persons)
+def _play_beside(making: Making, seconds: dict[str, float]) -> None:
+    """Play the best robots of the league's methods with the partners that have best responses."""
+    for path in sorted((making.folder / RUNS).glob("*/training/choices.json")):
+        row = rows().get(path.parent.parent.name)
+        if row and row.source == "train" and not row.told:
+            best = parse_json(path.read_text(encoding="utf-8"))["best"]
+            files = [str(path.parent / choice["file"]) for choice in best]
+            _evaluate(making, files, making.place / row.name, seconds)
+
+
+def _evaluate(making: Making, files: list[str], folder: Path, seconds: dict[str, float]) -> None:
+    """Play robots with the row's partners into a folder."""
+    row = making.row
+    split, humans = _partners(making, making.side, making.sizes.persons)
     if row.source == "each":
         humans = sampled(making)
     knowing = row.source in ("test", "each")  # robots that train with the test side
@@ -242,5 +268,5 @@ def _evaluate(making: Making, files: list[str], seconds: dict[str, float]) -> No
     playing: dict[str, Any] = {"include_own": knowing, "references": kept}
     with study_progress(row.stage("evaluation")) as line:
         summary = evaluate(cast, making.how, folder, on_progress=line, **playing)
-    seconds["evaluation"] = time.perf_counter() - start
+    seconds["evaluation"] = seconds.get("evaluation", 0.0) + time.perf_counter() - start
     write_run(folder, making.command, summary.env_steps_per_second is not None)

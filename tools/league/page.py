@@ -17,7 +17,7 @@ from evaluation.plots.league import failure_chart, failures, league_chart, valid
 from evaluation.plots.style import save_figure
 from evaluation.record import tables
 from evaluation.validation import CURVE
-from tools.league.making import RECORD, RUNS
+from tools.league.making import RECORD, RUNS, TRAINING_SIDE
 from tools.league.results import Played, results_page
 from tools.league.rows import rows
 
@@ -51,12 +51,15 @@ def write_page(
     if not places:
         raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
     played = [Played(read_league(place), place) for place in places]
+    sides = [side for place in places if row_folders(side := place / TRAINING_SIDE)]
+    trained = [Played(read_league(side), side) for side in sides]
     league = {task.task: league_table(task.league) for task in played}
     shares = {task.task: failures(task.league.by_partner) for task in played}
     curves = {task.task: _curves(task.folder) for task in played}
     curves = {task: some for task, some in curves.items() if some}
     records = pl.DataFrame(_records(places))
     named = {"league": league, "partners": shares}
+    named["training-side"] = {task.task: league_table(task.league) for task in trained}
     named["validation"] = {task: _long(some) for task, some in curves.items()}
     written = [
         _csv(table, out / f"{task}-{what}.csv")
@@ -81,7 +84,8 @@ def write_page(
         near = {"images": images, "tables": out}
         shown = {name: what for name, what in FIGURES.items() if curves or name != "validation"}
         links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
-        atomic_write(text, results_page(played, tested, records, links, shown).encode())
+        page = results_page(played, tested, records, links, shown, trained)
+        atomic_write(text, page.encode())
         written.append(text)
     return written
 

@@ -74,6 +74,7 @@ def results_page(
     records: pl.DataFrame,
     places: Mapping[str, str],
     figures: Mapping[str, str],
+    trained: Sequence[Played] = (),
 ) -> str:
     """Return the page in Markdown.
 
@@ -83,11 +84,13 @@ def results_page(
         records: A row of each row's making: `steps` and `device_minutes_in_all`.
         places: Links: "images" and "tables", relative to the page.
         figures: What they show, by name.
+        trained: What was played with partners of the training side.
     """
     images, tables = places["images"], places["tables"]
     contrasts, alpha = (tested.contrasts, tested.alpha) if tested else ((), 1.0)
     said = "\n".join(
-        f"{place}. {text}" for place, text in enumerate(sentences(tasks, contrasts, alpha), 1)
+        f"{place}. {text}"
+        for place, text in enumerate(sentences(tasks, contrasts, alpha, trained), 1)
     )
     missing = [
         f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
@@ -116,7 +119,10 @@ def results_page(
 
 
 def sentences(
-    tasks: Sequence[Played], contrasts: Sequence[ContrastFigure], alpha: float
+    tasks: Sequence[Played],
+    contrasts: Sequence[ContrastFigure],
+    alpha: float,
+    trained: Sequence[Played] = (),
 ) -> Iterator[str]:
     """Yield what the first screen says beside the table of tasks, ten sentences at most."""
     for found, words in ((True, "Above PPO"), (False, "Not shown to be above PPO")):
@@ -137,7 +143,8 @@ def sentences(
         )
     for start, some in (
         ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
-        ("Of what robots of one person each earn with that person", _beside(tasks)),
+        ("Of what robots of one test person each earn with that person", _beside(tasks)),
+        ("Of what robots of one training person each earn with that person", _beside(trained)),
     ):
         if said := [text for text in some if text]:
             yield f"{start}, {listing(said, 12)}."
@@ -206,8 +213,9 @@ def _beside(tasks: Sequence[Played]) -> Iterator[str]:
             best, returns = task.methods[0].row, task.league.by_partner
             own = returns.filter(pl.col("row") == RESPONSE).select("partner", own="mean")
             both = returns.filter(pl.col("row") == best).join(own, on="partner")
-            share = both["mean"].to_numpy().sum() / both["own"].to_numpy().sum()
-            yield f"`{best}` earns {share:.0%} in `{task.task}`"
+            earned, bound = (both[name].to_numpy().mean() for name in ("mean", "own"))
+            share = f"{earned:.0f} of {bound:.0f} ({earned / bound:.0%})"
+            yield f"`{best}` earns {share} in `{task.task}`"
 
 
 def _apart(task: Played) -> str | None:
