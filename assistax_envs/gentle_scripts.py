@@ -214,7 +214,7 @@ def script_of(
 
 def uses_numbers(task: str, version: int) -> bool:
     """Return whether a task's script in this version is one of those here."""
-    return task in OWN and version not in REGISTERED[task].older
+    return task in OWN and (task not in OLDER or version not in REGISTERED[task].older)
 
 
 def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:

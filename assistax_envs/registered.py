@@ -48,12 +48,13 @@ REGISTERED: dict[str, Registered] = {
     ),
     "gentle_feeding": Registered(
         "gentle_feeding:GentleFeeding",
-        1,
+        2,
         "feed",
         "spoon",
         wishes=("wait", "depth"),
         felt=True,
         seat="mouth",
+        older=(1,),
     ),
     "gentle_brushing": Registered(
         "gentle_brushing:GentleBrushing",

@@ -22,7 +22,7 @@ PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() i
 GENTLE_TASKS: tuple[str, ...] = tuple(
     name for name, task in REGISTERED.items() if task.felt and task.seat == "arm"
 )
-# The gentle tasks at the mouth. Nobody has published partners for them yet.
+# The gentle tasks at the mouth. Their published partners are persons; no team has learned them.
 CARE_TASKS: tuple[str, ...] = tuple(
     name for name, task in REGISTERED.items() if task.seat == "mouth"
 )

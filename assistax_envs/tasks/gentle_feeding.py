@@ -88,6 +88,7 @@ class FeedState:
     bitten: jax.Array  # N, the smoothed force of a lip on it
     left: jax.Array  # m of this stage's way a step ago; NaN before its first step
     earned: jax.Array  # what this bite has paid: a spill takes it back
+    tilted: jax.Array  # bool: the last step spilt
     violated: jax.Array  # bool, some contact was above its limit
     likes: Liking
 
@@ -131,6 +132,15 @@ class GentleFeeding(AtMouth):
         "spill": 10.0,
     }
 
+    def __init__(self, *scene: Any, version: int = 2, **options: Any) -> None:
+        """Take the scene and options of `AtMouth`, and the environment's version.
+
+        In version 1 each step of a tilted spoon is a spill of its own, so that one spoon which
+        nobody levels takes thousands. From version 2 on it spills once, until it is level again.
+        """
+        super().__init__(*scene, **options)
+        self._spills_once = version > 1
+
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
         pose_key, likes_key, start_key = jax.random.split(key, 3)
@@ -157,6 +167,7 @@ class GentleFeeding(AtMouth):
             bitten=jnp.zeros((), jnp.float32),
             left=jnp.full((), jnp.nan, jnp.float32),
             earned=jnp.zeros((), jnp.float32),
+            tilted=jnp.zeros((), bool),
             violated=jnp.zeros((), bool),
             likes=wishes(params, likes_key),
         )
@@ -194,12 +205,13 @@ class GentleFeeding(AtMouth):
         }
         pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
         pay["hold"] = (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE)
+        charged = spilt & ~(s.tilted & self._spills_once)
         earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
         terms = (
             pay
             | {
                 "level": -jnp.clip((1.0 - r.level) / (1.0 - SPILT), 0.0, 1.0),
-                "spill": spilt * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
+                "spill": charged * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
             }
             | costs(r)
         )
@@ -213,6 +225,7 @@ class GentleFeeding(AtMouth):
             bitten=bitten,
             left=jnp.where(changed, jnp.nan, left),
             earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
+            tilted=spilt,
             violated=violated,
             likes=s.likes,
         )

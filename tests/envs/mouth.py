@@ -35,8 +35,8 @@ SPRING, HOLDS, TORQUE = 0.8, 0.19, 0.8  # N m/rad, N m: the jaw's, as in `care_s
 class LaidOut:
     """One simulation of a task, whose readings a test lays out by hand; `begun` is its start."""
 
-    def __init__(self, task: str, preference: str) -> None:
-        env = environment(task, "native")
+    def __init__(self, task: str, preference: str, version: int | None = None) -> None:
+        env = make(task, "native", version=version) if version else environment(task, "native")
         # The task itself, whose terms are compared.
         self.task: Any = env._task
         params = disability_params(["d1"], [preference])

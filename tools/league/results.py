@@ -32,7 +32,8 @@ LIMITS = """- Persons are numbers and a program. Nothing here is about people. W
 - Checkpoints of all rows are chosen by the validation side, except those of best responses and of
   the mirror. These met the test side and stay as they are at the end of training.
 - Hyperparameters are those of PPO's gates for all methods. A method may be better with its own.
-- In feeding a spoon that stays tilted costs points in each step, so a few episodes rule the means.
+- In feeding, which is played in version 1, a spoon that stays tilted costs points in each step, so
+  a few episodes rule the means.
   [Medians and safe success](log/league.md#what-was-tried-and-what-explains-it) put
   `asymmetric_gru` first.
 """
