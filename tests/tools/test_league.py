@@ -197,7 +197,7 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
     assert row.endswith("| 0 of 10 persons |") and "`gru` wins 66% of 151 points" in page
-    assert "each earn with that person, `gru` earns 380 of 400 (95%) in `scratch`" in page
+    assert "each trained for one training person, `gru` earns 380 of 400 (95%) in `scratch`" in page
     assert page.count("](images/") == 2  # nobody was validated, so there are no curves
     assert "nan" not in page and "Above PPO at Holm's 5% over all named contrasts: `gru`" in page
     first_screen = page[: page.index("![")]

@@ -126,26 +126,38 @@ def sentences(
     trained: Sequence[Played] = (),
 ) -> Iterator[str]:
     """Yield what the first screen says beside the table of tasks, ten sentences at most."""
-    for found, words in ((True, "Above PPO"), (False, "Not shown to be above PPO")):
-        some = [c for c in contrasts if c.named and (c.found and c.difference.mean > 0) == found]
-        if some:
-            said = [_contrast(contrast, detectable=not found) for contrast in some]
-            yield f"{words} at Holm's {alpha:.0%} over all named contrasts: {listing(said, 12)}."
+    named = [contrast for contrast in contrasts if contrast.named]
+    above = [contrast for contrast in named if contrast.found and contrast.difference.mean > 0]
+    if above:
+        said = listing([_contrast(contrast) for contrast in above], 12)
+        yield f"Above PPO at Holm's {alpha:.0%} over all named contrasts: {said}."
+    others: dict[str, list[str]] = {}
+    for contrast in named:
+        if contrast not in above:
+            others.setdefault(contrast.method, []).append(f"`{contrast.task}`")
+    if others:
+        said = listing(
+            [f"`{method}` in {' and '.join(where)}" for method, where in others.items()], 12
+        )
+        yield (
+            f"Not shown to be above PPO: {said}. [The tables](#tables) say which difference would "
+            "have been found in 80% of repetitions."
+        )
     chances = holm([contrast.p for contrast in contrasts])
-    others = [
-        _contrast(contrast, detectable=False)
+    unnamed = [
+        _contrast(contrast)
         for contrast, chance in zip(contrasts, chances, strict=True)
         if not contrast.named and chance <= alpha and contrast.difference.mean > 0
     ]
-    if others:
+    if unnamed:
         yield (
             "Not named before, or played with fewer seeds than named, but above PPO if Holm "
-            f"corrects for all {len(chances)} contrasts that were played: {listing(others, 12)}."
+            f"corrects for all {len(chances)} contrasts that were played: {listing(unnamed, 12)}."
         )
     for start, some in (
         ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
-        ("Of what robots of one test person each earn with that person", _beside(tasks)),
-        ("Of what robots of one training person each earn with that person", _beside(trained)),
+        ("Beside robots that were each trained for one person of the test side", _beside(tasks)),
+        ("Beside robots that were each trained for one training person", _beside(trained)),
     ):
         if said := [text for text in some if text]:
             yield f"{start}, {listing(said, 12)}."
@@ -180,12 +192,10 @@ def _figure(row: LeagueRow) -> str:
     return f"{row.mean.mean:.0f}" + (f" [{ends[0]:.0f}, {ends[1]:.0f}]" if ends else "")
 
 
-def _contrast(contrast: ContrastFigure, *, detectable: bool) -> str:
-    said = f"`{contrast.method}` in `{contrast.task}` ({contrast.difference.mean:+.0f}"
-    if detectable:
-        return f"{said}, where {contrast.detectable_holm:.0f} would have been found in 80%)"
+def _contrast(contrast: ContrastFigure) -> str:
     low, high = contrast.difference.mean_ci or (float("nan"),) * 2
-    return f"{said} [{low:.0f}, {high:.0f}])"
+    difference = f"{contrast.difference.mean:+.0f} [{low:.0f}, {high:.0f}]"
+    return f"`{contrast.method}` in `{contrast.task}` ({difference})"
 
 
 def _chance(p: float) -> str:
