@@ -14,6 +14,7 @@ from evaluation.figures.contrasts import (
     named_pairs,
     read_contrasts,
 )
+from evaluation.figures.league import row_folders
 from evaluation.figures.summary import ComparisonSummary, summarise_comparison
 from evaluation.record import tables
 from evaluation.record.record import Record
@@ -113,8 +114,8 @@ def compare_named(
 
     Args:
         contrasts: The file, TOML or JSON, see `evaluation.figures.contrasts`.
-        folders: Finished evaluations, one for each method and task; a folder's name is its
-            method's.
+        folders: Finished evaluations, one for each method and task, whose folders' names are the
+            methods'; a league's folder of a task stands for its rows.
         seed: Of the resamples.
 
     Raises:
@@ -132,7 +133,7 @@ def compare_named(
     path = Path(contrasts)
     file, digest = read_contrasts(path)
     results = {}
-    for folder in map(Path, folders):
+    for folder in (row for f in map(Path, folders) for row in row_folders(f).values() or [f]):
         result = evaluation_of(folder)
         key = result.summary.task, folder.resolve().name
         if key in results:

@@ -8,7 +8,7 @@ import functools
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
@@ -98,13 +98,28 @@ sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its chec
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as slow the cases of a test whose id has a word of its mark `slow_for`."""
-    for item in items:
-        words = [word for mark in item.iter_markers("slow_for") for word in mark.args]
-        if any(word in item.name.partition("[")[2] for word in words):
-            item.add_marker(pytest.mark.slow)
+@pytest.hookimpl(wrapper=True)  # here are all cases of a test, whichever will be chosen
+def pytest_pycollect_makeitem(collector: pytest.Collector, name: str) -> Generator[None, Any, Any]:
+    """Mark as slow the cases of a test whose id has a word of its mark `slow_for`.
+
+    Raises:
+        CollectError: A word is in no case's id.
+    """
+    made = yield
+    cases = {}
+    if isinstance(made, list):
+        cases = {case.name.partition("[")[2].removesuffix("]"): case for case in made}
+    marks = [mark for case in cases.values() for mark in case.iter_markers("slow_for")]
+    for word in dict.fromkeys(word for mark in marks for word in mark.args):
+        slow = [case for id, case in cases.items() if word in id]
+        if not slow:
+            raise collector.CollectError(
+                f"{collector.nodeid}::{name}: slow_for has {word!r}, which is in no case's id; "
+                f"ids are {', '.join(cases)}"
+            )
+        for case in slow:
+            case.add_marker(pytest.mark.slow)
+    return made
 
 
 @pytest.fixture(scope="module")

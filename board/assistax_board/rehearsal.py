@@ -72,7 +72,7 @@ def rehearse(stage: Stage) -> Iterator[str]:
     """
     from zoo.registry import load_registry
 
-    yield "stage 1 of 6: train hidden teams"
+    yield "stage 1 of 6, train hidden teams"
     yield f"trained {train_hidden(stage)} hidden teams from a secret plan: {stage.private}"
     if preferences_of(stage.task):
         add_persons(stage.private, stage.task, PERSONS)
@@ -87,28 +87,28 @@ def rehearse(stage: Stage) -> Iterator[str]:
             return stack.enter_context(contextlib.closing(made))
 
         yield f"a server with a worker answers at {server.address}, on {stage.older}"
-        yield "stage 2 of 6: open a season and hand robots in"
+        yield "stage 2 of 6, open a season and hand robots in"
         root = service.open_season(SEASON, service.clock() + stage.open_seconds)
         yield f"season {SEASON} is open for {stage.open_seconds:.0f} s; its root is {root}"
         submitted: list[tuple[Client, str]] = []
         for line, lab, id in hand_in(stage, service, client):
             submitted.append((lab, id))
             yield line
-        yield "stage 3 of 6: upgrade the server"
+        yield "stage 3 of 6, upgrade the server"
         yield from upgrade(stage, service, server, *submitted[0])
         submitted.append(connect_live(stage, service, client))
         yield f"a live robot plays as {submitted[-1][1]}: it meets public partners alone"
-        yield "stage 4 of 6: wait for the closing date"
+        yield "stage 4 of 6, wait for the closing date"
         visitor, closes_at = client(), closing_date(service)
         wait("the season closes at its date", lambda: state_of(visitor) in ("closing", "closed"))
         if service.clock() < closes_at:
             raise ValueError("the season closed before its date")
         yield "the closing date came: nothing more is taken, panel B is played"
-        yield "stage 5 of 6: kill the server while it closes, and play panel B"
+        yield "stage 5 of 6, kill the server while it closes, and play panel B"
         yield from kill(stage, service, server)
         yield from scores_of(submitted)
         wait("everything is revealed", lambda: state_of(visitor) == "closed")
-        yield "stage 6 of 6: reveal, prove, check, back up"
+        yield "stage 6 of 6, reveal, prove, check, back up"
         yield from check(stage, service, visitor, season, root)
     yield "the server has stopped, and its workers with it"
 

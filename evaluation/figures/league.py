@@ -69,11 +69,14 @@ def ordered(names: Iterable[str]) -> list[str]:
 
 
 def row_folders(folder: Path) -> dict[str, Path]:
-    """Return the folders of a league's rows by name, in order; none where it is no league."""
+    """Return the folders of a league's rows by name, in order; none where it is no league.
+
+    A finished evaluation is none, whatever lies in its folder.
+    """
     found = {
         place.name: place
         for place in (folder.iterdir() if folder.is_dir() else ())
-        if (place / tables.SUMMARY_FILE).is_file()
+        if (place / tables.SUMMARY_FILE).is_file() and not (folder / tables.SUMMARY_FILE).is_file()
     }
     return {name: found[name] for name in ordered(found)}
 

@@ -48,18 +48,18 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
     """
     caption = "IQM over seeds; band: pointwise 95% bootstrap."
     figure, panels = _panels("Validation", caption, curves, 3.4, left=0.75)
-    palette = (*dict.fromkeys(style.ALGORITHMS.values()), *style.OTHERS)
     names = ordered({name for rows in curves.values() for name in rows})
+    colours = style.algorithm_colours(names)
+    looks = [mark + dash for dash in style.DASHES for mark in style.MARKERS]
     for rect, (task, rows) in zip(panels, curves.items(), strict=True):
         axes = figure.add_axes(rect)
         for name in ordered(rows):
             wide = rows[name].pivot("seed", index="steps", values="return").sort("steps")
             values = wide.drop("steps").to_numpy().T
-            steps, place = wide["steps"].to_numpy() / 1e6, names.index(name)
-            colour, mark = (kind[place % len(kind)] for kind in (palette, style.MARKERS))
-            band = curve_band(values)
+            steps, band, colour = wide["steps"].to_numpy() / 1e6, curve_band(values), colours[name]
             centre = band[0] if band else values.mean(axis=0)
-            axes.plot(steps, centre, color=colour, label=name, marker=mark, markersize=4)
+            look = looks[names.index(name) % len(looks)]
+            axes.plot(steps, centre, look, color=colour, label=name, markersize=4)
             if band:
                 axes.fill_between(steps, band[1], band[2], color=colour, alpha=0.15, linewidth=0)
         axes.set_xlabel(f"{task}: million environment steps of a robot", fontsize=9)

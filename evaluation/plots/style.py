@@ -44,8 +44,14 @@ ALGORITHMS = {
     **{"ippo": "#990011", "mappo": "#ff8800", "isac": "#88eeaa", "masac": "#7777aa"},
     **{"mep": "#002222", "ppo": "#990011", "sac": "#88eeaa"},
 }
+# Of a league's rows beside ppo and sac, found by the same search.
+ROWS = {
+    **{"asymmetric": "#33bbaa", "asymmetric_gru": "#ff0088", "gru": "#0000dd", "liam": "#aabb66"},
+    **{"palm": "#6699aa", "rl2": "#aa44ff", "rma": "#0055bb", "mirror": "#aa1177"},
+    **{"told-preference": "#996677", "told-gru": "#550066", "told-partner": "#aa8855"},
+}
 OTHERS = ("#dd1111", "#cc99dd", "#447744", "#005544")  # of methods that are not ours
-MARKERS = ("o", "s", "^", "D", "v", "P")
+MARKERS, DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", ":", "-.")
 # One hue for each level of the elbow's range, lighter as strength falls.
 _DISABILITY = {
     **{"d1": "#331100", "d2": "#bb5566", "d3": "#eeaabb"},
@@ -196,9 +202,8 @@ def figure_bytes(figure: Figure, ending: str, dpi: int, part: Bbox | None = None
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:
     """Give each algorithm its colour; other methods take turns, by their place in the alphabet."""
     known = sorted({name for name in names if name is not None})
-    others = [name for name in known if name.lower() not in ALGORITHMS]
-    spare = {name: OTHERS[i % len(OTHERS)] for i, name in enumerate(others)}
-    return {name: spare.get(name) or ALGORITHMS[name.lower()] for name in known}
+    spare = iter(OTHERS * len(known))
+    return {name: (ALGORITHMS | ROWS).get(name.lower()) or next(spare) for name in known}
 
 
 def disability_colours(names: Iterable[str | None]) -> dict[str, str]:

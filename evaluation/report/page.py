@@ -69,7 +69,7 @@ def write_report(
         FileNotFoundError: The folder, or a table in it, is missing.
         ValueError: The folder holds neither an evaluation nor a cross-play nor a league.
     """
-    league = not (folder / tables.SUMMARY_FILE).is_file() and bool(row_folders(folder))
+    league = bool(row_folders(folder))
     if contrasts is not None and not league:
         raise ValueError(f"{folder} is no folder of rows, which contrasts are of; leave them out")
     if path.suffix.lower() not in (".html", ".htm"):

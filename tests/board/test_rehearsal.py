@@ -41,7 +41,7 @@ def test_a_season_is_rehearsed(
     words += ["--minutes", "2.5"]  # the disk is full for a part of them
     assert run(words) == 0, capsys.readouterr().err
     lines = capsys.readouterr().out
-    stages = re.findall(r"stage (\d) of 6: ", lines)
+    stages = re.findall(r"stage (\d) of 6, ", lines)
     assert stages == list("123456")
     assert lines.count("panel B: ") == 2
     for text in (

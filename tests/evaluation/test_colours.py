@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
+from evaluation.figures.league import MIRROR, TOLD, TOLD_MEMORY, TOLD_PARTNER
 from evaluation.plots import style
+from population.hyperparameters import METHODS
 
 ROOT = Path(__file__).parents[2]
 # Machado et al. (2009), full severity, on linear RGB.
@@ -30,6 +32,10 @@ XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1
 SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
 OURS = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "mep"])
 OTHERS = style.algorithm_colours(["e", "f", "g", "h"])
+# Rows whose learning curves usually stand in one figure.
+ROWS = style.algorithm_colours(
+    ["ppo", "sac", *METHODS, TOLD, TOLD_MEMORY, TOLD_PARTNER, MIRROR],
+)
 MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
 CLEAR, SEEN = 15.0, 8.0  # CIEDE2000: of two colours for full vision, and for any vision
 
@@ -88,7 +94,7 @@ def test_the_distance_is_that_of_its_authors(first: list, other: list, distance:
 @pytest.mark.parametrize("vision", COLOUR_VISION)
 def test_colours_of_a_strip_and_of_strips_side_by_side_differ(vision: str):
     least = CLEAR if vision == "normal" else SEEN
-    for strip in (OURS, SETTINGS):
+    for strip in (OURS, SETTINGS, ROWS):
         for (one, first), (two, other) in itertools.combinations(strip.items(), 2):
             assert closest([first], [other], vision) > least, (one, two)
     assert closest(OURS.values(), SETTINGS.values(), vision) > least
@@ -97,10 +103,13 @@ def test_colours_of_a_strip_and_of_strips_side_by_side_differ(vision: str):
 
 @pytest.mark.parametrize("vision", COLOUR_VISION)
 def test_other_methods_differ_from_ours_and_among_themselves(vision: str):
+    rows = {name: colour for name, colour in ROWS.items() if name not in style.ALGORITHMS}
     for first, other in itertools.combinations(OTHERS.values(), 2):
         assert closest([first], [other], vision) > SEEN
-    assert closest(OTHERS.values(), OURS.values(), vision) > SEEN
-    assert closest(OTHERS.values(), SETTINGS.values(), vision) > 6.0
+    assert closest(OTHERS.values(), rows.values(), vision) > SEEN
+    for colours in (OTHERS, rows):
+        assert closest(colours.values(), OURS.values(), vision) > SEEN
+        assert closest(colours.values(), SETTINGS.values(), vision) > 6.0
 
 
 @pytest.mark.parametrize(
@@ -129,7 +138,7 @@ def test_an_algorithm_has_one_colour_whatever_stands_beside_it():
         for path in (ROOT / folder).rglob("*.py")
         if path.name != "style.py"
     }
-    known = {*style.ALGORITHMS.values(), *SETTINGS.values()}
+    known = {*style.ALGORITHMS.values(), *style.ROWS.values(), *SETTINGS.values()}
     assert [path for path, colours in everywhere.items() if known & set(colours)] == []
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,19 @@ def test_named_contrasts_are_tested_together(rows: dict[str, Path], file: Path) 
     assert 0 < gru.detectable < gru.detectable_holm < 50
     assert (gru.seeds, gru.partners) == ((4, 4), 8)  # the test side alone
     assert figures.sha256 == sha256(file.read_bytes())
+
+
+def test_a_leagues_folder_stands_for_its_rows(rows: dict[str, Path], file: Path, capfd) -> None:
+    league = shutil.copytree(rows["ppo"].parent, file.parent / "league")
+    (league / "runs" / "ppo").mkdir(parents=True)  # what `tools.league row` writes beside rows
+    assert compare_named(file, [league]) == compare_named(file, [league / row for row in rows])
+    assert run(["compare", str(league), "--contrasts", str(file)]) == 0
+    assert "gru - ppo" in capfd.readouterr().out
+    method(league / "gru" / "sac", 0.0, 9)  # in an evaluation, and no row
+    contrasts = compare_named(file, [league / "ppo", league / "gru"]).contrasts
+    assert [contrast.method for contrast in contrasts] == ["gru"]
+    with pytest.raises(FileNotFoundError, match=r"runs/summary\.json"):
+        compare_named(file, [league / "runs"])
 
 
 def test_fewer_seeds_than_named_are_another_contrast(rows: dict[str, Path], file: Path) -> None:

@@ -21,6 +21,7 @@ from evaluation.figures.saved_tables import save_evaluation
 from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
 from evaluation.record import tables
 from evaluation.record.record import Record
+from population.hyperparameters import METHODS
 from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
 from tests.evaluation.test_contrasts import NAMED
 
@@ -184,3 +185,12 @@ def test_figures_have_a_place_for_every_row(league: Path) -> None:
     )
     lines = validation_curves({"scratch": {"ppo": curve, "gru": curve}}).axes[0].lines
     assert [list(line.get_ydata()) for line in lines] == [[2.0, 3.0]] * 2
+
+
+def test_every_row_of_a_figure_has_a_look_of_its_own() -> None:
+    curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
+    known = ["ppo", "sac", *METHODS, *LAST]
+    names = ordered([*known, *(f"own-{place}" for place in range(24 - len(known)))])
+    lines = validation_curves({"scratch": dict.fromkeys(names, curve)}).axes[0].lines
+    looks = [(line.get_marker(), line.get_linestyle()) for line in lines]
+    assert len(set(looks)) == len(names) == 24

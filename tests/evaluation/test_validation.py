@@ -54,8 +54,9 @@ def test_choices_are_those_of_the_validation_side(
     assert run([*words, "--registry", str(registry), "--out", str(out)]) == 0
     printed = capfd.readouterr()
     answer = json.loads(printed.out)["choices"]
-    assert "\n1 of 2, scratch ppo: " in printed.err  # counters begin anew in the second
-    assert "\n2 of 2, validate scratch, steps of policies: " in printed.err
+    # Counters begin anew in the second.
+    assert "\nstage 1 of 2, training of scratch ppo: " in printed.err
+    assert "\nstage 2 of 2, validation of scratch, steps of policies: " in printed.err
     split = prepare(load_registry(registry), "scratch", steps=288).split
     played = Record.read(out / "validation").returns
     assert set(played.partners["partner_team"]) == set(split.validation)

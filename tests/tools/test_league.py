@@ -42,9 +42,9 @@ def test_a_method_that_is_made_known_later_is_a_row(monkeypatch: pytest.MonkeyPa
 def test_a_stage_is_told_with_its_place() -> None:
     """Counters begin anew in each stage."""
     known = rows()
-    assert known["gru"].stage("validation") == "2 of 3, validation of gru"
-    assert known["best-fixed"].stage("validation") == "1 of 2, validation of best-fixed"
-    assert known["best-response"].stage("evaluation") == "2 of 2, evaluation of best-response"
+    assert known["gru"].stage("validation") == "stage 2 of 3, validation of gru"
+    assert known["best-fixed"].stage("validation") == "stage 1 of 2, validation of best-fixed"
+    assert known["best-response"].stage("evaluation") == "stage 2 of 2, evaluation of best-response"
 
 
 @pytest.mark.parametrize(

@@ -45,8 +45,9 @@ class Row:
         return (*training, *validation, "evaluation")
 
     def stage(self, name: str) -> str:
-        """Return a stage with its place, such as "2 of 3, validation of gru"."""
-        return f"{self.stages.index(name) + 1} of {len(self.stages)}, {name} of {self.name}"
+        """Return a stage with its place, such as "stage 2 of 3, validation of gru"."""
+        place = self.stages.index(name) + 1
+        return f"stage {place} of {len(self.stages)}, {name} of {self.name}"
 
 
 def rows() -> dict[str, Row]:

@@ -33,7 +33,8 @@ def compare(
 
     Args:
         folders: A and B, which `assistax-zoo evaluate --out` filled, of the same task, split,
-            episodes and seed; with --contrasts a folder for each method and task.
+            episodes and seed; with --contrasts a folder for each method and task, or a league's of
+            a task.
         contrasts: File of named contrasts, TOML or JSON; docs/league.md shows one.
         seed: Seed of the bootstrap.
         json: Print JSON.
@@ -143,9 +144,8 @@ def report(
     figures = None
     if contrasts is not None:
         from assistax_zoo.comparing import compare_named
-        from evaluation.figures.league import row_folders
 
-        figures = compare_named(contrasts, list(row_folders(folder).values()))
+        figures = compare_named(contrasts, [folder])
     with stdout_is_data():
         if watch:
             _record_worst(folder)

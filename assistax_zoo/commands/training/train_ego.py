@@ -62,7 +62,7 @@ def train_ego(
         --out runs/ego
     """
     what = training.what(steps)
-    first = "1 of 2, " if choosing.validate else ""
+    first = "stage 1 of 2, training of " if choosing.validate else ""
     with shown_training(f"{first}{task} {algorithm}", json_lines) as progress:
         from evaluation.ego_training import prepare
 
@@ -113,7 +113,7 @@ def _choices(
     from evaluation.validation import choose
 
     task = prepared.config.task
-    with study_progress(f"2 of 2, validate {task}") as line:
+    with study_progress(f"stage 2 of 2, validation of {task}") as line:
         where = registry, prepared, egos.run, How(task, backend=backend)
         return choose(*where, best_of=choosing.best_of, on_progress=line)
 
