@@ -26,7 +26,8 @@ from tools.league.rows import rows
 from tools.release_page.markdown import table
 
 LIMITS = """- Persons are numbers and a program. Nothing here is about people. With partners that
-  are networks [it is otherwise](log/league.md#with-co-trained-teams).
+  are networks [it is otherwise](log/league.md#with-co-trained-teams): for them choose
+  [a robot that learned with such partners](log/league.md#robots-that-learned-with-teams).
 - The persons of the test side are corners of the training side's range (`spring`), or move by
   another law (`muscle`).
 - Checkpoints of all rows are chosen by the validation side, except those of best responses and of
