@@ -30,6 +30,7 @@ from zoo.persons.registered import described, person_splits
 from zoo.registry import Registry, load_registry, read_registry
 from zoo.schema import Split
 from zoo.splits import check_split, split_id
+from zoo.splitting.persons import choose_persons
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
@@ -83,10 +84,15 @@ def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Re
     assert grown.split("gentle_feeding", older.id) == older
     assert grown.split("gentle_feeding", "persons").release == "v5"
     assert grown.split("gentle_scratch", release="v3").rule == "three-sides"  # it has teams
+    glob = "gentle_feeding/person-0900?-v4"
+    split, chosen = choose_persons(data, "gentle_feeding", None, glob)
+    assert split == older and {entry.release for entry in chosen} == {"v4"} and len(chosen) == 10
     added = merge(official.data, {"lab": official.data})
     lab = dataclasses.replace(official, data=added, parts={"": official, "lab": official})
     assert lab.split("gentle_feeding", "lab:") == lab.split("gentle_feeding", "lab:persons")
     assert lab.split("gentle_feeding", "lab:").id == f"lab:{older.id}"
+    split, chosen = choose_persons(added, "gentle_feeding", None, f"lab:{glob}")
+    assert split.id == f"lab:{older.id}" and len(chosen) == 10
 
 
 def test_a_person_is_found_by_its_id(official: Registry) -> None:

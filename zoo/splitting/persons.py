@@ -54,13 +54,16 @@ def choose_persons(
     texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
     globs = [text for text in texts if text != PERSONS]
     name, side = _parsed(split, default="both" if globs else "test")
-    dealt = person_split(data, task, name)
-    if dealt is None:
+    named = {entry.team: entry.release for entry in select_persons(data, globs)} if globs else {}
+    if len({*named.values()}) == 1 and name in (PERSONS, f"{PERSONS}-{VALIDATION}"):
+        # That of their own release, which may not be the newest.
+        namespace, colon, release = min(named.values()).rpartition(":")
+        name = f"{namespace}{colon}{name}-s0-{release}"
+    if (dealt := person_split(data, task, name)) is None:
         raise ValueError(f"split {split!r} has no persons; name {PERSONS}, or one of its sides")
-    wanted = [team for of in SIDES[side] for team in getattr(dealt, of)]
-    if globs:
-        matching = {entry.team for entry in select_persons(data, globs)}
-        wanted = [team for team in wanted if team in matching]
+    wanted = [
+        team for of in SIDES[side] for team in getattr(dealt, of) if not globs or team in named
+    ]
     if not wanted:
         raise UnknownIdError(
             f"persons {', '.join(globs)}",
