@@ -74,11 +74,11 @@ def row_folders(folder: Path) -> dict[str, Path]:
     A finished evaluation is none, whatever lies in its folder.
     """
     found = {
-        place.name: place
-        for place in (folder.iterdir() if folder.is_dir() else ())
-        if (place / tables.SUMMARY_FILE).is_file() and not (folder / tables.SUMMARY_FILE).is_file()
+        place.name
+        for place in (() if (folder / tables.SUMMARY_FILE).is_file() else folder.glob("*"))
+        if (place / tables.SUMMARY_FILE).is_file()
     }
-    return {name: found[name] for name in ordered(found)}
+    return {name: folder / name for name in ordered(found)}
 
 
 def read_league(folder: Path) -> League:
