@@ -29,7 +29,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries, unplayed_b
 from assistax_board.store.receipts import Signer
 from assistax_board.store.schema import JOB, SUBMISSION
-from assistax_board.vocabulary import FINAL_STATES, REFERENCE
+from assistax_board.vocabulary import REFERENCE
 
 Admit = Callable[[bytes, str], Admitted]  # (file, task); raises Refusal
 
@@ -116,15 +116,14 @@ class Service:
         )
 
     def owns_live(self, submission: str, submitter: str | None) -> bool:
-        """Return whether a live submission that has not ended is this lab's."""
+        """Return whether a live submission is this lab's; it may have ended already."""
         where = (
             SUBMISSION.id == submission,
             SUBMISSION.submitter == submitter,
             SUBMISSION.kind == "live",
         )
         with self.database.read() as connection:
-            query = sa.select(SUBMISSION.id).where(*where, SUBMISSION.state.not_in(FINAL_STATES))
-            return connection.execute(query).first() is not None
+            return connection.execute(sa.select(SUBMISSION.id).where(*where)).first() is not None
 
     def live_submission(self, job: str, secret: str) -> str:
         """Return the live submission of a job that this lease holds."""

@@ -174,15 +174,16 @@ def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
 
 
 class Watched(Counting):
-    """Says when it is in the midst of a batch."""
+    """Says when it is in the midst of a batch, and thinks until its server is gone."""
 
     def __init__(self) -> None:
-        self.midst = threading.Event()
+        self.midst, self.gone = threading.Event(), threading.Event()
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         action = super().__call__(obs)
         if self.seen == 3:
             self.midst.set()
+            assert self.gone.wait(SOON)
         return action
 
 
@@ -215,6 +216,7 @@ def over_two_servers(service: Service, robot: Watched) -> str:
             thread.daemon = True
             thread.start()
         assert robot.midst.wait(SOON)
+    robot.gone.set()
     with served(service, port):
         at_home.join(60)
         worker.stop()

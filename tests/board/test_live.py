@@ -155,6 +155,14 @@ def test_nobody_plays_for_another(tmp_path: Path) -> None:
             live_client.play_live(other, id, Counting())
 
 
+def test_who_comes_back_late_is_told_how_it_ended(tmp_path: Path) -> None:
+    """The connection may be lost while the last answer is being scored."""
+    service = new_service(tmp_path)
+    id = play(service, Counting())
+    with served(service) as server:
+        assert live_client.play_live(server.client("submit"), id, Counting()) == "scored"
+
+
 def test_jobs_wait_for_the_client(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     with served(service) as server:
