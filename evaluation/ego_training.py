@@ -225,18 +225,17 @@ def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -
     return load_persons(registry, split)
 
 
-def load_persons(registry: Registry, split: Split) -> "FrozenPartners":
-    """Return the persons of a split's training side, of whom each episode draws one."""
-    from population.trainers.drawn_persons import DrawnPersons
+def load_persons(registry: Registry, split: Split, *, each: bool = False) -> "FrozenPartners":
+    """Return the persons of a split's training side.
 
-    return DrawnPersons(*_player_and_rows(registry, split), split.id)
+    Args:
+        registry: Where the persons are.
+        split: Whose training side is meant.
+        each: The first of them for the first member alone, and so on; else each episode draws one.
+    """
+    from population.trainers.drawn_persons import DrawnPersons, OnePersonEach
 
-
-def each_person(registry: Registry, split: Split) -> "FrozenPartners":
-    """Return the persons of a split's training side, the first of them for the first member."""
-    from population.trainers.drawn_persons import OnePersonEach
-
-    return OnePersonEach(*_player_and_rows(registry, split), split.id)
+    return (OnePersonEach if each else DrawnPersons)(*_player_and_rows(registry, split), split.id)
 
 
 def _player_and_rows(registry: Registry, split: Split) -> tuple[Any, Any]:

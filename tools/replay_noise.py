@@ -14,13 +14,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 from cyclopts import App
 
 from assistax_base.files import atomic_write
 from assistax_base.parquet import read_parquet
 from evaluation.figures.normalised import RANDOM
-from evaluation.replay.noise import FILE, measure_noise, wild
+from evaluation.replay.noise import FILE, QUANTILES, groups_of, measured_columns, signed_gaps, wild
 
 EPISODES = 8  # of a pair; of random actions as many with each human as of all robots
 OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with half the vectors
@@ -42,6 +43,25 @@ def measure(
         for key, rows, by in ((task, ~is_random, "ego"), (wild(task), is_random, "partner")):
             parts = [[table.filter(rows) for table in tables] for tables in played]
             add(key, [measure_noise(*tables, by) for tables in parts])
+
+
+def measure_noise(
+    first: pl.DataFrame, second: pl.DataFrame, by: str = "ego"
+) -> dict[str, dict[str, Any]]:
+    """Measure how far two plays of the same episodes lie apart, column by column.
+
+    Each figure is that of the robot with the largest, or of the partner where there is one robot.
+    """
+    measured = {}
+    for name in measured_columns(first):
+        gaps = np.abs(signed_gaps(first, second, name))
+        groups = [gaps[rows] for _, rows in groups_of(first, [by])]
+        measured[name] = {
+            "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
+            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in groups)),
+            "largest": _upper(float(gaps.max())),
+        }
+    return measured
 
 
 def add(key: str, measured: list[dict[str, Any]]) -> None:
@@ -117,6 +137,14 @@ def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
             subprocess.run([*words, str(out)], env={**os.environ, "XLA_FLAGS": flags}, check=True)
             tables.append(read_parquet(out))
         return tables
+
+
+def _upper(value: float) -> float:
+    """Return a value with two digits, not smaller than it is."""
+    if value == 0:
+        return 0.0
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return float(f"{np.ceil(value / unit) * unit:.3g}")
 
 
 if __name__ == "__main__":

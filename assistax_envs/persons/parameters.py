@@ -246,7 +246,6 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
     "gentle_feeding": _at_mouth(_FED),
     "gentle_brushing": _at_mouth(_BRUSHED),
 }
-ARM_TASKS = tuple(task for task in PARAMETERS if REGISTERED[task].seat == "arm")
 WIDTH = len(_SKIN)  # numbers of a row
 FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
 SPARED = {task: 0.5 if REGISTERED[task].felt else 0.0 for task in PARAMETERS}

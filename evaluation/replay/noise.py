@@ -48,25 +48,6 @@ def wild(task: str) -> str:
     return f"{task}/{RANDOM}"
 
 
-def measure_noise(
-    first: pl.DataFrame, second: pl.DataFrame, by: str = "ego"
-) -> dict[str, dict[str, Any]]:
-    """Measure how far two plays of the same episodes lie apart, column by column.
-
-    Each figure is that of the robot with the largest, or of the partner where there is one robot.
-    """
-    measured = {}
-    for name in measured_columns(first):
-        gaps = np.abs(_signed(first, second, name))
-        groups = [gaps[rows] for _, rows in _groups(first, [by])]
-        measured[name] = {
-            "quantiles": [_upper(max(np.quantile(gap, q) for gap in groups)) for q in QUANTILES],
-            "rms": _upper(max(float(np.sqrt(np.mean(gap**2))) for gap in groups)),
-            "largest": _upper(float(gaps.max())),
-        }
-    return measured
-
-
 def measured_columns(table: pl.DataFrame) -> list[str]:
     """Return the columns that come of playing, and not of the job."""
     planned = {"episode", "place", "key"}
@@ -103,7 +84,7 @@ def noise_problems(task: str, kept: pl.DataFrame, played: pl.DataFrame) -> list[
         if scale is None:
             problems.append(f"column {name} was never measured on two kinds of processor")
             continue
-        signed = _signed(kept, played, name)
+        signed = signed_gaps(kept, played, name)
         rounding = ROUNDING * (1 + np.abs(played[name].cast(pl.Float64).to_numpy()))
         for group, rows, of_robots in _every_group(kept):
             far = of_robots and _beyond(np.abs(signed[rows]), rounding[rows], scale)
@@ -152,11 +133,12 @@ def _every_group(table: pl.DataFrame) -> Iterator[tuple[tuple[str, ...], np.ndar
     """Yield a group's name, its rows, and whether it is of whole robots, as was measured."""
     yield (), np.arange(table.height), True
     for keys in (["ego"], ["partner"], ["ego", "partner"]):
-        for group, rows in _groups(table, keys):
+        for group, rows in groups_of(table, keys):
             yield group, rows, keys == ["ego"]
 
 
-def _groups(table: pl.DataFrame, keys: list[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+def groups_of(table: pl.DataFrame, keys: list[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    """Yield the values of each group in the key columns, and the numbers of its rows."""
     numbered = table.select(keys).with_row_index("row")
     for group, rows in numbered.group_by(keys, maintain_order=True):
         yield tuple(map(str, group)), rows["row"].to_numpy()
@@ -166,13 +148,6 @@ def _named(group: tuple[str, ...]) -> str:
     return " with ".join(group) or "all"
 
 
-def _signed(first: pl.DataFrame, second: pl.DataFrame, name: str) -> np.ndarray:
+def signed_gaps(first: pl.DataFrame, second: pl.DataFrame, name: str) -> np.ndarray:
+    """Return a column of one table minus that of another, row by row."""
     return (first[name].cast(pl.Float64) - second[name].cast(pl.Float64)).to_numpy()
-
-
-def _upper(value: float) -> float:
-    """Return a value with two digits, not smaller than it is."""
-    if value == 0:
-        return 0.0
-    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return float(f"{np.ceil(value / unit) * unit:.3g}")

@@ -11,6 +11,7 @@ import httpx2
 import numpy as np
 import pytest
 from sqlalchemy import event
+from starlette.requests import HTTPConnection
 
 from assistax_board import serve
 from assistax_board.api import guards
@@ -302,6 +303,29 @@ def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
         ]
     assert codes.count(401) == answered
     assert set(codes) <= {401, 429}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "are_one"),
+    [
+        ("2001:db8::1", "2001:db8::ffff:ffff:ffff:ffff", True),
+        ("2001:db8::1", "2001:db8:0:1::1", False),
+        ("fe80::1%eth0", "fe80::2", True),
+        ("::ffff:203.0.113.1", "203.0.113.1", True),
+        ("::ffff:203.0.113.1", "::ffff:203.0.113.2", False),
+        ("203.0.113.1", "203.0.113.2", False),
+        ("testclient", "unknown", False),
+    ],
+)
+def test_rates_are_counted_by_client_and_one_has_a_network_of_ipv6(
+    first: str, second: str, are_one: bool
+) -> None:
+    """Whoever has one address of IPv6 has 2 to the power of 64, and may take another each time."""
+    names = [
+        guards.client_of(HTTPConnection({"type": "http", "headers": [], "client": (host, 1)}))
+        for host in (first, second)
+    ]
+    assert (names[0] == names[1]) == are_one
 
 
 @pytest.mark.parametrize("proxy", ["*", "caddy", "0.0.0.0/0", "", "127.0.0.1,*"])

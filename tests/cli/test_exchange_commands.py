@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from assistax_zoo.shell.main import run
+from tests.cli.test_report_command import evaluated
 from tests.cli.test_zoo_commands import FIRST, answer, refusal, write_run
 from zoo.parameters.storage import read_policy_file
 from zoo.splitting.similar_humans import Pair, similar_pairs
@@ -114,6 +115,20 @@ def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -
         capsys, "show", FIRST, "--card", str(card), "--image", "none.png"
     )
     assert "--card" in refusal(capsys, "show", FIRST, "--image", str(tmp_path / "robot.png"))
+
+
+def test_a_card_has_the_m_test_of_a_result_of_its_robot_alone(
+    zoo: Path, tmp_path: Path, capsys
+) -> None:
+    robot, card = f"{FIRST}/robot", tmp_path / "README.md"
+    mine, others = evaluated(tmp_path / "mine", ego=robot), evaluated(tmp_path / "others")
+    shown = answer(capsys, "show", robot, "--card", str(card), "--result", str(mine))
+    m_test = shown["m_test"]
+    assert 400 < m_test["mean_ci"][0] < m_test["mean"] < m_test["mean_ci"][1] < 600
+    assert f"with {m_test['n']} partners of the test side of {m_test['split']}" in card.read_text()
+    card.unlink()
+    said = refusal(capsys, "show", robot, "--card", str(card), "--result", str(others))
+    assert f"no M_test of {robot} alone" in said and not card.exists()
 
 
 def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:

@@ -21,10 +21,10 @@ def call(*words: Any) -> int:
     return run([str(word) for word in words])
 
 
-def evaluated(folder: Path, shift: float = 0.0, **changes: Any) -> Path:
+def evaluated(folder: Path, shift: float = 0.0, ego: str = "mine", **changes: Any) -> Path:
     """An evaluation of one robot with 8 partners, `shift` above that of shift 0."""
     returns = np.random.default_rng(0).normal(500, 50, (1, 8, 2)) + shift
-    table = episode_table(returns, ["mine"], teams(8), ["test", "train"] * 4)
+    table = episode_table(returns, [ego], teams(8), ["test", "train"] * 4)
     context = dataclasses.replace(CONTEXT, **changes)
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     save_evaluation(Record(table, folder), context)

@@ -12,13 +12,14 @@ from assistax_envs.persons import muscles, reaction
 from assistax_envs.persons.body import JOINTS
 from assistax_envs.persons.controller import Controller, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import ARM_TASKS, PARAMETERS, WIDTH, index, left
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH, index, left
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import (
     INNER,
     persons,
 )
 from assistax_envs.persons.senses import columns, sense
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from tests.envs.conftest import constant_actions, each_of, environment, one_gentle_task, play, start
 
@@ -77,7 +78,7 @@ def watched(
     return minds, np.stack(actions)
 
 
-@each_of(ARM_TASKS)
+@each_of(tuple(task for task in PARAMETERS if REGISTERED[task].seat == "arm"))
 def test_senses_read_what_the_human_observes(task: str) -> None:
     env = environment(task, "fused")
     assert list(columns(task).values())[-1].stop == env.observation_size["human"]

@@ -9,12 +9,12 @@ from evaluation.figures.normalised import RANDOM
 from evaluation.replay.noise import (
     QUANTILES,
     mean_tolerance,
-    measure_noise,
     measured_columns,
     noise_problems,
     read_noise,
     wild,
 )
+from tools.replay_noise import measure_noise
 
 EGOS, PARTNERS, EPISODES = 2, 9, 8
 

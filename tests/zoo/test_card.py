@@ -59,6 +59,27 @@ def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
     )
 
 
+def test_its_command_names_partners_of_the_version_that_the_robot_plays() -> None:
+    """The default split may be of another release, whose partners it cannot play with."""
+    against = {"split": "scratch/persons-s0-v3-8ed93cbc", "sha256": "c" * 64}
+    assert f"--split {next(iter(CARD['splits']))} --out" in markdown_card([CARD])
+    assert f"--split {against['split']} --out" in markdown_card(
+        [{**CARD, "trained_against": against}]
+    )
+    assert "--split test --out" in markdown_card([{**CARD, "splits": {}}])
+
+
+def test_a_robot_s_card_has_its_m_test() -> None:
+    m_test = {"mean": 448.8, "mean_ci": (304.9, 569.3), "n": 8, "split": "scratch/persons-s0-v3-1"}
+    text = markdown_card([{**CARD, "self_play": None, "m_test": m_test}])
+    assert "| M_test | 448.8, 95% interval 304.9 to 569.3, with 8 partners of the test side" in text
+    data = ModelCard(text).data
+    assert isinstance(data, ModelCardData)
+    [found] = data.eval_results or []
+    assert (found.metric_name, found.metric_value) == ("M_test", 448.8)
+    assert found.dataset_name == m_test["split"]
+
+
 @pytest.mark.parametrize("figures", [CARD["self_play"], None])
 def test_a_hub_reads_the_card(figures: dict[str, Any] | None) -> None:
     card = ModelCard(markdown_card([{**CARD, "self_play": figures}]))

@@ -14,7 +14,7 @@ from assistax_envs.preferences import WISHES
 from assistax_workshop.gates.persons import recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
-from evaluation.ego_training import EgoTraining, each_person, prepare, train_egos
+from evaluation.ego_training import EgoTraining, load_persons, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
@@ -182,7 +182,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
         told=row.told,
     )
     if alone:
-        partners = each_person(making.registry, split)
+        partners = load_persons(making.registry, split, each=True)
         learning = dataclasses.replace(learning, partners=partners)
     return learning
 

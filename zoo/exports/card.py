@@ -88,6 +88,8 @@ def policy_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
 def write_card(cards: Sequence[Mapping[str, Any]], path: Path, image: Path | None = None) -> None:
     """Write a card as Markdown; a picture stands in it relative to the card.
 
+    A robot's may have `m_test`: `mean`, `mean_ci`, `n` partners, and the `split` that they are of.
+
     Raises:
         ValueError: There is no such picture.
     """
@@ -127,20 +129,25 @@ def markdown_card(cards: Sequence[Mapping[str, Any]], image: str | None = None) 
         summary=summary.items(),
         policies=policies,
         training=_flat(first["training"]),
+        # Not a default: that of another release is played in another version of the task.
+        split=first.get("trained_against", {}).get("split") or next(iter(first["splits"]), "test"),
     )
 
 
 def _head(card: Mapping[str, Any]) -> str:
-    """Return what hubs read of a card: licence, kind and the return in self-play."""
+    """Return what hubs read of a card: licence, kind, and M_test or the return in self-play."""
     from huggingface_hub import EvalResult, ModelCardData
 
-    task, figures = card["id"].split("/")[0], card.get("self_play")
+    task, m_test = card["id"].split("/")[0], card.get("m_test")
+    figures = m_test or card.get("self_play")
     measured = figures and EvalResult(
         task_type="reinforcement-learning",
         dataset_type=f"assistax-{task}",
-        dataset_name=f"{task}, disability setting {card['disability']['setting']}",
+        dataset_name=m_test["split"]
+        if m_test
+        else f"{task}, disability setting {card['disability']['setting']}",
         metric_type="mean_reward",
-        metric_name="self-play return",
+        metric_name="M_test" if m_test else "self-play return",
         metric_value=round(figures["mean"], 3),
     )
     data = ModelCardData(
@@ -155,15 +162,22 @@ def _head(card: Mapping[str, Any]) -> str:
 
 
 def _figures(card: Mapping[str, Any]) -> dict[str, str]:
-    if "trained_against" in card:
-        return {"trained against the training side of": card["trained_against"]["split"]}
-    if not (figures := card["self_play"]):
-        return {"self-play return": "not measured"}
+    against, m_test, figures = (card.get(k) for k in ("trained_against", "m_test", "self_play"))
+    success = (figures or {}).get("success")
+    with_itself = f"{_mean(figures)} over {figures['n']} episodes" if figures else "not measured"
+    rows = {
+        "trained against the training side of": against and against["split"],
+        "M_test": m_test
+        and f"{_mean(m_test)}, with {m_test['n']} partners of the test side of {m_test['split']}",
+        "self-play return": None if against else with_itself,
+        "self-play success": None if success is None else f"{success:.0%}",
+    }
+    return {name: text for name, text in rows.items() if text}
+
+
+def _mean(figures: Mapping[str, Any]) -> str:
     low, high = figures["mean_ci"]
-    text = f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f}"
-    rows = {"self-play return": f"{text} over {figures['n']} episodes"}
-    success = figures.get("success")
-    return rows if success is None else {**rows, "self-play success": f"{success:.0%}"}
+    return f"{figures['mean']:.1f}, 95% interval {low:.1f} to {high:.1f}"
 
 
 def _flat(training: Mapping[str, Any]) -> list[tuple[str, Any]]:

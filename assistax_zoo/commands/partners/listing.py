@@ -68,6 +68,7 @@ def show(
     *,
     card: Path | None = None,
     image: Path | None = None,
+    result: Path | None = None,
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -76,7 +77,8 @@ def show(
     Args:
         id: A policy's id, or a team's for both its policies.
         card: Write the card to this file too, as Markdown to be shared.
-        image: Picture for the written card.
+        image: Picture or film for the written card.
+        result: Folder that `evaluate` wrote for this robot alone; its M_test goes into the card.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 
@@ -89,6 +91,8 @@ def show(
         )
     loaded = load_registry(registry)
     cards = find_cards(loaded, id)
+    if result:
+        cards[0] |= {"m_test": _m_test(result, cards[0]["id"])}
     if card:
         write_card(cards, card, image)
     lines = [line for content in cards for line in _card_lines(content)]
@@ -167,6 +171,21 @@ def _report_lines(report: "Report") -> list[str]:
         f"{counted(report.policies, 'policy')}, {counted(report.splits, 'split')}, "
         f"{counted(report.persons, 'person')} of {report.registry}",
     ]
+
+
+def _m_test(folder: Path, robot: str) -> dict[str, Any]:
+    from evaluation.figures.summary import EvaluationSummary, read_summary
+
+    found = read_summary(folder)
+    is_its_own = isinstance(found, EvaluationSummary) and found.egos == (robot,)
+    if is_its_own and found.split and found.m_test:
+        figures = {name: getattr(found.m_test, name) for name in ("mean", "mean_ci", "n")}
+        if figures["mean_ci"]:
+            return {**figures, "split": found.split.id}
+    raise ValueError(
+        f"{folder} has no M_test of {robot} alone with an interval; make one with "
+        f"`assistax-zoo evaluate --policy {robot} --out FOLDER`, with two partners or more"
+    )
 
 
 def _card_lines(card: dict[str, Any]) -> list[str]:

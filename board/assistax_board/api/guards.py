@@ -176,8 +176,16 @@ TheService = Annotated[Service, Depends(service_of)]
 
 
 def client_of(request: HTTPConnection) -> str:
-    """Return the address that a request came from."""
-    return request.client.host if request.client else "unknown"
+    """Return the address that a request came from, of IPv6 its network, which is all one client's.
+
+    An IPv4 address that a socket of IPv6 shows is that address.
+    """
+    host = request.client.host if request.client else "unknown"
+    try:
+        address = ipaddress.IPv6Address(host)
+    except ValueError:
+        return host
+    return str(address.ipv4_mapped or ipaddress.IPv6Network((int(address), 64), strict=False))
 
 
 def count_read(request: Request) -> None:
