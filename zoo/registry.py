@@ -162,9 +162,10 @@ class Registry:
 
         Args:
             task: Task the split is for.
-            id: A split's id, or its beginning: that of one split alone ("half-s0-v0"), or of one
-                alone of the task's default release ("half"). Of a zoo that was added, after its
-                namespace: "lab:half"; "lab:" is its default split.
+            id: A split's id, or its first parts: those of one split alone ("half-s0-v0"), else of
+                one alone that is a release's default, else of one of the task's default release
+                ("half"). Of a zoo that was added, after its namespace: "lab:half"; "lab:" is its
+                default split.
             release: Release whose default split is meant when `id` is not given.
 
         Raises:
@@ -202,9 +203,13 @@ class Registry:
         known = [split for split in self.splits if split.task == task]
         full = name if "/" in name else f"{task}/{name}"
         exact = [split for split in known if split.id == full]
-        matching = exact or [split for split in known if split.id.startswith(full)]
+        matching = exact or [split for split in known if split.id.startswith(f"{full}-")]
         newest = self.release_of(task)
-        for candidates in (matching, [split for split in matching if split.release == newest]):
+        # A split that somebody made since does not change what the name of a default one means.
+        defaults = {id for release in self.data.releases.values() for id in release.splits.values()}
+        default = [split for split in matching if split.id in defaults]
+        its = [[split for split in some if split.release == newest] for some in (default, matching)]
+        for candidates in (matching, default, *its):
             if len(candidates) == 1:
                 return candidates[0]
         ids = [split.id for split in known]

@@ -215,17 +215,18 @@ def _unfit(
     registry: Registry, entry: PolicyEntry, versions: Sequence[int], why: str
 ) -> RegistryVersionError:
     """Return the error of a policy that was trained in none of some versions."""
-    fitting = [
-        name
-        for name, release in registry.data.releases.items()
-        if release.environments.get(entry.task) in versions
-    ]
+    fitting = []
+    for release in registry.data.releases.values():
+        if release.environments.get(entry.task) in versions:
+            fitting += [f"split {release.splits[entry.task]}"] * (entry.task in release.splits)
+            fitting += ["partners persons"] * (entry.task in release.persons)
     return RegistryVersionError(
         f"policy {entry.id}",
         expected=f"version {listing(map(str, versions))} of environment {entry.task}, {why}",
         found=f"release {entry.release}, trained on version {registry.env_version(entry)}",
         done="nothing was evaluated",
-        next_step=f"choose policies of release {listing(fitting)}"
+        next_step=f"choose other robots, or partners of version {listing(map(str, versions))}: "
+        f"{listing(fitting)}"
         if fitting
         else f"install the assistax-zoo of release {entry.release}",
     )

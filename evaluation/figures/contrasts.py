@@ -123,7 +123,7 @@ def read_contrasts(path: Path) -> tuple[ContrastsFile, str]:
     Raises:
         FormatError: It is missing, or no such file.
     """
-    remedy = "docs/evaluation.md shows such a file"
+    remedy = "docs/league.md shows such a file"
     text = read_text(path, MOST_BYTES, FormatError, "contrasts", remedy)
     try:
         content = parse_json(text) if path.suffix == ".json" else tomllib.loads(text)

@@ -140,7 +140,9 @@ def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) 
     )
     registry = ("--registry", str(mine / "registry.json"))
     assert run(["show", FIRST, *registry, "--card", str(mine / "cards" / "first.md")]) == 0
-    assert f"zoo:{FIRST}/robot" in (mine / "cards" / "first.md").read_text()
+    card = (mine / "cards" / "first.md").read_text()
+    assert "assistax-zoo add ADDRESS-OF-THIS-ZOO --as NAME" in card  # its readers do not have it
+    assert f"--policy NAME:{FIRST}/robot" in card and f"export NAME:{FIRST}/robot" in card
     capsys.readouterr()
     assert answer(capsys, "verify", *registry)["ok"] is True
 

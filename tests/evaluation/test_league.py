@@ -18,12 +18,13 @@ from evaluation.figures.league import (
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.saved_tables import save_evaluation
-from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
+from evaluation.plots.league import league_chart
 from evaluation.record import tables
 from evaluation.record.record import Record
 from population.hyperparameters import METHODS
 from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
 from tests.evaluation.test_contrasts import NAMED
+from tools.league.figures import failure_chart, failures, validation_curves
 
 PARTNERS = 10
 

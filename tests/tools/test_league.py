@@ -197,8 +197,38 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
     assert row.endswith("| 0 of 10 persons |") and "`gru` wins 66% of 151 points" in page
-    assert "each trained for one training person, `gru` earns 380 of 400 (95%) in `scratch`" in page
+    beside = "each trained for one training person, the best of each four seeds, `gru` earns 380"
+    assert f"{beside} of 400 (95%) in `scratch`" in page
     assert page.count("](images/") == 2  # nobody was validated, so there are no curves
     assert "nan" not in page and "Above PPO at Holm's 5% over all named contrasts: `gru`" in page
     first_screen = page[: page.index("![")]
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
+
+
+def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
+    tmp_path: Path, capsys
+) -> None:
+    """What is best with the test side is said, and no choice."""
+    place = tmp_path / "league/scratch"
+    for name, test, validated in (
+        ("ppo", 200.0, 210.0),
+        ("gru", 300.0, 290.0),
+        ("liam", 280.0, 310.0),
+    ):
+        put(place, name, np.full((4, 10), test), baselines=name == "ppo")
+        curve = place / f"runs/{name}/training/validation.parquet"
+        curve.parent.mkdir(parents=True)
+        steps, seeds = [10, 20] * 4, np.repeat(range(4), 2)
+        returns = [validated, validated - 400] * 4  # each seed's best checkpoint counts
+        pl.DataFrame({"seed": seeds, "steps": steps, "return": returns}).write_parquet(curve)
+    contrasts, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
+    named = NAMED.replace('baseline = "ppo"', 'baseline = "liam"')
+    contrasts.write_text(named)
+    words = ["page", str(tmp_path / "league"), "--contrasts", str(contrasts), "--text", str(text)]
+    places = ["--out", str(tmp_path / "docs/data"), "--images", str(tmp_path / "docs/images")]
+    assert run([*words, *places]) == 0, capsys.readouterr().err
+    page = text.read_text()
+    assert "| `scratch` | `liam` | **280" in page
+    assert "another method has a higher mean: `gru` in `scratch` (300, `liam` 280)" in page
+    assert "| `gru` - `liam` | `scratch` | 20 " in page
+    assert "Above PPO" not in page and "Not shown" not in page

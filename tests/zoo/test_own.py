@@ -174,8 +174,9 @@ def test_the_name_of_the_own_zoo_is_nobody_elses(
     official: Registry, teams, publish_to, tmp_path: Path
 ) -> None:
     lab = publish_to(teams(("mappo",)), tmp_path / "lab" / "registry.json")
-    with pytest.raises(IdError, match="user's own zoo"):
-        add(str(lab.path.parent), "own")
+    for taken in ("own", "zoo", "python", "onnx"):  # `zoo:ID` would be another robot in `evaluate`
+        with pytest.raises(IdError, match="user's own zoo or a kind of robot"):
+            add(str(lab.path.parent), taken)
     publish_to(teams(("mappo",)), own_registry())
     with pytest.raises(UnknownIdError, match="may hold the only copy"):
         remove("own")

@@ -223,9 +223,18 @@ def test_the_beginning_of_a_name_means_the_newest_release(
         grown.split("scratch", "half").release == "v1"
         and grown.split("scratch", "half-s0-v0") == older
     )
-    with pytest.raises(SplitError, match="found 3 that begin so"):
-        create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
-        load_registry(registry.path).split("scratch", "half")
+    create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
+    registry = load_registry(registry.path)
+    assert registry.split("scratch", "half") == grown.split("scratch", "half"), "the default one"
+    with pytest.raises(SplitError, match="found none"):
+        registry.split("scratch", "hal")
+    sides = [older.train[:1], older.test[:1]]
+    for train, test in (sides, sides[::-1]):
+        create_split(
+            registry.path, task="scratch", rule="custom", train=train, test=test, release="v0"
+        )
+    with pytest.raises(SplitError, match="found 2 that begin so"):
+        load_registry(registry.path).split("scratch", "custom-s0-v0")
 
 
 def test_create_writes_once(registry: Registry) -> None:

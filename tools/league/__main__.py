@@ -122,6 +122,8 @@ def row(
     )
     command = shlex.join([*PROGRAM.split(), *sys.argv[1:]])
     chosen, folder = loaded.split(task, split), out / task
+    if split is None and not chosen.validation:
+        chosen = loaded.split(task, "three-sides")
     record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side))
     print(json.dumps(record, indent=1))
 
@@ -130,8 +132,8 @@ def page(
     folder: Path,
     /,
     *,
-    out: Path = Path("docs/data/league"),
-    images: Path = Path("docs/images/league"),
+    out: Path | None = None,
+    images: Path | None = None,
     contrasts: Path | None = None,
     text: Path | None = None,
 ) -> None:
@@ -139,18 +141,18 @@ def page(
 
     Args:
         folder: Of the league, which `row` fills.
-        out: Folder of the tables.
-        images: Folder of the figures.
+        out: Folder of the tables; FOLDER/page if not given.
+        images: Folder of the figures; that of the tables if not given.
         contrasts: File of named contrasts.
         text: Page to write; none if not given.
 
     Example:
-        python -m tools.league page league --contrasts docs/data/league/contrasts.toml
-        --text docs/results.md
+        python -m tools.league page league --contrasts contrasts.toml --text league/page/page.md
     """
     from tools.league.page import write_page
 
-    for path in write_page(folder, out, images, contrasts, text):
+    out = out or folder / "page"
+    for path in write_page(folder, out, images or out, contrasts, text):
         print(path)
 
 

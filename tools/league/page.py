@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
 from assistax_zoo.comparing import compare_named
-from evaluation.figures.contrasts import ContrastFigures
+from evaluation.figures.contrasts import Contrast, ContrastFigures, read_contrasts
 from evaluation.figures.league import league_table, ordered, read_league, row_folders
-from evaluation.plots.league import failure_chart, failures, league_chart, validation_curves
+from evaluation.plots.league import league_chart
 from evaluation.plots.style import save_figure
 from evaluation.record import tables
 from evaluation.validation import CURVE
+from tools.league.figures import failure_chart, failures, validation_curves
 from tools.league.making import RECORD, RUNS, TRAINING_SIDE
 from tools.league.results import Played, results_page
 from tools.league.rows import rows
@@ -50,13 +51,19 @@ def write_page(
     places = sorted(place for place in folder.glob("*") if row_folders(place))
     if not places:
         raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
-    played = [Played(read_league(place), place) for place in places]
-    sides = [side for place in places if row_folders(side := place / TRAINING_SIDE)]
-    trained = [Played(read_league(side), side) for side in sides]
+    all_curves = [_curves(place) for place in places]
+    played = [
+        Played(read_league(place), place, _validated(some))
+        for place, some in zip(places, all_curves, strict=True)
+    ]
+    trained = [
+        Played(read_league(side), side, task.validated)
+        for task in played
+        if row_folders(side := task.folder / TRAINING_SIDE)
+    ]
     league = {task.task: league_table(task.league) for task in played}
     shares = {task.task: failures(task.league.by_partner) for task in played}
-    curves = {task.task: _curves(task.folder) for task in played}
-    curves = {task: some for task, some in curves.items() if some}
+    curves = {task.task: some for task, some in zip(played, all_curves, strict=True) if some}
     records = pl.DataFrame(_records(places))
     named = {"league": league, "partners": shares}
     named["training-side"] = {task.task: league_table(task.league) for task in trained}
@@ -72,7 +79,9 @@ def write_page(
         written += _figure(validation_curves(curves), images / "validation.png")
     written.append(_csv(records, out / "rows.csv"))
     tested: ContrastFigures | None = None
+    asked: tuple[Contrast, ...] = ()
     if contrasts is not None:
+        asked = read_contrasts(contrasts)[0].contrasts
         methods = [place for task in places for place in row_folders(task).values()]
         tested = compare_named(contrasts, methods)
         written.append(_csv(_contrast_table(tested), out / "contrasts.csv"))
@@ -84,7 +93,7 @@ def write_page(
         near = {"images": images, "tables": out}
         shown = {name: what for name, what in FIGURES.items() if curves or name != "validation"}
         links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
-        page = results_page(played, tested, records, links, shown, trained)
+        page = results_page(played, tested, asked, records, links, shown, trained)
         atomic_write(text, page.encode())
         written.append(text)
     return written
@@ -97,6 +106,12 @@ def _curves(task: Path) -> dict[str, pl.DataFrame]:
         for row in ordered(place.name for place in (task / RUNS).glob("*"))
         if (path := task / RUNS / row / "training" / CURVE).is_file()
     }
+
+
+def _validated(curves: dict[str, pl.DataFrame]) -> dict[str, float]:
+    """Return what each row's robots earn with the validation side, each at its best checkpoint."""
+    best = pl.col("return").max().over("seed").mean()
+    return {row: float(curve.select(best).item()) for row, curve in curves.items()}
 
 
 def _long(curves: dict[str, pl.DataFrame]) -> pl.DataFrame:

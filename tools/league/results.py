@@ -7,8 +7,9 @@ from pathlib import Path
 import polars as pl
 
 from assistax_base.errors import listing
-from evaluation.figures.contrasts import ContrastFigure, ContrastFigures
+from evaluation.figures.contrasts import Contrast, ContrastFigure, ContrastFigures
 from evaluation.figures.league import (
+    BEST_OF_FOUR,
     FIRST,
     LAST,
     PPO,
@@ -20,8 +21,8 @@ from evaluation.figures.league import (
     LeagueRow,
 )
 from evaluation.figures.metrics.inference import holm
-from evaluation.plots.league import FAILED, failures
 from evaluation.record.record import Record
+from tools.league.figures import FAILED, failures
 from tools.league.rows import rows
 from tools.release_page.markdown import table
 
@@ -46,6 +47,8 @@ class Played:
 
     league: League
     folder: Path  # of the task, with a folder for each row
+    # By row, the mean return of its chosen robots with the validation side.
+    validated: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def task(self) -> str:
@@ -58,6 +61,22 @@ class Played:
         bounds = {*FIRST, *LAST} - {PPO}
         found = [row for row in self.league.rows if row.row not in bounds]
         return sorted(found, key=lambda row: -row.mean.mean)
+
+    @property
+    def best(self) -> LeagueRow:
+        """The method that the validation side chooses; without one for each, that of most return.
+
+        What is best with the test side is no choice: its return would be too high.
+        """
+        if all(row.row in self.validated for row in self.methods):
+            return max(self.methods, key=lambda row: self.validated[row.row])
+        return self.methods[0]
+
+    @property
+    def told(self) -> LeagueRow | None:
+        """The better of the robots that are told the preference, with a memory or without."""
+        found = [row for name in (TOLD, TOLD_MEMORY) if (row := self.row(name))]
+        return max(found, key=lambda row: row.mean.mean, default=None)
 
     def row(self, name: str) -> LeagueRow | None:
         """Return a row by its name; None if it was not played."""
@@ -73,6 +92,7 @@ class Played:
 def results_page(
     tasks: Sequence[Played],
     tested: ContrastFigures | None,
+    named: Sequence[Contrast],
     records: pl.DataFrame,
     places: Mapping[str, str],
     figures: Mapping[str, str],
@@ -83,6 +103,7 @@ def results_page(
     Args:
         tasks: What was played.
         tested: The contrasts of a file, with their figures; None without a file.
+        named: The contrasts that the file names, played or not.
         records: A row of each row's making: `steps` and `device_minutes_in_all`.
         places: Links: "images" and "tables", relative to the page.
         figures: What they show, by name.
@@ -92,26 +113,29 @@ def results_page(
     contrasts, alpha = (tested.contrasts, tested.alpha) if tested else ((), 1.0)
     said = "\n".join(
         f"{place}. {text}"
-        for place, text in enumerate(sentences(tasks, contrasts, alpha, trained), 1)
+        for place, text in enumerate(sentences(tasks, contrasts, named, alpha, trained), 1)
     )
     missing = [
         f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
         for task in tasks
     ]
-    minutes = [taken for taken in records["device_minutes_in_all"] if taken is not None]
+    # The best of each four seeds are another row's robots: its training is not counted twice.
+    made = records.filter(pl.col("row") != BEST_OF_FOUR)
+    minutes = [taken for taken in made["device_minutes_in_all"] if taken is not None]
     cost = f"{sum(minutes):.0f} minutes of processes for {len(minutes)} rows"
     parts = [
         "# Results",
         "*This page is made from the rows' files by `python -m tools.league page`. "
         "[A league](league.md) says what its words mean.*",
         _choices(tasks),
-        "*Returns with 95% intervals, over seeds and persons of the test side. `told` is a robot "
-        "that is told the preference. Fails: earns less than "
+        "*Methods are chosen by the validation side. Returns with 95% intervals, over seeds and "
+        "persons of the test side. `told` is the better of the robots that are told the "
+        "preference, with a memory or without. Fails: earns less than "
         f"{FAILED:.0%} of what the best row earns with that person.*",
         said,
         *(f"![{what}]({images}/{name}.png)" for name, what in figures.items()),
         "## Tables",
-        _contrast_lines(contrasts),
+        _contrast_lines(contrasts, named),
         f"As CSV, in `{tables}`: all rows, the return with each partner, learning curves, "
         f"contrasts, and what each row took ({cost}).",
         "## What the league cannot say",
@@ -123,27 +147,29 @@ def results_page(
 def sentences(
     tasks: Sequence[Played],
     contrasts: Sequence[ContrastFigure],
+    named: Sequence[Contrast],
     alpha: float,
     trained: Sequence[Played] = (),
 ) -> Iterator[str]:
-    """Yield what the first screen says beside the table of tasks, ten sentences at most."""
-    named = [contrast for contrast in contrasts if contrast.named]
-    above = [contrast for contrast in named if contrast.found and contrast.difference.mean > 0]
+    """Yield what the first screen says beside the table of tasks, ten sentences at most.
+
+    Of contrasts it says those with PPO, in return; the tables have all.
+    """
+    contrasts = [c for c in contrasts if (c.baseline, c.metric) == (PPO, "return")]
+    tested = [contrast for contrast in contrasts if contrast.named]
+    above = [contrast for contrast in tested if contrast.found and contrast.difference.mean > 0]
     if above:
         said = listing([_contrast(contrast) for contrast in above], 12)
         yield f"Above PPO at Holm's {alpha:.0%} over all named contrasts: {said}."
-    others: dict[str, list[str]] = {}
-    for contrast in named:
-        if contrast not in above:
-            others.setdefault(contrast.method, []).append(f"`{contrast.task}`")
-    if others:
-        said = listing(
-            [f"`{method}` in {' and '.join(where)}" for method, where in others.items()], 12
-        )
+    if others := _in_tasks([contrast for contrast in tested if contrast not in above]):
         yield (
-            f"Not shown to be above PPO: {said}. [The tables](#tables) say which difference would "
-            "have been found in 80% of repetitions."
+            f"Not shown to be above PPO: {others}. [The tables](#tables) say which difference "
+            "would have been found in 80% of repetitions."
         )
+    full = {(c.task, c.method) for c in tested}
+    short = [c for c in named if (c.baseline, c.metric) == (PPO, "return")]
+    if missed := _in_tasks([c for c in short if (c.task, c.method) not in full]):
+        yield f"Named, not played with so many seeds, and so not shown either: {missed}."
     chances = holm([contrast.p for contrast in contrasts])
     unnamed = [
         _contrast(contrast)
@@ -156,18 +182,27 @@ def sentences(
             f"corrects for all {len(chances)} contrasts that were played: {listing(unnamed, 12)}."
         )
     for start, some in (
-        ("Of what being told the preference is worth", [_gap(task) for task in tasks]),
-        ("Beside robots that were each trained for one person of the test side", _beside(tasks)),
-        ("Beside robots that were each trained for one training person", _beside(trained)),
+        ("Of what the better told robot earns more than PPO", [_gap(task) for task in tasks]),
+        (
+            "Beside robots that were each trained for one person of the test side, all seeds alike",
+            _beside(tasks),
+        ),
+        (
+            "Beside robots that were each trained for one training person, the best of each four "
+            "seeds",
+            _beside(trained),
+        ),
     ):
         if said := [text for text in some if text]:
             yield f"{start}, {listing(said, 12)}."
+    if better := [_better(task) for task in tasks if task.best is not task.methods[0]]:
+        yield f"With the test side another method has a higher mean: {listing(better)}."
     if split := [text for task in tasks if (text := _apart(task))]:
         yield f"No method is best with both families of persons: {listing(split)}."
     shares = [
         f"{row.seed_sd / row.mean.mean:.0%} for `{row.row}` in `{task.task}`"
         for task in tasks
-        if (row := task.methods[0]).seed_sd is not None
+        if (row := task.best).seed_sd is not None
     ]
     if shares:
         yield f"Seeds differ: their standard deviation is {listing(shares, 12)} of the mean."
@@ -178,8 +213,9 @@ def _choices(tasks: Sequence[Played]) -> str:
     headings = "task, choose, return, PPO, script, told, safe success, violations, fails with"
     lines = []
     for task in tasks:
-        best = task.methods[0]
-        others = [_figure(row) if (row := task.row(n)) else "" for n in (PPO, SCRIPT, TOLD)]
+        best = task.best
+        rows_beside = (task.row(PPO), task.row(SCRIPT), task.told)
+        others = [_figure(row) if row else "" for row in rows_beside]
         shares = [f"{x.mean:.0%}" if x else "" for x in (best.safe_success, best.violations)]
         fails = failures(task.league.by_partner).filter(row=best.row)
         fail = f"{int(fails['fails'].sum())} of {fails.height} persons"
@@ -203,26 +239,40 @@ def _chance(p: float) -> str:
     return f"{p:.4f}" if p >= 0.0001 else "< 0.0001"
 
 
-def _gap(task: Played) -> str | None:
-    """Return which share of what telling is worth the best method without it wins.
+def _in_tasks(contrasts: Sequence[Contrast | ContrastFigure]) -> str:
+    """Return the methods of contrasts, each with its tasks."""
+    tasks: dict[str, list[str]] = {}
+    for contrast in contrasts:
+        tasks.setdefault(contrast.method, []).append(f"`{contrast.task}`")
+    said = [f"`{name}` in {' and '.join(where)}" for name, where in tasks.items()]
+    return listing(said, 12) if said else ""
 
-    Telling is what the best row that is told earns beside PPO; of less than a tenth of PPO's return
-    no share is said.
+
+def _better(task: Played) -> str:
+    """Say which method has the highest mean with the test side, beside the chosen one."""
+    most, chosen = task.methods[0], task.best
+    returns = f"{most.mean.mean:.0f}, `{chosen.row}` {chosen.mean.mean:.0f}"
+    return f"`{most.row}` in `{task.task}` ({returns})"
+
+
+def _gap(task: Played) -> str | None:
+    """Return which share of what the better told robot earns more than PPO the method wins.
+
+    Of less than a tenth of PPO's return no share is said.
     """
-    plain, best = task.row(PPO), task.methods[0]
-    told = [row.mean.mean for name in (TOLD, TOLD_MEMORY) if (row := task.row(name))]
-    if not plain or best.row == PPO or not told or max(told) < 1.1 * plain.mean.mean:
+    plain, best, told = task.row(PPO), task.best, task.told
+    if not plain or best.row == PPO or not told or told.mean.mean < 1.1 * plain.mean.mean:
         return None
-    gap = max(told) - plain.mean.mean
+    gap = told.mean.mean - plain.mean.mean
     won = (best.mean.mean - plain.mean.mean) / gap
-    return f"`{best.row}` wins {won:.0%} of {gap:.0f} points in `{task.task}`"
+    return f"`{best.row}` wins {won:.0%} of {gap:.0f} points in `{task.task}` (`{told.row}`)"
 
 
 def _beside(tasks: Sequence[Played]) -> Iterator[str]:
     """Yield which share of best responses' return the best method earns with their persons."""
     for task in tasks:
         if task.row(RESPONSE):
-            best, returns = task.methods[0].row, task.league.by_partner
+            best, returns = task.best.row, task.league.by_partner
             own = returns.filter(pl.col("row") == RESPONSE).select("partner", own="mean")
             both = returns.filter(pl.col("row") == best).join(own, on="partner")
             earned, bound = (both[name].to_numpy().mean() for name in ("mean", "own"))
@@ -241,12 +291,15 @@ def _apart(task: Played) -> str | None:
     return f"{listing(said)} in `{task.task}`"
 
 
-def _contrast_lines(contrasts: Sequence[ContrastFigure]) -> str:
-    lines = []
+def _contrast_lines(contrasts: Sequence[ContrastFigure], named: Sequence[Contrast]) -> str:
+    lines, in_file = [], {(c.task, c.method, c.baseline, c.metric) for c in named}
     for c in contrasts:
         low, high = c.difference.mean_ci or (float("nan"),) * 2
-        holms = "not named" if c.p_holm is None else _chance(c.p_holm)
+        too_few = (c.task, c.method, c.baseline, c.metric) in in_file
+        uncorrected = "1, too few seeds" if too_few else "not named"
+        holms = uncorrected if c.p_holm is None else _chance(c.p_holm)
         names = f"`{c.method}` - `{c.baseline}`", f"`{c.task}`"
         difference = f"{c.difference.mean:.0f} [{low:.0f}, {high:.0f}]"
         lines.append((*names, difference, _chance(c.p), holms, f"{c.detectable_holm:.0f}"))
-    return table(["contrast", "task", "difference", "p", "p by Holm", "detectable"], lines)
+    headings = "contrast, task, difference, p, p by Holm, detectable by Holm"
+    return table(headings.split(", "), lines)

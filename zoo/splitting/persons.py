@@ -64,12 +64,12 @@ def choose_persons(
     wanted = [
         team for of in SIDES[side] for team in getattr(dealt, of) if not globs or team in named
     ]
-    if not wanted:
+    if len(wanted) < (most or 1):
         raise UnknownIdError(
-            f"persons {', '.join(globs)}",
+            f"persons {', '.join(globs)}" if globs else f"{most} persons",
             f"persons on the {side} side of {dealt.id}",
-            "none that match",
-            f"choose others, or another side: {', '.join(SIDES)}",
+            f"{len(wanted) or 'none'} that match",
+            f"choose fewer, others, or another side: {', '.join(SIDES)}",
         )
     drawn = sorted(wanted, key=lambda team: sha256(team.encode()))[: MOST if most is None else most]
     return dealt, known_persons(data, sorted(f"{team}/human" for team in drawn))

@@ -16,6 +16,8 @@ from zoo.transport.fetch import remote_registry
 from zoo.transport.remotes import open_remote
 from zoo.transport.updates import Accept, check_update, refuse_changes, take_none
 
+TAKEN = (OWN, "zoo", "python", "onnx")  # the user's own zoo, and what says which kind a robot is
+
 
 def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
     """Add a remote's zoo under a namespace, or bring it up to date, and return its registry.
@@ -27,13 +29,15 @@ def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
             the changes are taken.
 
     Raises:
-        IdError: The namespace is no lower-case name, or that of the user's own zoo.
+        IdError: The namespace is no lower-case name, or one that stands before a robot's name
+            anyway.
         IntegrityError: The remote lost or changed what was added before.
         UpdateError: Changes are not accepted; the error lists them.
         ZooError: The remote has no registry, or cannot be reached.
     """
-    if namespace == OWN:
-        raise IdError("namespace", "another name", f"{OWN!r}, which the user's own zoo has")
+    if namespace in TAKEN:
+        found = f"{namespace!r}, which the user's own zoo or a kind of robot has"
+        raise IdError("namespace", "another name", found)
     path, source = added_registry(check_name("namespace", namespace)), open_remote(remote)
     accept = _once(accept)
     registry = remote_registry(source, accept)

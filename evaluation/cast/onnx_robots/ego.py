@@ -66,8 +66,10 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         ValueError: There is no such file, or it is too large.
     """
-    if not path.is_file() or path.stat().st_size > MAX_BYTES:
-        raise ValueError(f"no file of at most {MAX_BYTES} bytes there")
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}")
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes; allowed are {MAX_BYTES}")
     return path.read_bytes()
 
 
