@@ -232,3 +232,18 @@ def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
     assert "another method has a higher mean: `gru` in `scratch` (300, `liam` 280)" in page
     assert "| `gru` - `liam` | `scratch` | 20 " in page
     assert "Above PPO" not in page and "Not shown" not in page
+
+
+@pytest.mark.slow
+def test_cards_of_published_robots_have_a_film_and_their_m_test(tmp_path: Path, capsys) -> None:
+    robot, out = "gentle_brushing/gru-ego-s1-v4", tmp_path / "cards"
+    words = ["cards", f"{robot}/robot", "--out", str(out), "--persons", "2", "--steps", "5"]
+    assert run(words) == 0, capsys.readouterr().err
+    place = out / robot.replace("/", "-")
+    film = place / "film.webp"
+    card, before = (place / "card.md").read_text(), film.stat().st_mtime_ns
+    assert "](<film.webp>)" in card and "with 2 partners of the test side of" in card
+    assert f"[{robot}](gentle_brushing-gru-ego-s1-v4/card.md)" in (out / "README.md").read_text()
+    assert run(words) == 0 and film.stat().st_mtime_ns == before, "made once"
+    assert run(["cards", "scratch/ippo-*", "--out", str(out)]) == 1
+    assert "no robot that learned with" in capsys.readouterr().err

@@ -1,6 +1,6 @@
-"""The league: any of its rows from nothing, and the tables and figures of its page.
+"""The league: any of its rows from nothing, the tables and figures of its page, and robots' cards.
 
-Run from a checkout: `python -m tools.league rows`, `row` and `page`.
+Run from a checkout: `python -m tools.league rows`, `row`, `page` and `cards`.
 """
 
 import json
@@ -24,7 +24,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: Words of the command line; this process's own if None.
     """
     app = App(name=PROGRAM, help=__doc__)
-    for command in (rows, row, page):
+    for command in (rows, row, page, cards):
         app.command(command)
     words = sys.argv[1:] if arguments is None else arguments
     try:
@@ -153,6 +153,26 @@ def page(
 
     out = out or folder / "page"
     for path in write_page(folder, out, images or out, contrasts, text):
+        print(path)
+
+
+def cards(
+    pattern: str = "*-ego-*", /, *, out: Path = Path("cards"), persons: int = 200, steps: int = 500
+) -> None:
+    """Write a card with M_test and a film for each published robot, and a page that lists them.
+
+    Args:
+        pattern: Glob over robots.
+        out: Folder; what it holds already is not made again.
+        persons: Most persons that play with a robot.
+        steps: Steps of 20 ms in a film.
+
+    Example:
+        python -m tools.league cards 'gentle_scratch/*-v3' --out cards
+    """
+    from tools.league.cards import write_cards
+
+    for path in write_cards(pattern, out, persons, steps):
         print(path)
 
 
