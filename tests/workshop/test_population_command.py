@@ -70,7 +70,8 @@ def rows(capsys, place, *more):
 def test_a_plan_is_trained_and_published_once(place, capsys):
     before = rows(capsys, place)
     assert (before["toy-one"]["missing"], before["toy-other"]["missing"]) == (2, 2)
-    assert before["toy-one"]["device_minutes_to_go"] is None and not (place / "runs").exists()
+    assert before["toy-one"]["estimated_from"] == "ippo", "at the speed of published teams"
+    assert not (place / "runs").exists()
 
     assert run(words(place, "--curves", str(place / "curves"))) == 0
     registry = load_registry(place / "registry.json")

@@ -16,7 +16,7 @@ from assistax_workshop.press.republish import republishable
 from population.hyperparameters import PRESETS
 from population.runs.folder import RunFolder
 from zoo.ids import TeamId
-from zoo.registry import Registry
+from zoo.registry import Registry, load_registry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +98,8 @@ def survey(
         ValueError: A group adopts a release that the registry does not have.
     """
     statuses = [_status(group, release, out, registry) for group in groups]
-    speeds = _speeds(registry, statuses)
+    # What nobody here has trained yet has the speed that published teams were trained at.
+    speeds = {**_speeds(load_registry(), ()), **_speeds(registry, statuses)}
     return [dataclasses.replace(status, speeds=speeds) for status in statuses]
 
 
