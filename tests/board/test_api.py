@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import httpx2
 import pytest
+from limits import parse
 from starlette.testclient import TestClient
 
 from assistax_board.api.guards import MAX_BODY
@@ -149,6 +150,27 @@ def test_health_and_metrics(service: Service, http: TestClient) -> None:
     text = http.get("/metrics").text
     assert 'assistax_service_jobs{state="waiting"} 3.0' in text
     assert 'assistax_service_submissions{state="queued"} 1.0' in text
+
+
+def test_methods_that_anybody_invents_are_counted_and_logged_as_one(
+    http: TestClient, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, logger="assistax_board"):
+        for method in ("MINT", "X" * 60_000):
+            assert http.request(method, "/nowhere").status_code == 404
+            assert http.request(method, f"/api/boards/{TASK}").status_code == 405
+    text = http.get("/metrics").text
+    assert 'requests_total{method="other",route="none",status="404"} 2.0' in text
+    assert not re.search("MINT|XXX", text + repr([vars(record) for record in caplog.records]))
+
+
+@pytest.mark.parametrize("path", ["/nowhere", "/metrics", "/api/nowhere"])
+def test_what_no_page_answers_is_limited_too(
+    http: TestClient, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    monkeypatch.setattr("assistax_board.api.guards.READ", parse("3/minute"))
+    codes = [http.get(path).status_code for _ in range(5)]
+    assert codes == [codes[0]] * 3 + [429] * 2
 
 
 def test_the_server_imports_nothing_heavy() -> None:

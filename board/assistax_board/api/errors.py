@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 
+from assistax_board.api.guards import count_read
 from assistax_board.problems import CODES, Problem
 
 log = logging.getLogger("assistax_board")
@@ -67,6 +68,10 @@ def add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def other(request: Request, error: HTTPException) -> Response:
+        try:
+            count_read(request)  # no route did
+        except Problem as too_many:
+            return problem(request, too_many)
         code = _STATUS_CODES.get(error.status_code, "invalid")
         headers = dict(error.headers or {})
         return _answer(request, error.status_code, code, str(error.detail), headers)

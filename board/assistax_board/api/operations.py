@@ -6,14 +6,15 @@ import time
 from typing import Any
 
 import sqlalchemy as sa
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-from assistax_board.api.guards import TheService
+from assistax_board.api.guards import TheService, count_read
 from assistax_board.store import schema
 
 router = APIRouter(tags=["operate"])
 log = logging.getLogger("assistax_board")
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT")
 
 
 class JsonLines(logging.Formatter):
@@ -60,7 +61,7 @@ def health(service: TheService) -> dict[str, str]:
     return {"status": "ok"}
 
 
-@router.get("/metrics", response_class=Response)
+@router.get("/metrics", response_class=Response, dependencies=[Depends(count_read)])
 def metrics(service: TheService, request: Request) -> Response:
     """Return metrics in Prometheus's text format."""
     counted: Metrics = request.app.state.metrics
@@ -96,7 +97,9 @@ class Observe:
 
 
 def _note(scope: Any, status: int, seconds: float) -> None:
-    route, method = getattr(scope.get("route"), "path", "none"), scope["method"]
+    route = getattr(scope.get("route"), "path", "none")
+    # Anybody may invent methods, and what is counted by name stays in memory.
+    method = scope["method"] if scope["method"] in METHODS else "other"
     metrics: Metrics = scope["app"].state.metrics
     metrics.requests.labels(method, route, status).inc()
     metrics.seconds.labels(route).observe(seconds)
