@@ -412,6 +412,22 @@ def test_erasing_a_lab_keeps_no_season_from_its_end(tmp_path: Path, played: int)
     assert state_of_season(service) == "closed"
 
 
+def test_a_file_that_an_erased_lab_once_handed_in_plays_panel_b(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    erased, lab = new_submitter(service, "gone"), new_submitter(service)
+    service.submit(erased, draft(2.0, "r1"))
+    work_off(service)
+    service.erase_submitter(erased)
+    id = service.submit(lab, draft(2.0, "r2", season=open_season(service)))
+    work_off(service)
+    file = shown(service, id).artefact
+    assert file is not None and service.queries.is_kept(file)
+    service.enter("spring", lab, [id])
+    service.close_season("spring")
+    work_off(service)
+    assert [score.submission for score in service.queries.scores(panel="B")] == [id]
+
+
 def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
     service, id = closing(tmp_path)
     upgraded = new_service(tmp_path, version=2)

@@ -11,6 +11,7 @@ from assistax_base.files import atomic_write
 from assistax_board.problems import Problem
 from assistax_board.store import schema
 from assistax_board.store.database import insert_once
+from assistax_board.store.schema import ARTEFACT
 
 ARTEFACTS_FOLDER = "artefacts"  # in a data folder, if no store is named
 
@@ -74,5 +75,7 @@ class Artefacts:
 
 
 def record_artefact(connection: sa.Connection, name: str, size: int, now: float) -> None:
-    """Note an artefact in the database, once."""
+    """Note an artefact in the database, once; one that was erased is there again."""
     insert_once(connection, schema.artefacts, {"sha256": name, "bytes": size, "created_at": now})
+    again = sa.update(schema.artefacts).where(ARTEFACT.sha256 == name)
+    connection.execute(again.where(ARTEFACT.erased_at.is_not(None)).values(erased_at=None))
