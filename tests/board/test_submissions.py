@@ -237,6 +237,19 @@ def test_an_upgrade_with_running_jobs_loses_nothing(tmp_path: Path) -> None:
     assert shown(upgraded, id).state == "scored"
 
 
+def test_an_upgrade_asks_no_worker_for_an_erased_file(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    gone, lab = new_submitter(service, "gone"), new_submitter(service)
+    service.submit(gone, draft(2.0))
+    id = service.submit(lab, draft(3.0))
+    work_off(service)
+    service.erase_submitter(gone)
+    upgraded = new_service(tmp_path, version=2)
+    assert upgraded.adopt_version() == 1
+    assert work_off(upgraded, version=2) == 3
+    assert len(upgraded.queries.scores(submission=id)) == 2
+
+
 def test_erasing_a_person_leaves_the_chain_whole(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     submitter = new_submitter(service, "Ada Lovelace")

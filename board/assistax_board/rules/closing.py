@@ -26,7 +26,7 @@ from assistax_board.store import ledger, schema
 from assistax_board.store.database import Database
 from assistax_board.store.notices import note
 from assistax_board.store.queries import unplayed_b
-from assistax_board.store.schema import ARTEFACT, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
+from assistax_board.store.schema import ERASED, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 ENTRIES = 2  # methods of one lab on panel B
@@ -179,11 +179,10 @@ def _close(database: Database, connection: sa.Connection, season: str, now: floa
 
 def _entries(connection: sa.Connection, season: str) -> list[Any]:
     """Return the submissions that play panel B: those entered, else each lab's last one shown."""
-    erased = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))
     query = sa.select(schema.submissions).where(
         SUBMISSION.season == season, SUBMISSION.kind == "file"
     )
-    query = query.where(SUBMISSION.artefact.not_in(erased))
+    query = query.where(SUBMISSION.artefact.not_in(ERASED))
     scored = connection.execute(query.where(SUBMISSION.state == "scored")).all()
     by_lab: dict[str, list[Any]] = {}
     for row in scored:

@@ -9,7 +9,7 @@ from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.release_pack import check_program
 from assistax_board.store import schema
-from assistax_board.store.schema import JOB, MAX_FAILURES, SEASON, SUBMISSION, VERSION
+from assistax_board.store.schema import ERASED, JOB, MAX_FAILURES, SEASON, SUBMISSION, VERSION
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
@@ -41,6 +41,8 @@ def adopt_version(service: "Service") -> int:
                 # A season's references play panel B alone.
                 (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
                 SUBMISSION.id.not_in(planned),
+                # Nobody has the file of an erased lab.
+                SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
             )
             for row in connection.execute(stale).mappings().all():
                 jobs.cancel_jobs(connection, row["id"])

@@ -17,6 +17,7 @@ from assistax_board.store.queue import Queue
 from assistax_board.store.schema import (
     ARTEFACT,
     ENTRY,
+    ERASED,
     JOB,
     MAX_FAILURES,
     PARTNER_SCORE,
@@ -218,12 +219,11 @@ class Queries:
 
 def unplayed_b(connection: sa.Connection, season: str) -> dict[str, float]:
     """Return what workers could not play on panel B, each submission with the time of its end."""
-    erased = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))
     query = (
         sa.select(SUBMISSION.id, sa.func.max(JOB.leased_at))
         .join(schema.jobs, JOB.submission == SUBMISSION.id)
         .where(SUBMISSION.season == season, SUBMISSION.state.in_(("scored", "failed")))
-        .where(SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(erased))
+        .where(SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED))
         .where(JOB.panel == "B", JOB.state == "cancelled", JOB.failures >= MAX_FAILURES)
         .group_by(SUBMISSION.id)
     )

@@ -247,4 +247,5 @@ SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
 NOTICE, SEAT, RATE, COMPUTED = notices.c, seats.c, rates.c, computed.c
 
+ERASED = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))  # files that are gone
 MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded
