@@ -1,20 +1,32 @@
 """The same service on a real PostgreSQL, where writers do not wait for each other."""
 
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from assistax_board.problems import Problem
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
+from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import METADATA
-from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, shown, take, work_off
+from tests.board.fakes import (
+    FakeScorer,
+    advance,
+    draft,
+    new_service,
+    new_submitter,
+    shown,
+    take,
+    work_off,
+)
 from tests.board.test_season import open_season
 
 
@@ -91,3 +103,54 @@ def test_results_that_come_at_once_finish_their_submission(service: Service) -> 
         assert shown(service, id).state == "scored"
     entries = service.queries.ledger()
     assert check_chain(entries) == len(entries)
+
+
+def lab_of(service: Service, id: str) -> str:
+    with service.database.read() as connection:
+        query = sa.select(schema.submissions.c.submitter).where(schema.submissions.c.id == id)
+        return connection.execute(query).scalar_one()
+
+
+def bring_the_last_result(service: Service, id: str) -> None:
+    work = take(service)
+    table = encode_table(FakeScorer().play(work, b"robot 1.0", None))
+    service.result(work.job, work.lease, table, 1.0)
+
+
+def close_by_date(service: Service, id: str) -> None:
+    advance(service, 91 * 86_400.0)
+    assert service.lease("w", ()) is None
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        bring_the_last_result,
+        close_by_date,
+        lambda service, _: service.close_season("spring"),
+        lambda service, _: service.disqualify("spring", "lab"),
+        lambda service, id: service.withdraw(id, lab_of(service, id)),
+        lambda service, id: service.erase_submitter(lab_of(service, id)),
+    ],
+    ids=["result", "date", "close", "disqualify", "withdraw", "erase"],
+)
+def test_who_hands_in_to_a_season_and_who_changes_it_do_not_wait_for_each_other(
+    service: Service, act: Callable[[Service, str], None]
+) -> None:
+    """Whoever hands in locks the season and then the ledger; so do all others, in this order."""
+    season, lab = open_season(service), new_submitter(service)
+    id = service.submit(lab, draft(2.0, season=season))
+    work_off(service, most=4)
+    service.submit(lab, draft(1.0, "r2"))  # of no season: its end needs the ledger alone
+    with service.database.write() as connection:
+        service.database.one_at_a_time(connection, f"season {season}")
+        acting = threading.Thread(target=act, args=(service, id))
+        acting.start()
+        waits = sa.text("SELECT count(*) FROM pg_locks WHERE NOT granted")
+        while not connection.execute(waits).scalar():
+            time.sleep(0.01)
+        connection.execute(sa.text("SELECT 1 FROM seasons FOR KEY SHARE"))  # as an insert does
+        service.database.one_at_a_time(connection, "ledger")
+    acting.join()
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries) > 3

@@ -89,13 +89,14 @@ def close_due(database: Database, now: float) -> None:
     with database.read() as connection:
         rows = connection.execute(closing).all()
         ready = [row.id for row in rows if not _waits(connection, row, now)]
-        if not ready and not connection.execute(due).first():
-            return
-    with database.write() as connection:
-        for season in connection.execute(database.take(due)).scalars().all():
-            _close(database, connection, season, now)
-        for season in ready:
-            go_on(database, connection, season, now)
+        ready += connection.execute(due).scalars()
+    for season in ready:
+        with database.write() as connection:
+            database.one_at_a_time(connection, f"season {season}")
+            if connection.execute(due.where(SEASON.id == season)).first():
+                _close(database, connection, season, now)
+            else:
+                go_on(database, connection, season, now)
 
 
 def go_on(database: Database, connection: sa.Connection, season: str, now: float) -> None:
@@ -150,11 +151,13 @@ def find_season(
         Problem: There is none, or it is in another state.
     """
     query = sa.select(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
-    row = connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+    row = connection.execute(query).first()
     if row is None:
         raise Problem(
             "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
         )
+    database.one_at_a_time(connection, f"season {row.id}")
+    row = connection.execute(query).one()  # what it is now that nobody changes it
     if row.state != state:
         raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
     if now is not None and row.closes_at is not None and row.closes_at <= now:

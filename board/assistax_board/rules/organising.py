@@ -82,11 +82,10 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
     """
     database, now = service.database, service.clock()
     with database.write() as connection:
+        # Locks its season too: no attempt is taken while one is given back.
         row = submissions.lock_submission(database, connection, id)
         if row is None:
             raise Problem("not_found", f"no submission {id!r}; `service failures` lists them")
-        # No attempt is taken while one is given back; the order is that of results.
-        database.one_at_a_time(connection, f"season {row.season}")
         season = closing.season_of(connection, id)
         entry: dict[str, Any] = {"id": id}
         if season is not None and id in unplayed_b(connection, season.id):
@@ -237,6 +236,9 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         mine = connection.execute(
             sa.select(*columns).where(SUBMISSION.submitter == submitter)
         ).all()
+        seasons = sorted({row.season for row in mine if row.season})
+        for season in seasons:  # all of them before the ledger
+            service.database.one_at_a_time(connection, f"season {season}")
         for row in mine:
             submissions.fail(service.database, connection, row.id, "withdrawn", now)
             jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
@@ -253,7 +255,7 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         erased = sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
         connection.execute(erased)
         ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
-        for season in {row.season for row in mine if row.season}:
+        for season in seasons:
             closing.go_on(service.database, connection, season, now)
     for name in gone:
         service.artefacts.erase(name)

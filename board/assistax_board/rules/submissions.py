@@ -236,8 +236,14 @@ def _retract(database: Database, connection: sa.Connection, row: Any, now: float
 
 
 def lock_submission(database: Database, connection: sa.Connection, id: str) -> Any:
-    """Return a submission's row, which no other transaction changes until this one ends."""
+    """Return a submission's row, which no other transaction changes until this one ends.
+
+    Its season is locked first, as by all who write into one: season, submission, ledger.
+    """
     query = sa.select(schema.submissions).where(SUBMISSION.id == id)
+    season = connection.execute(query.with_only_columns(SUBMISSION.season)).scalar()
+    if season is not None:
+        database.one_at_a_time(connection, f"season {season}")
     return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
 
 
