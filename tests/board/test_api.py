@@ -22,6 +22,12 @@ from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
 from tests.board.test_season import open_season
 
+NUL_PATHS = [
+    "/api/submissions/a%00b",
+    "/submissions/%00/film",
+    "/api/boards/scratch?season=%00",
+    "/tasks/scratch?search=x%00",
+]
 FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
 
 
@@ -254,6 +260,12 @@ def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> No
     ],
 )
 def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
+    assert http.get(path).status_code == 404
+
+
+@pytest.mark.parametrize("path", NUL_PATHS)
+def test_a_name_with_a_nul_is_not_found(http: TestClient, path: str) -> None:
+    """PostgreSQL knows no such character: whoever asks for one made an error of the server."""
     assert http.get(path).status_code == 404
 
 

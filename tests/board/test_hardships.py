@@ -29,6 +29,9 @@ from tests.board.test_live import FIELDS, Counting, play
 HALF = b"GET /api/health HTTP/1.1\r\nHost: x\r\n"
 SLOW = b"POST /api/submissions?task=scratch&method=m&request_id=12345678 HTTP/1.1\r\nHost: x\r\n"
 SLOW += b"Content-Length: 1000\r\nAuthorization: Bearer %s\r\n\r\n"
+FORM = b"POST /submit HTTP/1.1\r\nHost: x\r\nConnection: close\r\nCookie: assistax_form=x\r\n"
+FORM += b"Content-Type: multipart/form-data; boundary=x\r\nX-Forwarded-For: %s\r\n"
+FORM += b"Content-Length: %d\r\n\r\n"
 SOON = 20.0
 
 
@@ -128,6 +131,28 @@ def test_a_body_that_comes_too_slowly_is_not_waited_for(
         ended.join(SOON)
         assert not ended.is_alive()
     assert service.queries.submissions() == []
+
+
+@pytest.mark.slow
+def test_slow_forms_of_one_address_keep_nobody_else_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guards, "FORM_SECONDS", 2.0)
+    with served(new_service(tmp_path), proxy="127.0.0.1") as server:
+
+        def begun(client: str, length: int) -> socket.socket:
+            return connected(server, FORM % (client.encode(), length))
+
+        def answer(client: str) -> int:
+            with begun(client, 0) as connection:
+                return int(connection.recv(65536).split()[1])
+
+        slow = [begun("192.0.2.1", 1000) for _ in range(8)]
+        began = time.monotonic()
+        time.sleep(0.5)
+        assert (answer("192.0.2.1"), answer("192.0.2.2")) == (503, 403)
+        assert all(map(hung_up, slow)) and time.monotonic() - began < SOON
+        assert answer("192.0.2.1") == 403  # no form of ours, and read
 
 
 @pytest.mark.slow

@@ -10,7 +10,9 @@ import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from starlette.testclient import TestClient, WebSocketDenialResponse
 
+from assistax_board.app import create_app
 from assistax_board.problems import Problem
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
@@ -27,7 +29,9 @@ from tests.board.fakes import (
     take,
     work_off,
 )
+from tests.board.test_api import NUL_PATHS
 from tests.board.test_season import open_season
+from tests.board.test_submit_form import filled, send
 
 
 @pytest.fixture
@@ -154,3 +158,21 @@ def test_who_hands_in_to_a_season_and_who_changes_it_do_not_wait_for_each_other(
     acting.join()
     entries = service.queries.ledger()
     assert check_chain(entries) == len(entries) > 3
+
+
+@pytest.mark.parametrize("path", NUL_PATHS)
+def test_a_name_with_a_nul_is_not_found(service: Service, path: str) -> None:
+    http = TestClient(create_app(service), raise_server_exceptions=False)
+    assert http.get(path).status_code == 404
+
+
+def test_a_nul_in_a_form_or_a_live_address_breaks_nothing(service: Service) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    with TestClient(create_app(service), raise_server_exceptions=False) as http:
+        form = filled(http, token, season="\0", method="mi\0ne")
+        assert send(http, form, follow_redirects=False).status_code == 303
+        headers = {"Authorization": f"Bearer {token}"}
+        with pytest.raises(WebSocketDenialResponse) as denied:
+            http.websocket_connect("/api/live/%00", headers=headers).__enter__()
+    assert denied.value.status_code == 404
+    assert [submission.method for submission in service.queries.submissions()] == ["mine"]

@@ -1,5 +1,6 @@
 """The form of the web page: answered to who was given it, and to the owner of a token."""
 
+import contextlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,8 +9,10 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from assistax_board.api.desk import FORMS, Desk
 from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
+from assistax_board.problems import Problem
 from assistax_board.service import Service
 from tests.board.fakes import new_service
 from tests.board.test_season import open_season
@@ -118,6 +121,18 @@ def test_forms_with_files_are_few_at_once_and_in_a_minute(
         patch.setattr("assistax_board.api.desk.FORMS", 0)
         assert send(reader, form).status_code == 503
     assert [send(reader, form).status_code for _ in range(22)][-1] == 429
+
+
+def test_one_address_sends_one_form_at_a_time() -> None:
+    desk = Desk()
+    with desk.form("192.0.2.1"), desk.form("192.0.2.2"):
+        with pytest.raises(Problem, match="many forms"), desk.form("192.0.2.1"):
+            pass
+        with pytest.raises(Problem, match="many forms"), contextlib.ExitStack() as stack:
+            for number in range(FORMS):
+                stack.enter_context(desk.form(f"198.51.100.{number}"))
+    with desk.form("192.0.2.1"):
+        pass
 
 
 def test_a_lab_sees_its_limits_on_the_form_and_hands_nothing_in(

@@ -11,7 +11,7 @@ from assistax_board.problems import Problem
 
 AT_ONCE = 2  # files that are looked at
 WAITING = 16  # files that are looked at or wait for it
-FORMS = 4  # forms with files that arrive, whoever sends them
+FORMS = 16  # forms with files that arrive, one from an address
 OF_OWNER = 4  # requests of one lab, those whose bodies still arrive too
 
 
@@ -21,22 +21,23 @@ class Desk:
     def __init__(self) -> None:
         self._threads = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="desk")
         self._owners: Counter[str] = Counter()
-        self._waiting = self._forms = 0
+        self._forms: set[str] = set()  # addresses
+        self._waiting = 0
 
     @contextlib.contextmanager
-    def form(self) -> Generator[None]:
+    def form(self, client: str) -> Generator[None]:
         """Keep a place for a form whose sender is not known before it was read.
 
         Raises:
-            Problem: Too many arrive now.
+            Problem: Too many arrive now, or one from this address.
         """
-        if self._forms >= FORMS:
+        if client in self._forms or len(self._forms) >= FORMS:
             raise Problem("unavailable", "many forms are being sent; try again soon", 5)
-        self._forms += 1
+        self._forms.add(client)
         try:
             yield
         finally:
-            self._forms -= 1
+            self._forms.remove(client)
 
     @contextlib.contextmanager
     def place(self, owner: str, *, has_file: bool = True) -> Generator[None]:

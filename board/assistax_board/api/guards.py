@@ -25,6 +25,7 @@ MAX_BODY = MAX_BYTES + SMALL_BODY  # a file and the fields of a form
 _LARGE = {"/api/submissions": MAX_BODY, "/submit": MAX_BODY}
 _LARGE_WORK = ("/result", "/ask")
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
+FORM_SECONDS = 30.0  # for that of a form, whose sender is known when it has arrived
 
 READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
 PAGES = parse("3000/minute")  # one address may be a whole institute's
@@ -64,16 +65,21 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        if "\0" in scope["path"] or b"%00" in scope["query_string"]:
+            # No name has such a character, and PostgreSQL fails where one is asked for.
+            await _answer(send, Problem("not_found", "there is nothing of this name"))
+            return
         most = min(self._most, largest_body(scope["path"]))
         length = dict(scope["headers"]).get(b"content-length", b"0")
         if not length.isdigit() or int(length) > most:
             await _answer(send, Problem("too_large", f"this request has at most {most} bytes"))
             return
-        await self._app(scope, self._counted(receive, most), send)
+        seconds = min(self._seconds, FORM_SECONDS) if scope["path"] == "/submit" else self._seconds
+        await self._app(scope, self._counted(receive, most, seconds), send)
 
-    def _counted(self, receive: Any, most: int) -> Callable[[], Any]:
+    def _counted(self, receive: Any, most: int, seconds: float) -> Callable[[], Any]:
         loop = asyncio.get_running_loop()
-        seen, whole, end = 0, False, loop.time() + self._seconds
+        seen, whole, end = 0, False, loop.time() + seconds
 
         async def counted() -> Any:
             nonlocal seen, whole

@@ -154,6 +154,6 @@ def _check_owner(socket: WebSocket, submission: str) -> str:
         state.limiter.hit(SIGN_IN, client_of(socket))
         raise
     owner = principal.submitter
-    if owner is None or not state.service.owns_live(submission, owner):
+    if owner is None or "\0" in submission or not state.service.owns_live(submission, owner):
         raise Problem("not_found", "you have no live submission of this id")
     return owner

@@ -46,7 +46,7 @@ def submit_router(site: Site) -> APIRouter:
             return site.fresh("error.html", request.url.path, 403, message=security.NOT_OURS)
         try:
             state.limiter.hit(FORM, client_of(request))
-            with state.desk.form():
+            with state.desk.form(client_of(request)):
                 texts, file = await read_form(request)
         except Problem as problem:
             message = problem.message
@@ -90,8 +90,9 @@ async def read_form(
             file = form.get("file")
             data = b"" if file is None or isinstance(file, str) else await file.read()
     except (HTTPException, ClientDisconnect):
-        raise Problem("invalid", "this is not the form of this page") from None
-    return {name: text if isinstance(text, str) else "" for name, text in texts.items()}, data
+        raise Problem("invalid", "this is no form of this page, or it came too slowly") from None
+    words = {name: text if isinstance(text, str) else "" for name, text in texts.items()}
+    return {name: word.replace("\0", "") for name, word in words.items()}, data
 
 
 def come_back(
