@@ -115,15 +115,19 @@ class Service:
             store, job, secret, data, partners, episodes, preferences, seconds, self.clock()
         )
 
-    def owns_live(self, submission: str, submitter: str | None) -> bool:
-        """Return whether a live submission is this lab's; it may have ended already."""
+    def live_action_size(self, submission: str, submitter: str | None) -> int | None:
+        """Return how many numbers an action of this lab's live robot has; None if it has no such.
+
+        The submission may have ended already.
+        """
         where = (
             SUBMISSION.id == submission,
             SUBMISSION.submitter == submitter,
             SUBMISSION.kind == "live",
         )
         with self.database.read() as connection:
-            return connection.execute(sa.select(SUBMISSION.id).where(*where)).first() is not None
+            task = connection.execute(sa.select(SUBMISSION.task).where(*where)).scalar()
+        return None if task is None else self.catalogue.action_size(task)
 
     def live_submission(self, job: str, secret: str) -> str:
         """Return the live submission of a job that this lease holds."""

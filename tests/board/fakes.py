@@ -35,6 +35,9 @@ class FakeCatalogue:
     def references(self, task: str) -> dict[str, str]:
         return {"zero-action": "zero-action", "self-play": "self-play"}
 
+    def action_size(self, task: str) -> int:
+        return 3
+
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
 

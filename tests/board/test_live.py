@@ -24,6 +24,7 @@ from assistax_board.live.rooms import WAITING, BankEmpty, Rooms
 from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
 from assistax_board.service import Service
+from assistax_board.store.notices import list_notices
 from assistax_board.work.worker import Worker
 from tests.board.fakes import (
     TASK,
@@ -132,6 +133,14 @@ def test_numbers_that_are_not_finite_end_it_with_a_word(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = play(service, lambda obs: np.full((len(obs), 3), np.nan, np.float32))
     assert (shown(service, id).state, shown(service, id).reason) == ("refused", "not_finite")
+
+
+@pytest.mark.parametrize("width", [1, 2, 300])
+def test_an_action_of_another_width_ends_it_with_a_word(tmp_path: Path, width: int) -> None:
+    service = new_service(tmp_path)
+    id = play(service, lambda obs: np.zeros((len(obs), width), np.float32))
+    assert (shown(service, id).state, shown(service, id).reason) == ("refused", "wrong_sizes")
+    assert list_notices(service.database) == []
 
 
 def test_live_robots_never_meet_hidden_partners(tmp_path: Path) -> None:
@@ -325,7 +334,7 @@ def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
     houses = [Rooms(places_of(service), bank=0.3) for _ in range(2)]
 
     async def flicker() -> None:
-        seat = await houses[0].take_seat(id, "lab")
+        seat = await houses[0].take_seat(id, "lab", 3)
         work = take(service)
         asked = Asked(id, work.job, work.lease, ("run.1", 0), b"")
         asking = asyncio.create_task(houses[0].ask(asked, 5.0))
@@ -334,7 +343,7 @@ def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
             if asking.done():
                 break
             await asyncio.sleep(0.05)
-            seat = await houses[(turn + 1) % 2].take_seat(id, "lab")
+            seat = await houses[(turn + 1) % 2].take_seat(id, "lab", 3)
         await asking
 
     with pytest.raises(BankEmpty):

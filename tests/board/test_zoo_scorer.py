@@ -273,6 +273,7 @@ def test_references_play_a_private_release_too(registry: Registry, tmp_path: Pat
 def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
     rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
     assert ZooCatalogue(registry, "native").references(TASK) == rows
+    assert ZooCatalogue(registry, "native").action_size(TASK) == robot_sizes(registry)[TASK][1]
     team = untrained_team("mixed", 5, robot=(ROBOT, params_of(ROBOT, 5)))
     against = {"split": "scratch/half-s0-v0-01234567", "sha256": "0" * 64}
     ego = dataclasses.replace(team, algorithm="ppo", trained_against=against)

@@ -62,8 +62,8 @@ async def live(socket: WebSocket, submission: str) -> None:
     rooms = socket.app.state.rooms
     try:
         async with rooms.door():
-            owner = await run_in_threadpool(_check_owner, socket, submission)
-            seat = await rooms.take_seat(submission, owner)
+            owner, action_size = await run_in_threadpool(_check_owner, socket, submission)
+            seat = await rooms.take_seat(submission, owner, action_size)
     except Problem as problem:
         await socket.send_denial_response(denial(problem))
         return
@@ -135,7 +135,9 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         rows = unpack_rows(message)
         if is_asked and message["rows"] != decode(room.question, "observe")["rows"]:
             raise ValueError("other rows than were asked")
-        if not np.isfinite(rows).all():
+        if rows.shape[1] != seat.action_size:
+            code = "wrong_sizes"
+        elif not np.isfinite(rows).all():
             code = "not_finite"
     except ValueError:
         code = "malformed"
@@ -145,8 +147,8 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         await socket.app.state.rooms.hear(seat.submission, data)
 
 
-def _check_owner(socket: WebSocket, submission: str) -> str:
-    """Return the lab that a live submission is of, if the token that came is of that lab."""
+def _check_owner(socket: WebSocket, submission: str) -> tuple[str, int]:
+    """Return a live submission's lab and its width of actions, if the token is of that lab."""
     state = socket.app.state
     try:
         principal = authenticate(state.service.database, bearer_token(socket))
@@ -154,6 +156,7 @@ def _check_owner(socket: WebSocket, submission: str) -> str:
         state.limiter.hit(SIGN_IN, client_of(socket))
         raise
     owner = principal.submitter
-    if owner is None or "\0" in submission or not state.service.owns_live(submission, owner):
+    known = "\0" not in submission and state.service.live_action_size(submission, owner)
+    if owner is None or not known:
         raise Problem("not_found", "you have no live submission of this id")
-    return owner
+    return owner, known

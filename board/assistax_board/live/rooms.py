@@ -43,6 +43,7 @@ class Seat:
 
     submission: str
     name: str
+    action_size: int
     owed: int = 0  # questions that were sent and not answered
     over: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
     state: str | None = None  # in which its submission ended; None if another took the place
@@ -132,7 +133,7 @@ class Rooms:
     def _let_go(self) -> None:
         self._coming -= 1
 
-    async def take_seat(self, submission: str, owner: str) -> Seat:
+    async def take_seat(self, submission: str, owner: str, action_size: int) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.
 
         The caller has come through the door.
@@ -144,7 +145,7 @@ class Rooms:
             message = f"at most {SEATS} live robots play here at once; try again later"
             raise Problem("too_many_requests", message)
         name = await run_in_threadpool(self.seats.take, submission, owner)
-        room, seat = self.room(submission), Seat(submission, name)
+        room, seat = self.room(submission), Seat(submission, name, action_size)
         if room.seat is not None:
             room.seat.end(None)
         room.seat = self._here[name] = seat
