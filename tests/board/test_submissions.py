@@ -54,6 +54,10 @@ def test_its_receipt_is_valid_and_a_changed_one_is_not(tmp_path: Path) -> None:
     receipt = service.queries.receipt(id)
     assert receipt is not None
     assert verify_receipt(receipt, service.signer.public_key)["submission"] == id
+    with pytest.raises(ValueError, match="the key of GET /api/about"):
+        verify_receipt(receipt, "no key")
+    about = TestClient(create_app(service)).get("/api/about").json()
+    assert about["key"] == service.signer.public_key
     receipt["content"]["scores"]["public"]["mean"] += 1.0
     with pytest.raises(ValueError, match="was changed"):
         verify_receipt(receipt, service.signer.public_key)

@@ -74,6 +74,6 @@ def verify_receipt(receipt: dict[str, Any], public_key: str) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"this is not a receipt, or not a key ({error}); give the JSON that the server sent "
-            "and the key of GET /api/key"
+            "and the key of GET /api/about"
         ) from None
     return content
