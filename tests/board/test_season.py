@@ -16,6 +16,7 @@ from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.app import create_app
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.crossplays import CrossPlays
+from assistax_board.pages.routes.organising import overview
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
 from assistax_board.rules import seasons
@@ -244,6 +245,26 @@ def test_a_season_closes_by_itself_at_its_date(tmp_path: Path) -> None:
             late()
     assert work_off(service) == 3 + 2 + 2
     assert state_of(service, season) == "closed"
+
+
+def test_nobody_but_the_organiser_sees_a_draft(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    id, token = open_season(service), service.create_token(("submit",), submitter="lab")
+    with service.database.write() as connection:
+        connection.execute(sa.update(schema.seasons).values(state="draft"))
+    http = TestClient(create_app(service), headers={"Authorization": f"Bearer {token}"})
+    for page in ("/", "/seasons", f"/tasks/{TASK}", "/submit", "/api/seasons", "/api/limits"):
+        assert "spring" not in http.get(page).text
+    submit = f"/api/submissions?task={TASK}&method=mine&request_id=request-1&season="
+    for name in (id, "spring"):
+        for path in ("", "/attempts", "/revealed", "/release"):
+            assert http.get(f"/api/seasons/{name}{path}").status_code == 404
+        assert http.get(f"/seasons/{name}").status_code == 404
+        assert http.get(f"/api/boards/{TASK}?season={name}").status_code == 404
+        assert http.post(f"/api/seasons/{name}/entries").status_code == 404
+        assert http.post(submit + name, content=b"robot 1.0").status_code == 404
+    assert [season.id for season in overview(service)["seasons"]] == [id]
+    assert service.queries.season("spring", drafts=True) is not None
 
 
 def test_a_season_says_how_long_it_is_open(tmp_path: Path) -> None:

@@ -121,8 +121,7 @@ def enter(
     At most two methods, each with the submissions that are its seeds. Without any choice it is the
     submission whose score on panel A was shown last.
     """
-    submitter = str(principal.submitter)
-    service.enter(id, submitter, submission or [])
-    season = existing(service.queries.season(id), "season")
+    submitter, season = str(principal.submitter), existing(service.queries.season(id), "season")
+    service.enter(season.id, submitter, submission or [])
     mine = service.queries.submissions(submitter=submitter, season=season.id, limit=1000)
     return [submission for submission in mine if submission.entered]

@@ -99,7 +99,7 @@ def season_create(
     plan = seasons.Plan(name, task, budget, text, small)
     service = open_folder(data, database, artefacts)
     id = service.create_season(plan, release, load_registry())
-    season = service.queries.season(id)
+    season = service.queries.season(id, drafts=True)
     hidden = season.hidden if season else None
     print(f"season {name} is made, id {id}: it hides {partners_in_words(hidden)}")
     print("nobody sees it until you open it: `assistax-zoo season open`")

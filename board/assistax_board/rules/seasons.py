@@ -148,7 +148,7 @@ def revealed(database: Database, name: str) -> dict[str, Any]:
     with database.read() as connection:
         query = sa.select(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
         row = connection.execute(query).first()
-    if row is None:
+    if row is None or row.state == "draft":
         raise Problem("not_found", f"no season {name!r}")
     if row.state != "closed":
         raise Problem(

@@ -151,17 +151,19 @@ class Queries:
         with self.database.read() as connection:
             return [(row.id, row.identity) for row in connection.execute(query)]
 
-    def seasons(self, task: str | None = None) -> list[Season]:
-        """Return the seasons, the newest first."""
-        query = sa.select(schema.seasons).order_by(SEASON.created_at.desc())
+    def seasons(self, task: str | None = None, *, drafts: bool = False) -> list[Season]:
+        """Return the seasons, the newest first; drafts are the organiser's alone to see."""
+        query = sa.select(schema.seasons).where(sa.or_(drafts, SEASON.state != "draft"))
+        query = query.order_by(SEASON.created_at.desc())
         query = query if task is None else query.where(SEASON.task == task)
         with self.database.read() as connection:
             return [_season(row) for row in connection.execute(query).mappings()]
 
-    def season(self, id: str) -> Season | None:
-        """Return one season by its id or its name."""
+    def season(self, id: str, *, drafts: bool = False) -> Season | None:
+        """Return one season by its id or its name; drafts are the organiser's alone to see."""
+        query = sa.select(schema.seasons).where((SEASON.id == id) | (SEASON.name == id))
+        query = query.where(sa.or_(drafts, SEASON.state != "draft"))
         with self.database.read() as connection:
-            query = sa.select(schema.seasons).where((SEASON.id == id) | (SEASON.name == id))
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
 

@@ -117,6 +117,6 @@ def overview(service: Service) -> dict[str, Any]:
     return {
         "notices": list_notices(service.database),
         "failures": service.failures(),
-        "seasons": service.queries.seasons(),
+        "seasons": service.queries.seasons(drafts=True),
         "now": time.time(),
     }
