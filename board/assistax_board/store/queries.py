@@ -153,7 +153,7 @@ class Queries:
 
     def seasons(self, task: str | None = None, *, drafts: bool = False) -> list[Season]:
         """Return the seasons, the newest first; drafts are the organiser's alone to see."""
-        query = sa.select(schema.seasons).where(sa.or_(drafts, SEASON.state != "draft"))
+        query = sa.select(schema.seasons).where((SEASON.state != "draft") | sa.literal(drafts))
         query = query.order_by(SEASON.created_at.desc())
         query = query if task is None else query.where(SEASON.task == task)
         with self.database.read() as connection:
@@ -162,7 +162,7 @@ class Queries:
     def season(self, id: str, *, drafts: bool = False) -> Season | None:
         """Return one season by its id or its name; drafts are the organiser's alone to see."""
         query = sa.select(schema.seasons).where((SEASON.id == id) | (SEASON.name == id))
-        query = query.where(sa.or_(drafts, SEASON.state != "draft"))
+        query = query.where((SEASON.state != "draft") | sa.literal(drafts))
         with self.database.read() as connection:
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
