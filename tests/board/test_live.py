@@ -23,6 +23,7 @@ from assistax_board.live.robot import LiveRobot
 from assistax_board.live.rooms import WAITING, BankEmpty, Rooms
 from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
+from assistax_board.rules.tokens import Principal, list_tokens, revoke_token
 from assistax_board.service import Service
 from assistax_board.store.notices import list_notices
 from assistax_board.work.worker import Worker
@@ -152,6 +153,19 @@ def test_live_robots_never_meet_hidden_partners(tmp_path: Path) -> None:
         with pytest.raises(Problem, match="public partners alone"):
             owner.submit(b"", request_id="request-1", season=season, **FIELDS)
     assert service.queries.submissions() == []
+
+
+def test_a_revoked_token_ends_its_live_connection(tmp_path: Path) -> None:
+    service = new_service(tmp_path)
+    with served(service) as server:
+        owner = server.client("submit")
+        [token] = list_tokens(service.database)
+        with contextlib.closing(websocket(owner, id := handed_in(owner))) as socket:
+            server.client("submit")  # another token of the lab, which stays valid
+            revoke_token(service.database, service.clock(), token.id)
+            with pytest.raises(ConnectionClosed):
+                socket.recv(5.0)
+    assert shown(service, id).state == "queued"
 
 
 def test_nobody_plays_for_another(tmp_path: Path) -> None:
@@ -330,11 +344,12 @@ def ask_once(robot: LiveRobot) -> None:
 def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
     """A client that is there for moments only, at one server or the other, thinks for ever else."""
     service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft(data=None, kind="live"))
+    lab = Principal("token", ("submit",), new_submitter(service))
+    id = service.submit(str(lab.submitter), draft(data=None, kind="live"))
     houses = [Rooms(places_of(service), bank=0.3) for _ in range(2)]
 
     async def flicker() -> None:
-        seat = await houses[0].take_seat(id, "lab", 3)
+        seat = await houses[0].take_seat(id, lab, 3)
         work = take(service)
         asked = Asked(id, work.job, work.lease, ("run.1", 0), b"")
         asking = asyncio.create_task(houses[0].ask(asked, 5.0))
@@ -343,7 +358,7 @@ def test_time_away_is_taken_from_the_bank(tmp_path: Path) -> None:
             if asking.done():
                 break
             await asyncio.sleep(0.05)
-            seat = await houses[(turn + 1) % 2].take_seat(id, "lab", 3)
+            seat = await houses[(turn + 1) % 2].take_seat(id, lab, 3)
         await asking
 
     with pytest.raises(BankEmpty):

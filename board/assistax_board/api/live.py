@@ -17,7 +17,7 @@ from assistax_board.live.messages import decode, encode, unpack_rows
 from assistax_board.live.rooms import Away, BankEmpty, Room, Seat
 from assistax_board.live.seats import Asked
 from assistax_board.problems import Problem
-from assistax_board.rules.tokens import authenticate
+from assistax_board.rules.tokens import Principal, authenticate
 
 router = APIRouter(prefix="/api", tags=["live"], responses=RESPONSES)
 asking = APIRouter(prefix="/api/work", tags=["live"], responses=RESPONSES)
@@ -147,7 +147,7 @@ async def _hear(socket: WebSocket, room: Room, seat: Seat, data: bytes | None) -
         await socket.app.state.rooms.hear(seat.submission, data)
 
 
-def _check_owner(socket: WebSocket, submission: str) -> tuple[str, int]:
+def _check_owner(socket: WebSocket, submission: str) -> tuple[Principal, int]:
     """Return a live submission's lab and its width of actions, if the token is of that lab."""
     state = socket.app.state
     try:
@@ -159,4 +159,4 @@ def _check_owner(socket: WebSocket, submission: str) -> tuple[str, int]:
     known = "\0" not in submission and state.service.live_action_size(submission, owner)
     if owner is None or not known:
         raise Problem("not_found", "you have no live submission of this id")
-    return owner, known
+    return principal, known

@@ -17,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from assistax_board.live.messages import Step, is_newer
 from assistax_board.live.seats import Asked, Seats
 from assistax_board.problems import Problem
+from assistax_board.rules.tokens import Principal
 from assistax_board.vocabulary import FINAL_STATES
 
 TIME_BANK = 900.0  # seconds that steps may wait for a robot in all, also while it is away
@@ -43,6 +44,7 @@ class Seat:
 
     submission: str
     name: str
+    token: str  # id of the client's
     action_size: int
     owed: int = 0  # questions that were sent and not answered
     over: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
@@ -133,10 +135,10 @@ class Rooms:
     def _let_go(self) -> None:
         self._coming -= 1
 
-    async def take_seat(self, submission: str, owner: str, action_size: int) -> Seat:
+    async def take_seat(self, submission: str, owner: Principal, action_size: int) -> Seat:
         """Connect a client to its room; an older connection of the submission is replaced.
 
-        The caller has come through the door.
+        The caller has come through the door; `owner` is a lab, by its token.
 
         Raises:
             Problem: The lab, or all labs together, have too many connections.
@@ -144,8 +146,8 @@ class Rooms:
         if sum(seat.submission != submission for seat in self._here.values()) >= SEATS:
             message = f"at most {SEATS} live robots play here at once; try again later"
             raise Problem("too_many_requests", message)
-        name = await run_in_threadpool(self.seats.take, submission, owner)
-        room, seat = self.room(submission), Seat(submission, name, action_size)
+        name = await run_in_threadpool(self.seats.take, submission, str(owner.submitter))
+        room, seat = self.room(submission), Seat(submission, name, owner.token, action_size)
         if room.seat is not None:
             room.seat.end(None)
         room.seat = self._here[name] = seat
@@ -230,14 +232,14 @@ class Rooms:
             with contextlib.suppress(SQLAlchemyError):  # it is away; places last for a while
                 if time.monotonic() - looked >= LOOK_SECONDS:
                     looked = time.monotonic()
-                    await self._look(list(self._here))
+                    await self._look({name: seat.token for name, seat in self._here.items()})
                 await self._take_in()
             await asyncio.sleep(POLL_SECONDS)
 
-    async def _look(self, names: list[str]) -> None:
-        """End the connections that lost their places, or whose submissions have ended."""
-        states = await run_in_threadpool(self.seats.keep, names)
-        for name in names:
+    async def _look(self, tokens: dict[str, str]) -> None:
+        """End the connections that lost place or token, or whose submissions have ended."""
+        states = await run_in_threadpool(self.seats.keep, tokens)
+        for name in tokens:
             seat, state = self._here.get(name), states.get(name)
             if seat is not None and (state is None or state in FINAL_STATES):
                 seat.end(state)

@@ -6,7 +6,7 @@ the connection never comes here.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import sqlalchemy as sa
@@ -18,7 +18,7 @@ from assistax_board.problems import Problem
 from assistax_board.rules.jobs import held_job
 from assistax_board.store import schema
 from assistax_board.store.database import Database, insert_once
-from assistax_board.store.schema import SEAT, SUBMISSION
+from assistax_board.store.schema import SEAT, SUBMISSION, TOKEN
 from assistax_board.vocabulary import FINAL_STATES
 
 SEAT_SECONDS = 10.0  # for which a server's word holds that a client is there
@@ -67,14 +67,20 @@ class Seats:
                 connection.execute(sa.update(schema.seats).where(mine).values(values))
         return seat
 
-    def keep(self, seats: Sequence[str]) -> dict[str, str]:
-        """Say that connections are there; return the submissions' states of those not replaced."""
+    def keep(self, seats: Mapping[str, str]) -> dict[str, str]:
+        """Say that connections are there, each by its token's id; return the submissions' states.
+
+        Those that were replaced, or whose tokens were revoked, are left out.
+        """
         mine, now = SEAT.seat.in_(seats), self._clock()
+        valid = sa.select(TOKEN.id).where(TOKEN.id.in_(seats.values()), TOKEN.revoked_at.is_(None))
         states = sa.select(SEAT.seat, SUBMISSION.state).join(schema.submissions).where(mine)
         with self._database.write() as connection:
             values = {"until": now + SEAT_SECONDS, "seen_at": now}
             connection.execute(sa.update(schema.seats).where(mine).values(values))
-            return {row.seat: row.state for row in connection.execute(states)}
+            tokens = set(connection.execute(valid).scalars())
+            rows = connection.execute(states)
+            return {row.seat: row.state for row in rows if seats[row.seat] in tokens}
 
     def leave(self, submission: str, seat: str, thought: float) -> None:
         """Note that a connection is over, and how long its robot has thought."""
