@@ -332,7 +332,7 @@ def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
         (["--policy", "robot"], "unknown form; allowed are an id such as"),
         (["--policy", "robot.py:make"], "did you mean python:robot.py:make?"),
         (["--policy", "bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
-        (["--policy", "robot.onnx"], "no file of at most"),
+        (["--policy", "robot.onnx"], "there is no file robot.onnx"),
     ],
 )
 def test_bad_input_gets_one_clear_line(

@@ -79,8 +79,10 @@ def test_fewer_persons_are_a_part_of_more() -> None:
         for most in (20, 50)
     )
     assert len(some) == 20 and len(more) == 50 and some < more
-    every = choose_partners(registry, TASK, "validation", "persons", 10_000)[1]
+    every = choose_partners(registry, TASK, "validation", "persons", len(numbers("validation")))[1]
     assert [entry.row for entry in every] == numbers("validation").tolist()
+    with pytest.raises(UnknownIdError, match=r"10000 persons: .* found 800 that match"):
+        choose_partners(registry, TASK, "validation", "persons", 10_000)
 
 
 @pytest.mark.parametrize(

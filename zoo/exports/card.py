@@ -86,12 +86,12 @@ def policy_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
 
 
 def write_card(
-    cards: Sequence[Mapping[str, Any]], path: Path, image: Path | None = None, zoo: str = "zoo:"
+    cards: Sequence[Mapping[str, Any]], path: Path, image: Path | None = None, namespace: str = ""
 ) -> None:
     """Write a card as Markdown; a picture stands in it relative to the card.
 
     A robot's may have `m_test`: `mean`, `mean_ci`, `n` partners, and the `split` that they are of.
-    In its commands `zoo` stands before ids; "NAME:" for a zoo that its readers have to add first.
+    In its commands `namespace` stands before ids: "NAME:" for a zoo that readers have to add first.
 
     Raises:
         ValueError: There is no such picture.
@@ -102,18 +102,18 @@ def write_card(
         )
     folder = path.resolve().parent
     place = Path(os.path.relpath(image.resolve(), folder)).as_posix() if image else None
-    atomic_write(path, markdown_card(cards, place, zoo).encode())
+    atomic_write(path, markdown_card(cards, place, namespace).encode())
 
 
 def markdown_card(
-    cards: Sequence[Mapping[str, Any]], image: str | None = None, zoo: str = "zoo:"
+    cards: Sequence[Mapping[str, Any]], image: str | None = None, namespace: str = ""
 ) -> str:
     """Return the card of one team.
 
     Args:
         cards: `policy_card` of each of its policies.
         image: Path or address of a picture, as it is to stand in the card.
-        zoo: What stands before its ids in commands.
+        namespace: What stands before its ids in commands; none for the official zoo.
     """
     first, many = cards[0], len(cards) > 1
     if "numbers" in first:
@@ -132,13 +132,13 @@ def markdown_card(
         cards=cards,
         image=image,
         title=first["team"] if many else first["id"],
-        zoo=zoo,
+        namespace=namespace,
         summary=summary.items(),
         policies=policies,
         training=_flat(first["training"]),
         # Not a default: that of another release is played in another version of the task.
         split=first.get("trained_against", {}).get("split")
-        or next((zoo.removeprefix("zoo:") + split for split in first["splits"]), "test"),
+        or next((namespace + split for split in first["splits"]), "test"),
     )
 
 

@@ -94,7 +94,7 @@ def show(
     if result:
         cards[0] |= {"m_test": _m_test(result, cards[0]["id"])}
     if card:
-        write_card(cards, card, image, "NAME:" if registry else "zoo:")
+        write_card(cards, card, image, "NAME:" if registry else "")
     lines = [line for content in cards for line in _card_lines(content)]
     answer(json, cards[0] if cards[0]["id"] == id else cards, *lines)
 
