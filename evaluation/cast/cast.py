@@ -215,18 +215,19 @@ def _unfit(
     registry: Registry, entry: PolicyEntry, versions: Sequence[int], why: str
 ) -> RegistryVersionError:
     """Return the error of a policy that was trained in none of some versions."""
-    fitting = []
+    fitting, wanted = [], listing(map(str, versions))
     for release in registry.data.releases.values():
         if release.environments.get(entry.task) in versions:
-            fitting += [f"split {release.splits[entry.task]}"] * (entry.task in release.splits)
-            fitting += ["partners persons"] * (entry.task in release.persons)
+            if split := release.splits.get(entry.task):  # none in a release of egos alone
+                fitting.append(f"split {split}")
+            if entry.task in release.persons:
+                fitting.append("partners persons")
     return RegistryVersionError(
         f"policy {entry.id}",
-        expected=f"version {listing(map(str, versions))} of environment {entry.task}, {why}",
+        expected=f"version {wanted} of environment {entry.task}, {why}",
         found=f"release {entry.release}, trained on version {registry.env_version(entry)}",
         done="nothing was evaluated",
-        next_step=f"choose other robots, or partners of version {listing(map(str, versions))}: "
-        f"{listing(fitting)}"
+        next_step=f"choose other robots, or partners of version {wanted}: {listing(fitting)}"
         if fitting
         else f"install the assistax-zoo of release {entry.release}",
     )

@@ -1,5 +1,6 @@
 """Which policies a cross-play takes, on the published registry."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,17 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
         match=r"version 2 .* trained on version 1; .* partners of version 2: split arm_assist/",
     ):
         env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v0"))
+
+
+def test_a_release_of_egos_alone_is_no_way_out_of_another_version() -> None:
+    registry, task = load_registry(), "gentle_scratch"
+    releases = registry.data.releases
+    egos = releases["v3"].model_copy(update={"splits": {}, "persons": {}})
+    more = {"releases": {**releases, "mine:v0": egos}}
+    registry = dataclasses.replace(registry, data=registry.data.model_copy(update=more))
+    newer, older = (registry.policy(f"{task}/ppo-ego-s0-{name}/robot") for name in ("v3", "v2"))
+    with pytest.raises(RegistryVersionError, match=r"of version 3: split \S+, partners persons$"):
+        env_version(registry, task, [newer, older])
 
 
 def test_partners_of_an_older_version_are_played_in_it_and_never_beside_newer_ones() -> None:
