@@ -51,10 +51,9 @@ def write_page(
     places = sorted(place for place in folder.glob("*") if row_folders(place))
     if not places:
         raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
-    all_curves = [_curves(place) for place in places]
+    of_folder = {place: _curves(place) for place in places}
     played = [
-        Played(read_league(place), place, _validated(some))
-        for place, some in zip(places, all_curves, strict=True)
+        Played(read_league(place), place, _validated(some)) for place, some in of_folder.items()
     ]
     trained = [
         Played(read_league(side), side, task.validated)
@@ -63,7 +62,7 @@ def write_page(
     ]
     league = {task.task: league_table(task.league) for task in played}
     shares = {task.task: failures(task.league.by_partner) for task in played}
-    curves = {task.task: some for task, some in zip(played, all_curves, strict=True) if some}
+    curves = {task.task: some for task in played if (some := of_folder[task.folder])}
     records = pl.DataFrame(_records(places))
     named = {"league": league, "partners": shares}
     named["training-side"] = {task.task: league_table(task.league) for task in trained}

@@ -156,6 +156,7 @@ def sentences(
     Of contrasts it says those with PPO, in return; the tables have all.
     """
     contrasts = [c for c in contrasts if (c.baseline, c.metric) == (PPO, "return")]
+    named = [c for c in named if (c.baseline, c.metric) == (PPO, "return")]
     tested = [contrast for contrast in contrasts if contrast.named]
     above = [contrast for contrast in tested if contrast.found and contrast.difference.mean > 0]
     if above:
@@ -167,8 +168,7 @@ def sentences(
             "would have been found in 80% of repetitions."
         )
     full = {(c.task, c.method) for c in tested}
-    short = [c for c in named if (c.baseline, c.metric) == (PPO, "return")]
-    if missed := _in_tasks([c for c in short if (c.task, c.method) not in full]):
+    if missed := _in_tasks([c for c in named if (c.task, c.method) not in full]):
         yield f"Named, not played with so many seeds, and so not shown either: {missed}."
     chances = holm([contrast.p for contrast in contrasts])
     unnamed = [

@@ -91,8 +91,11 @@ async def read_form(
             data = b"" if file is None or isinstance(file, str) else await file.read()
     except (HTTPException, ClientDisconnect):
         raise Problem("invalid", "this is no form of this page, or it came too slowly") from None
-    words = {name: text if isinstance(text, str) else "" for name, text in texts.items()}
-    return {name: word.replace("\0", "") for name, word in words.items()}, data
+    words = {
+        name: text.replace("\0", "") if isinstance(text, str) else ""
+        for name, text in texts.items()
+    }
+    return words, data
 
 
 def come_back(
