@@ -13,6 +13,7 @@ from types import FrameType
 from typing import NoReturn
 
 EXIT_INTERRUPT = 130
+CONTINUED = {"audit", "evaluate", "sweep", "train", "train-ego"}  # from what --out holds
 GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
 
 # What calls a module of C or C++ as it is loaded.
@@ -73,8 +74,10 @@ def end_now() -> NoReturn:
     _ending.acquire()  # never released: one line, whoever is first
     if not _said.is_set():  # else Ctrl-C struck again in here
         _said.set()
+        continued = CONTINUED.intersection(sys.argv[1:2]) and "--out" in sys.argv
+        kept = "; what is done is kept, and the same command continues" if continued else ""
         with contextlib.suppress(OSError, ValueError):
-            print("error: interrupted", file=sys.stderr, flush=True)
+            print(f"error: interrupted{kept}", file=sys.stderr, flush=True)
     os._exit(EXIT_INTERRUPT)
 
 

@@ -49,6 +49,7 @@ def test_substeps_without_sensors_change_no_bit(task: str) -> None:
     # The model without sensors is an inner shortcut, which the test takes away.
     blind, physics._blind_model = physics._blind_model, None
     jax.tree.map(np.testing.assert_array_equal, lean, advance(physics, task))
+    assert blind is not None
     # Planted: a shortcut that differs in more than its sensors.
     physics._blind_model = blind.tree_replace({"opt.timestep": 2 * blind.opt.timestep})
     assert not np.array_equal(advance(physics, task)[0].qpos, lean[0].qpos)
