@@ -13,7 +13,8 @@ from types import FrameType
 from typing import NoReturn
 
 EXIT_INTERRUPT = 130
-CONTINUED = {"audit", "evaluate", "sweep", "train", "train-ego"}  # from what --out holds
+# Commands that continue from what their --out holds.
+CONTINUED = {"audit", "crossplay", "evaluate", "sweep", "train", "train-ego"}
 GRACE = 1.0  # seconds for the command to stop by itself; a compilation may take ten times that
 
 # What calls a module of C or C++ as it is loaded.
