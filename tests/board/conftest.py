@@ -26,6 +26,12 @@ def readers_wait_for_boards() -> Iterator[None]:
 
 
 @pytest.fixture
+def one_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stop the clock that requests are counted by: in the next minute one more is let in."""
+    monkeypatch.setattr("time.time", lambda: 1_800_000_010.0)
+
+
+@pytest.fixture
 def mortal_postgres() -> Iterator[Cluster]:
     """Run a cluster of this test's own, to be killed."""
     with cluster() as running:

@@ -120,6 +120,7 @@ def test_a_body_that_hides_its_size_is_cut_off(service: Service, http: TestClien
     assert service.queries.submissions() == []
 
 
+@pytest.mark.usefixtures("one_window")
 def test_too_many_requests_are_refused(service: Service, http: TestClient) -> None:
     for _ in range(30):
         assert http.post("/api/work/lease").status_code == 401
@@ -170,6 +171,7 @@ def test_methods_that_anybody_invents_are_counted_and_logged_as_one(
     assert not re.search("MINT|XXX", text + repr([vars(record) for record in caplog.records]))
 
 
+@pytest.mark.usefixtures("one_window")
 @pytest.mark.parametrize("path", ["/nowhere", "/metrics", "/api/nowhere"])
 def test_what_no_page_answers_is_limited_too(
     http: TestClient, monkeypatch: pytest.MonkeyPatch, path: str
@@ -278,6 +280,7 @@ def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -
         assert len(http.get(f"/api/boards/{TASK}?season={name}").json()["scores"]) == 2
 
 
+@pytest.mark.usefixtures("one_window")
 def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None:
     answers = [http.post("/api/work/lease") for _ in range(31)]
     assert answers[-1].status_code == 429
@@ -298,6 +301,7 @@ def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
     assert "security" not in schema["paths"]["/api/submissions"]["get"]
 
 
+@pytest.mark.usefixtures("one_window")
 def test_a_lab_sees_what_it_may_still_hand_in(service: Service, http: TestClient) -> None:
     open_season(service, budget=3)
     client = client_of(service, http, "submit")

@@ -312,6 +312,7 @@ def test_a_disk_that_fills_up_at_a_result_costs_no_score(
     assert [row.state for row in service.queries.submissions()] == ["scored"]
 
 
+@pytest.mark.usefixtures("one_window")
 @pytest.mark.slow_for("60")
 @pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])
 def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(

@@ -296,6 +296,7 @@ def test_a_submission_has_one_connection_the_newest(tmp_path: Path) -> None:
             assert is_present(working)
 
 
+@pytest.mark.usefixtures("one_window")
 def test_connections_that_are_opened_all_the_time_are_limited(tmp_path: Path) -> None:
     with served(new_service(tmp_path)) as server:
         owner = server.client("submit")
@@ -406,6 +407,7 @@ def test_a_crowd_that_knocks_in_one_turn_is_sent_away_before_connections_are_mad
     assert asyncio.run(crowd()) == [3, 3]
 
 
+@pytest.mark.usefixtures("one_window")
 def test_live_connections_are_counted_by_the_address_that_a_proxy_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -397,6 +397,7 @@ def test_films_have_so_much_room_on_the_disk(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_window")
 def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guards, "PAGES", parse("40/minute"))
     monkeypatch.setattr(film_routes, "FILMS", parse("2/hour"))

@@ -10,6 +10,7 @@ from assistax_board.api.rates import Limiter
 from assistax_board.problems import Problem
 
 
+@pytest.mark.usefixtures("one_window")
 def test_the_request_after_the_last_is_refused_with_its_wait() -> None:
     limiter = Limiter()
     for _ in range(3):

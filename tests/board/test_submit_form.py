@@ -98,6 +98,7 @@ def test_a_form_that_another_page_wrote_is_not_answered(
     assert service.queries.submissions() == []
 
 
+@pytest.mark.usefixtures("one_window")
 def test_tokens_cannot_be_guessed_by_the_form(reader: TestClient) -> None:
     form = filled(reader, "azt_guess")
     codes = [send(reader, form).status_code for _ in range(32)]
@@ -112,6 +113,7 @@ def test_a_form_from_elsewhere_is_not_read(reader: TestClient) -> None:
     assert reader.post("/submit", content=b"no form", headers=wrong).status_code == 422
 
 
+@pytest.mark.usefixtures("one_window")
 def test_forms_with_files_are_few_at_once_and_in_a_minute(
     service: Service, reader: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
