@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import itertools
+import os
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -13,6 +15,18 @@ from assistax_board.client import Client
 from assistax_board.serve import config_of, free_port
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
+
+_PLACES = itertools.count(389 * os.getpid())  # of other processes: elsewhere
+
+
+def port_of_its_own() -> int:
+    """Return a port that stays free until its server is there, and while that starts again.
+
+    It is below those that the system gives to whoever asks for any.
+    """
+    while True:
+        with contextlib.suppress(ValueError):
+            return free_port("127.0.0.1", 20_000 + next(_PLACES) % 12_000)
 
 
 @dataclasses.dataclass
@@ -38,14 +52,15 @@ def served(
     kind: Callable[[uvicorn.Config], uvicorn.Server] = uvicorn.Server,
 ) -> Generator[Served]:
     """Serve until the block ends."""
-    port = free_port("127.0.0.1", port)
     config = config_of(create_app(service), "127.0.0.1", port, proxy)
     config.lifespan, config.log_level = "off", "error"
     server = kind(config)
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:
+        assert thread.is_alive(), "it has not started"
         time.sleep(0.01)
+    port = server.servers[0].sockets[0].getsockname()[1]
     running = Served(service, f"http://127.0.0.1:{port}")
     try:
         yield running

@@ -23,7 +23,6 @@ import sqlalchemy as sa
 
 from assistax_board.client import Client
 from assistax_board.rules import jobs
-from assistax_board.serve import free_port
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
@@ -32,6 +31,7 @@ from assistax_board.vocabulary import FINAL_STATES
 from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, take, work_off
 from tests.board.faulty import PATIENCE, real_service
 from tests.board.postgres import Cluster
+from tests.board.running import port_of_its_own
 from tests.board.test_season import open_season
 
 ROOT = Path(__file__).parents[2]
@@ -143,7 +143,7 @@ def test_kills_of_processes_lose_nothing(
     count = max(5, kills // 2)
     service = real_service(tmp_path, url)
     season = open_season(service, budget=count)
-    port = free_port("127.0.0.1", 0)
+    port = port_of_its_own()
     address = f"http://127.0.0.1:{port}"
     work = service.create_token(("work",))
     labs = [service.create_token(("submit",), submitter=f"lab {n}") for n in range(LABS)]

@@ -1,5 +1,6 @@
 """Clients that are slow or silent, a disk that is full, a server that is away for a while."""
 
+import contextlib
 import gc
 import socket
 import threading
@@ -23,8 +24,8 @@ from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
-from tests.board.running import Served, served
-from tests.board.test_live import FIELDS, Counting, play
+from tests.board.running import Served, port_of_its_own, served
+from tests.board.test_live import FIELDS, Counting, play, soon
 
 HALF = b"GET /api/health HTTP/1.1\r\nHost: x\r\n"
 SLOW = b"POST /api/submissions?task=scratch&method=m&request_id=12345678 HTTP/1.1\r\nHost: x\r\n"
@@ -63,7 +64,8 @@ def test_who_says_nothing_is_hung_up_on(
     monkeypatch.setattr(serve, "SILENT_SECONDS", 0.3)
     with served(new_service(tmp_path)) as server:
         silent = [connected(server, data) for _ in range(50)]
-        assert httpx2.get(f"{server.address}/api/health").status_code == 200
+        # Asked again where this machine took longer than that to send the question.
+        assert server.client("submit").about()["tasks"] == [TASK]
         assert all(map(hung_up, silent))
 
 
@@ -124,11 +126,11 @@ def test_a_body_that_comes_too_slowly_is_not_waited_for(
         slow = connected(server, SLOW % token.encode())
         ended = threading.Thread(target=hung_up, args=(slow,))
         ended.start()
-        for _ in range(3):  # it goes on saying something
-            slow.sendall(b"x")
-            time.sleep(0.1)
         assert httpx2.get(f"{server.address}/api/health").status_code == 200
-        ended.join(SOON)
+        for _ in range(200):  # it goes on saying something, until it was hung up on
+            with contextlib.suppress(OSError):
+                slow.sendall(b"x")
+            ended.join(0.1)
         assert not ended.is_alive()
     assert service.queries.submissions() == []
 
@@ -137,7 +139,7 @@ def test_a_body_that_comes_too_slowly_is_not_waited_for(
 def test_slow_forms_of_one_address_keep_nobody_else_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guards, "FORM_SECONDS", 2.0)
+    monkeypatch.setattr(guards, "FORM_SECONDS", 5.0)
     with served(new_service(tmp_path), proxy="127.0.0.1") as server:
 
         def begun(client: str, length: int) -> socket.socket:
@@ -149,8 +151,8 @@ def test_slow_forms_of_one_address_keep_nobody_else_out(
 
         slow = [begun("192.0.2.1", 1000) for _ in range(8)]
         began = time.monotonic()
-        time.sleep(0.5)
-        assert (answer("192.0.2.1"), answer("192.0.2.2")) == (503, 403)
+        assert soon(lambda: answer("192.0.2.1") == 503)
+        assert answer("192.0.2.2") == 403
         assert all(map(hung_up, slow)) and time.monotonic() - began < SOON
         assert answer("192.0.2.1") == 403  # no form of ours, and read
 
@@ -229,8 +231,8 @@ def test_a_server_that_starts_again_does_not_show_in_a_live_score(tmp_path: Path
 
 def over_two_servers(service: Service, robot: Watched) -> str:
     """Play a live robot while the server goes and another one comes to its address."""
-    with served(service) as server:
-        port = int(server.address.rpartition(":")[2])
+    port = port_of_its_own()
+    with served(service, port) as server:
         submitter = client_of(server, "submit")
         working = client_of(server, "work")
         id = submitter.submit(b"", request_id="request-1", **FIELDS)["id"]

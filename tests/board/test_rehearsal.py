@@ -13,7 +13,6 @@ import pytest
 import sqlalchemy as sa
 
 from assistax_board import rehearsal
-from assistax_board.serve import free_port
 from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import JOB
@@ -22,6 +21,7 @@ from assistax_zoo.shell.main import run
 from tests.attack.test_faults import mounted
 from tests.board.fakes import FakeScorer, draft, new_submitter, shown
 from tests.board.faulty import real_service
+from tests.board.running import port_of_its_own
 from tests.board.test_faults_processes import JOBS, ROOT, Process
 from tests.board.test_season import open_season
 from tests.untrained import gentle_specs, published, teams_of
@@ -106,7 +106,7 @@ def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Pat
 
 def closes_through_all(folder: Path, is_real: bool) -> None:
     """Let a season close on a disk that is full twice; see that nothing is lost."""
-    url, port = f"sqlite:///{folder / 'service.db'}", free_port("127.0.0.1", 0)
+    url, port = f"sqlite:///{folder / 'service.db'}", port_of_its_own()
     service = real_service(folder, url)
     season = open_season(service, budget=8, closes_at=time.time() + 60.0)
     ids = handed_in(service, season)
