@@ -3,9 +3,11 @@
 import importlib
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +28,7 @@ from assistax_board.store.schema import JOB
 from assistax_board.submitting import for_reader
 from assistax_zoo.shell.main import run
 from tests.board.fakes import new_service
+from tests.board.running import port_of_its_own
 from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
 from zoo.parameters.storage import write_policy_file
 
@@ -61,29 +64,39 @@ def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     """Serve a tiny registry with one local worker; SIGTERM must end it cleanly."""
     registry = release(tmp_path / "public", 0, 4)
     data = tmp_path / "board"
-    options = ["--data", data, "--port", "0", "--registry", registry, "--no-references"]
+    options = ["--data", data, "--port", port_of_its_own(), "--registry", registry]
+    options += ["--no-references"]
     process = subprocess.Popen(
         [sys.executable, "-m", "assistax_zoo", "serve", *map(str, options)],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stderr is not None
-    lines = [process.stderr.readline() for _ in range(2)]
-    address, token = lines[0].split()[1], lines[1].split()[-1]
+    said: queue.SimpleQueue[str] = queue.SimpleQueue()
+    reading = threading.Thread(target=listen, args=(process.stderr, said))
+    reading.start()
+    lines = iter(said.get, "")
+    address, token = next(lines).split()[1], next(lines).split()[-1]
     environment = {"ASSISTAX_ZOO_SERVER": address, "ASSISTAX_ZOO_TOKEN": token}
     _wait_until_it_answers(address)
-    lines = iter(process.stderr.readline, "")
     answer = {"data": data, "registry": registry, "environment": environment}
     yield {**answer, "lines": lines, "process": process}
     stop(process)
+    reading.join()
+
+
+def listen(pipe: Any, said: queue.SimpleQueue[str]) -> None:
+    """Take what a server says, all the time: it would wait for ever where its pipe is full."""
+    with pipe:
+        for line in pipe:
+            said.put(line)
+    said.put("")
 
 
 def stop(process: Any) -> None:
     """End a server; one that has ended stays as it is."""
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=60)
-    assert process.returncode == 0
+    assert process.wait(60) == 0
 
 
 def _wait_until_it_answers(address: str) -> None:

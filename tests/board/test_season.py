@@ -124,7 +124,8 @@ def hidden_words(service: Service) -> list[str]:
         table = scorer.play(type(work)(**fields), b"robot 2.0", None)
         returns += [str(value) for value in table["return"].cast(pl.Float32)]
         service.give_back(work.job, work.lease)
-    words = ["hidden-0", "secret-", "a1" * 4, "b2" * 4, "salt"]  # hashes hold "a1a1" by chance
+    # Hashes hold "a1a1" by chance, and signatures the word salt.
+    words = ["hidden-0", "secret-", "a1" * 4, "b2" * 4, '"salt"']
     return words + returns
 
 

@@ -157,7 +157,8 @@ def test_nothing_of_the_secret_is_in_any_answer(tmp_path: Path) -> None:
         http.get(p.replace("{id}", n).replace("{task}", TASK)).text for p in paths for n in names
     ]
     assert any(secret_season["root"] in text for text in texts)
-    hidden = [secret_of(tmp_path / "private"), "person-1", "salt"]
+    # The bare word may stand in a key or a signature by chance.
+    hidden = [secret_of(tmp_path / "private"), "person-1", '"salt"']
     assert [word for word in hidden for text in texts if word in text] == []
 
 

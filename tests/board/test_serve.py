@@ -11,7 +11,7 @@ import pytest
 
 from assistax_board import serve
 from tests.board.fakes import new_service
-from tests.board.running import served
+from tests.board.running import port_of_its_own, served
 
 ELSEWHERE = "2001:db8::1"  # an address of documentation: no machine's
 
@@ -65,7 +65,7 @@ def test_a_port_that_is_taken_on_one_address_is_refused(
 ) -> None:
     name(monkeypatch, "127.0.0.1", "::1")
     with (
-        socket.create_server(("::1", 0), family=socket.AF_INET6) as taken,
+        socket.create_server(("::1", port_of_its_own()), family=socket.AF_INET6) as taken,
         pytest.raises(ValueError, match=r"in use .*::1.*; choose another port"),
     ):
         serve.listen("localhost", taken.getsockname()[1])
