@@ -37,7 +37,7 @@ def strike(folder: Path, moments: list[Moment]) -> tuple[int, list[str], int]:
     mark, log = f"{folder}-{os.getpid()}", folder / "told"
     log.write_text("0")
     words = [json.dumps(moments), log, "serve", "--data", folder / "board"]
-    words += ["--port", port_of_its_own()]
+    words += ["--port", str(port_of_its_own())]
     done = subprocess.run(
         [sys.executable, "-m", "tests.board.signalled", *map(str, words)],
         cwd=ROOT,
