@@ -121,7 +121,7 @@ def test_train_tells_where_the_time_goes(algorithm: str, capfd: pytest.CaptureFi
 def test_fetch_measures_whole_commands(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("benchmarks.registry.REPEATS", 1)
+    monkeypatch.setattr("benchmarks.registry.REPEATS", 3)  # one may wait for the machine
     assert run(["fetch", "--policies", "8", "--json"]) == 0
     row = json.loads(capfd.readouterr().out)
     assert (row["policies"], row["shards"]) == (8, 8)

@@ -48,8 +48,9 @@ SOON, AT_LAST = 4.0, 30.0
 COMMAND = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from assistax_zoo.shell.main import run
-sys.exit(run())
+from assistax_zoo.__main__ import start
+print("begun", flush=True)
+sys.exit(start())
 """
 
 
@@ -78,8 +79,9 @@ def computed_by_children() -> float:
 
 def interrupt(command: str, seconds: float, folder: Path) -> None:
     name = "film.gif" if command == "render" else "out"
-    others = computed_by_children()
     with begin([*COMMANDS[command], str(folder / name)], folder) as process:
+        assert process.stdout is not None and process.stdout.readline() == "begun\n"
+        others = computed_by_children()
         time.sleep(seconds)
         assert process.poll() is None, f"{command} was done before the key press"
         before = computed_by(process.pid)

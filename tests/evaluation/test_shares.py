@@ -116,7 +116,7 @@ def test_killed_at_any_moment_a_run_resumes_to_the_same_bytes(tmp_path: Path, se
         while process.poll() is None and len(list((folder / PARTS_FOLDER).glob("part-*"))) < count:
             time.sleep(0.001)
         time.sleep(rng.uniform(0, 0.01))
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()  # on a busy machine the run may have ended meanwhile
     resumed = run_job(MatrixGame(), mixed_job(), folder)
     whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=1000)
     assert resumed.table.equals(whole.table)

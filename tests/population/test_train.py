@@ -367,8 +367,11 @@ def test_the_environment_must_be_the_runs(tmp_path):
 def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_path):
     script = textwrap.dedent(
         f"""
+        import time
         from tests.population.test_train import CONFIG, ToyEnv, match, train
-        report = lambda progress: print(progress.update, flush=True)
+        def report(progress):
+            print(progress.update, flush=True)
+            time.sleep(60 * (progress.update == 6))  # the last: it never ends by itself
         train(CONFIG, ToyEnv(match), {str(tmp_path / "run")!r}, progress=report)
         """
     )
