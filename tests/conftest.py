@@ -41,6 +41,9 @@ os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/assistax-zoo/xla-tests").expanduser())
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")  # small programs too
+# Of entries that another process writes or, killed, left half written: see pyproject.toml too.
+TORN = "ignore:Error reading persistent compilation cache entry:UserWarning"
+os.environ.setdefault("PYTHONWARNINGS", TORN)  # of processes that tests start
 if tuple(int(part) for part in version("jaxlib").split(".")[:3]) < (0, 11, 1):
     # Or MJX crawls (see assistax_envs.physics.mjx). From 0.11.1 on it does not, and XLA aborts on
     # the unknown flag.

@@ -129,21 +129,31 @@ def clean(kind: str) -> tuple[Held, list[str]]:
 def warn_once() -> None:
     """Say in one line of our own that this process cannot keep what JAX compiles.
 
-    JAX warns of every program, and names neither a remedy nor us.
+    JAX warns of every program, and names neither a remedy nor us. A program that was kept in part,
+    because the disk was full or its writer was killed, it would never replace: that one is removed.
     """
     shown, warned = warnings.showwarning, False
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         nonlocal warned
+        place = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
+        torn = [
+            path
+            for name in re.findall(r"Error reading persistent .* entry for '(\w+)'", str(message))
+            for path in Path(place).glob(f"{name}-*-cache")
+        ]
         if "persistent compilation cache entry" not in str(message):
             shown(message, category, *where, **more)
+        elif torn:
+            with contextlib.suppress(OSError):  # nor can it be removed: compiled each time
+                for path in torn:
+                    path.unlink(missing_ok=True)
         elif not warned:
             warned = True
-            place = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-            reason = str(message).rpartition("] ")[2].partition(":")[0]
             print(
-                f"warning: compiled programs are not kept in {place} ({reason}); choose another "
-                f"cache with ${CACHE_VARIABLE}",
+                f"warning: compiled programs are not kept in {place} "
+                f"({str(message).rpartition('] ')[2].partition(':')[0]}); choose another cache "
+                f"with ${CACHE_VARIABLE}",
                 file=sys.stderr,
             )
 

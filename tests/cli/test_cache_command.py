@@ -144,8 +144,8 @@ def test_a_cache_that_cannot_be_written_names_its_variable(read_only: Path) -> N
             cache.cached("k", ".o", lambda path: None)
 
 
-def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path: Path) -> None:
-    """Of the command, however many programs JAX compiles; it goes on without."""
+def planted_command(cache: Path, tmp_path: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command that compiles three programs, with a cache."""
     (tmp_path / "planted.py").write_text(
         "import jax\n"
         "def planted():\n"
@@ -158,7 +158,8 @@ def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path:
     removed = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
     environment = {name: value for name, value in os.environ.items() if name not in removed}
     environment |= {
-        "ASSISTAX_ZOO_CACHE": str(read_only / "zoo"),
+        "ASSISTAX_ZOO_CACHE": str(cache),
+        "PYTHONWARNINGS": "",  # as for users
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONPATH": os.pathsep.join((str(tmp_path), os.getcwd())),
     }
@@ -166,6 +167,22 @@ def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path:
         [sys.executable, "-c", script], env=environment, capture_output=True, text=True
     )
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
+    return done
+
+
+def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path: Path) -> None:
+    """Of the command, however many programs JAX compiles; it goes on without."""
+    done = planted_command(read_only / "zoo", tmp_path)
     [line] = done.stderr.splitlines()
     assert line.startswith(f"warning: compiled programs are not kept in {read_only}/zoo/xla (")
     assert line.endswith("choose another cache with $ASSISTAX_ZOO_CACHE")
+
+
+def test_a_program_that_was_kept_in_part_is_compiled_and_kept_again(tmp_path: Path) -> None:
+    """As a full disk leaves it, or a writer that was killed; JAX itself never replaces it."""
+    assert planted_command(tmp_path / "zoo", tmp_path).stderr == ""
+    whole = {path: path.stat().st_size for path in (tmp_path / "zoo/xla").glob("jit_*-cache")}
+    for path in whole:
+        os.truncate(path, 100)
+    assert whole and planted_command(tmp_path / "zoo", tmp_path).stderr == ""
+    assert {path: path.stat().st_size for path in whole} == whole

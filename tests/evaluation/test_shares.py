@@ -1,8 +1,6 @@
 """Blocks of a job on several hosts, and several processes on one folder."""
 
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
