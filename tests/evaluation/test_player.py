@@ -271,6 +271,13 @@ COLOURS = """new Promise((done) => {
   });
 })"""
 
+# Keeps each word that the button has from now on: "Pause" may be gone before anybody looks.
+WORDS = """() => {
+  const button = document.querySelector("[data-steps] button.play");
+  window.words = [];
+  new MutationObserver(() => words.push(button.textContent)).observe(button, { childList: true });
+}"""
+
 
 def farthest(drawn: dict[str, list[float]], pose: np.ndarray) -> float:
     """Return how far bodies are drawn from where MuJoCo has them, at most, m."""
@@ -325,10 +332,11 @@ def test_a_page_is_played_by_keys_and_says_how_touches_are_liked(
         expect(page.get_by_text(f"{episode.force[worst]:.1f} N").first).to_be_visible()
         expect(page.locator(".episode-now").get_by_text("harder than liked")).to_be_visible()
         expect(page.get_by_text("robot", exact=True).first).to_be_visible()
+        page.evaluate(WORDS)
         page.keyboard.press(" ")
-        expect(page.get_by_role("button", name="Pause")).to_be_visible()
-        expect(page.get_by_role("button", name="Play")).to_be_visible(timeout=60_000)
-        expect(slider).to_have_value(str(STEPS))
+        expect(slider).to_have_value(str(STEPS), timeout=60_000)
+        expect(page.get_by_role("button", name="Play")).to_be_visible()
+        assert page.evaluate("window.words") == ["Pause", "Play"]
         assert page.evaluate("document.documentElement.scrollWidth") <= 400
 
 
