@@ -72,7 +72,7 @@ class RegistryVersionError(
 class FormatError(
     ZooError,
     done="nothing was loaded or written",
-    next_step="check the path, or export the policy again with `write_policy_file`",
+    next_step="check the path, or export the policy again",
 ):
     """A file that is not a well-formed shard, policy file or run folder."""
 

@@ -56,7 +56,8 @@ class PolicyProcess:
                 "module": module,
                 "factory": factory,
                 "arguments": dict(arguments),
-                "plain": Path(module).parent == _HERE,  # of ours: its errors need no place in code
+                # Of ours: its errors need no place in code, and it says what a file claims.
+                "plain": _HERE in Path(module).resolve().parents,
                 "path": list(dict.fromkeys([folder, os.getcwd(), *sys.path])),
                 "foreign": [str(_HERE.parent / name) for name in _OURS],
             }

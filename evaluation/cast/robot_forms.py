@@ -53,16 +53,19 @@ def as_robot(robot: Any) -> Robot:
         return Robot(_flax(*robot))
     if hasattr(robot, "unbind") and getattr(robot, "scope", None) is not None:
         return Robot(_flax(*robot.unbind()))
-    if callable(getattr(robot, "predict", None)):
-        predicting = _Predicting(robot)
-        return Robot(predicting.act, predicting.reset)
-    act = getattr(robot, "act", None)
-    if act is None:
-        act = _torch(robot) if _is_torch_module(robot) else robot
+    if _method(robot, "predict"):
+        robot = _Predicting(robot)
+    act = _torch(robot) if _is_torch_module(robot) else robot
+    act = _method(robot, "act") or act
     if not callable(act) or hasattr(robot, "unbind"):
         raise TypeError(f"{type(robot).__name__} is not a robot; expected {FORMS}")
-    reset = getattr(robot, "reset", None)
-    return Robot(act, reset if callable(reset) else None)
+    return Robot(act, _method(robot, "reset"))
+
+
+def _method(robot: Any, name: str) -> Any:
+    """Return a method; none where the name is a layer's, as often `act` of an activation."""
+    method = getattr(robot, name, None)
+    return method if callable(method) and not _is_torch_module(method) else None
 
 
 class _Predicting:

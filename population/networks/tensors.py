@@ -83,7 +83,10 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
             raise ValueError(f"metadata {METADATA_KEY!r} is not a JSON object")
     except KeyError as error:
         raise FormatError(
-            source, f"metadata {METADATA_KEY!r} with spec and rows", f"no {error}"
+            source,
+            f"metadata {METADATA_KEY!r}, which files of this project have",
+            f"no {error}",
+            "export the policy again; a network of your own needs a function that loads its weights",
         ) from None
     except (ValueError, TypeError, RecursionError) as error:
         raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None

@@ -88,6 +88,22 @@ def test_other_files_play_in_their_process(tmp_path: Path) -> None:
     np.testing.assert_allclose(call_ego(ego, ("a",), 3, 5)(obs, 0), 0.5204999, rtol=1e-5)
 
 
+def test_what_a_file_claims_counts_also_where_onnxruntime_plays_it(tmp_path: Path) -> None:
+    node, path = onnx.helper.make_node("Erf", ["x"], ["y"]), tmp_path / "robot.onnx"
+    save(path, [node])
+    model = onnx.load(str(path))
+    onnx.helper.set_model_props(model, {"assistax": '{"env_version": 1}'})
+    path.write_bytes(model.SerializeToString())
+    assert isinstance(read(path), HostEgo)
+    assert described(path).env_version == 1
+
+
+def test_a_refusal_names_no_place_in_our_code(tmp_path: Path) -> None:
+    (tmp_path / "robot.onnx").write_bytes(b"not a model")
+    with pytest.raises(EgoError, match=r"robot.onnx': is not an ONNX model$"):
+        read(tmp_path / "robot.onnx")
+
+
 def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
     """A result by onnxruntime is not that of the program: their folders are of two jobs."""
     write(tmp_path / "program.onnx", MLP)

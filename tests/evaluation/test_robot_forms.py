@@ -110,6 +110,33 @@ def test_a_torch_module_is_a_robot_in_evaluation_mode_on_one_thread(
     np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.parametrize("name", ["act", "predict", "reset"])
+def test_a_layer_of_torch_that_is_called_like_a_method_is_none(name: str) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+
+    class Net(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            setattr(self, name, torch.nn.Tanh())
+
+        def forward(self, obs: Any) -> Any:
+            return getattr(self, name)(obs)
+
+    robot = as_robot(Net())
+    robot.reset(4)
+    np.testing.assert_allclose(robot(OBS), np.tanh(OBS), rtol=1e-6)
+
+
+def test_a_torch_module_with_its_own_act_is_in_evaluation_mode() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+
+    class Net(torch.nn.Module):
+        def act(self, obs: np.ndarray) -> Any:
+            return torch.nn.functional.dropout(torch.as_tensor(obs), 0.5, self.training)
+
+    np.testing.assert_array_equal(as_robot(Net())(OBS), OBS)
+
+
 def test_a_user_who_says_how_many_threads_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
