@@ -24,7 +24,7 @@ def vector_env(
     *,
     partners: str | Sequence[str] | None = None,
     split: str | None = None,
-    preferences: Sequence[str] = (),
+    preferences: str | Sequence[str] = (),
     form: str = "gymnasium",
     arrays: str = "numpy",
     backend: str = "auto",
@@ -42,8 +42,9 @@ def vector_env(
         partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
             them; default all. Or "persons": a new one of 7,200 each episode.
         split: Split whose training side is meant; default the release's own.
-        preferences: What the humans of a gentle task like, such as ("p2", "p3"), drawn for each
-            episode; default those of the split's training side, or all. Persons have their own.
+        preferences: What the humans of a gentle task like, such as "p2,p3" or ("p2", "p3"), drawn
+            for each episode; default those of the split's training side, or all. Persons have their
+            own.
         form: "gymnasium", a `VectorEnv`; "sb3", a `VecEnv` of Stable-Baselines3; "pettingzoo", a
             `ParallelEnv` of batches; or "jaxmarl", pure functions of batches.
         arrays: "numpy" or "jax", whose arrays `torch.from_dlpack` takes without a copy.
@@ -75,8 +76,11 @@ def vector_env(
         version = None
     else:
         humans, version = _published(task, partners, split, preferences, zoo)
-    how: dict[str, Any] = {"backend": backend, "weights": dict(weights) if weights else None}
-    how["version"] = version
+    how: dict[str, Any] = {
+        "backend": backend,
+        "weights": dict(weights) if weights else None,
+        "version": version,
+    }
     if form == "jaxmarl":
         from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
 
@@ -99,7 +103,7 @@ def _published(
     task: str,
     partners: str | Sequence[str] | None,
     split: str | None,
-    preferences: Sequence[str],
+    preferences: str | Sequence[str],
     zoo: "str | Path | Zoo | None",
 ) -> "tuple[Partners, int | None]":
     """Return partners of a split's training side, and the version of the environment they play.
@@ -114,12 +118,13 @@ def _published(
     chosen = opened.registry.split(task, split)
     patterns = [partners] if isinstance(partners, str) else partners
     names = chosen.train if patterns is None else _of_training_half(chosen, patterns)
-    if unknown := [name for name in preferences if name not in PREFERENCES]:
+    likes = tuple(preferences.split(",") if isinstance(preferences, str) else preferences)
+    if unknown := [name for name in likes if name not in PREFERENCES]:
         raise ValueError(f"preference is {unknown[0]!r}; allowed are {', '.join(PREFERENCES)}")
     if opened.remote is not None:
         opened.fetch([f"{team}/human" for team in names])
     frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))
-    likes = tuple(preferences or chosen.preferences.get("train", ()))
+    likes = likes or tuple(chosen.preferences.get("train", ()))
     return RotatingPartners(frozen, likes), older_version(opened.registry, chosen)
 
 

@@ -58,10 +58,10 @@ class Batch:
         weights: dict[str, float] | None = None,
         version: int | None = None,
     ) -> None:
-        if not isinstance(num_envs, int) or not 1 <= num_envs <= MOST_ENVS:
+        if not isinstance(num_envs, int | np.integer) or not 1 <= num_envs <= MOST_ENVS:
             raise ValueError(f"num_envs is {num_envs!r}; allowed is 1 to {MOST_ENVS}")
         self.env = make(task, backend, weights, version)
-        self.partners, self.num_envs = partners, num_envs
+        self.partners, self.num_envs = partners, int(num_envs)
 
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
         """Begin an episode in every simulation; return the observations and the state."""
@@ -181,7 +181,8 @@ class HostBatch:
     def _action(self, role: str, action: Any) -> jax.Array:
         """Return an own copy: what was handed in may be overwritten while the step still runs."""
         if not isinstance(action, np.ndarray | jax.Array) and hasattr(action, "__dlpack__"):
-            action = jnp.from_dlpack(action)
+            # JAX takes no slices, such as the means that PyTorch's `chunk` cuts out of an output.
+            action = jnp.from_dlpack(getattr(action, "contiguous", lambda: action)())
         copied = jax.block_until_ready(jnp.array(action, jnp.float32))
         expected = self.batch.num_envs, self.batch.env.action_size[role]
         if copied.shape != expected:

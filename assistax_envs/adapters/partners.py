@@ -41,7 +41,10 @@ class Partners(Protocol):
     def act(
         self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
-        """Return who sits there, with what they remember, and the actions [N, 3] for obs [N, O]."""
+        """Return who sits there, with what they remember, and the actions [N, 3] for obs [N, O].
+
+        At the mouth they are [N, 5].
+        """
         ...
 
     def names(self, seated: Any, n: int) -> list[str]:
@@ -69,7 +72,8 @@ class Idle:
         self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
         del params, first
-        return seated, jnp.zeros((obs.shape[0], 3), jnp.float32)
+        # One zero for all torques of a human: tasks have three of them or five.
+        return seated, jnp.zeros((obs.shape[0], 1), jnp.float32)
 
     def names(self, seated: Any, n: int) -> list[str]:
         del seated

@@ -86,7 +86,7 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
             source,
             f"metadata {METADATA_KEY!r}, which files of this project have",
             f"no {error}",
-            "export the policy again; a network of your own needs a function that loads its weights",
+            "export the policy again, or write a function that loads a network of your own",
         ) from None
     except (ValueError, TypeError, RecursionError) as error:
         raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None

@@ -53,6 +53,14 @@ def test_the_batch_is_the_environment():
     np.testing.assert_allclose(step.info["terms"]["scratch"], expected.terms["scratch"], atol=1e-6)
 
 
+def test_humans_who_do_nothing_sit_in_every_task():
+    """At the mouth a human has five torques, elsewhere three."""
+    env = AssistaxVectorEnv("gentle_feeding", np.int64(2), backend="native")
+    start, _ = env.reset(seed=0)
+    obs, *_ = env.step(np.zeros((2, 7)))
+    assert obs.shape == start.shape == (2, 48)
+
+
 def test_gymnasium_resets_in_the_same_step_and_keeps_the_last_observation(vector):
     assert vector.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
     start, _ = vector.reset(seed=4)

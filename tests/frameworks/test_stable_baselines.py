@@ -81,6 +81,9 @@ def test_tensors_and_arrays_share_memory():
     stepped = np.asarray(env.step(action)[0])
     env.reset(seed=0)
     np.testing.assert_array_equal(stepped, env.step(action.numpy())[0])
+    env.reset(seed=0)
+    mean, _ = torch.cat([action, action], dim=1).chunk(2, dim=1)  # with gaps between its rows
+    np.testing.assert_array_equal(stepped, env.step(mean)[0])
 
 
 def test_the_loop_in_pytorch_runs_as_it_is_printed(
