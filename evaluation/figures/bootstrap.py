@@ -76,7 +76,7 @@ class Draws:
             means=self.means - other.means,
             iqms=self.iqms - other.iqms,
             n=self.n + other.n,
-            generalises_to=self.generalises_to,
+            generalises_to=(other if self.generalises_to == NOTHING else self).generalises_to,
         )
 
     def estimate(self) -> Estimate:
@@ -216,7 +216,7 @@ def replicate(
         replicates = _replicate_starts(values, lambda chunk: counts[chunk], starts)
     else:
         replicates = weighted_mean(means, counts), weighted_iqm(means, counts)
-    return Draws(mean(means), iqm(means), *replicates, means.size, to)
+    return Draws(mean(means), iqm(means), *replicates, means.size, _varied(to, counts, starts))
 
 
 def replicate_crossed(
@@ -246,7 +246,9 @@ def replicate_crossed(
                 lambda chunk: weighted_iqm(means, counts_of(chunk)), len(counts.seeds), means.size
             ),
         )
-    return Draws(mean(means), iqm(means), *replicates, means.size, counts.generalises_to)
+    drawn = counts.seeds[:, mask.any(axis=1)], counts.partners[:, mask.any(axis=0)], counts.starts
+    to = _varied(counts.generalises_to, *drawn)
+    return Draws(mean(means), iqm(means), *replicates, means.size, to)
 
 
 def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.ndarray, "B units"]:
@@ -278,6 +280,17 @@ def draw_starts(
     if not several or not (common_starts or shape[1] == 1):
         return None
     return draw_counts(shape[2], resamples, rng)
+
+
+def _varied(to: str, *counts: np.ndarray | None) -> str:
+    """Return `to`, or `NOTHING` where no resample differs from another in these counts.
+
+    A figure of one pair is the same in all, though others of its matrix are resampled: an interval
+    of no width would call it certain.
+    """
+    return (
+        to if any(np.ptp(drawn, axis=0).any() for drawn in counts if drawn is not None) else NOTHING
+    )
 
 
 def _mean_over_starts(values: np.ndarray) -> np.ndarray:

@@ -113,6 +113,21 @@ def test_teams_are_found_wherever_they_stand_and_outsiders_have_no_self_play():
     assert apart.cross_play.generalises_to == "egos and partners"
 
 
+def test_a_figure_of_one_pair_has_no_interval_though_others_of_its_matrix_have():
+    humans = same_traits(list("abcdef"))
+    figures = metrics.cross_play(np.array([[9.0, 1, 2, 3, 4, 5]]), same_traits(["a"]), humans)
+    assert figures.self_play is not None
+    assert (figures.self_play.mean_ci, figures.self_play.generalises_to) == (None, "nothing")
+    for figure in (figures.cross_play, figures.gap):
+        assert figure is not None and figure.generalises_to == "partners"
+        assert figure.mean_ci is not None and figure.mean_ci[0] < figure.mean < figure.mean_ci[1]
+    assert figures.relative_gap is not None and figures.relative_gap.value_ci is not None
+    two = metrics.cross_play(np.array([[9.0, 1.0]]), same_traits(["a"]), same_traits(["a", "b"]))
+    for figure in (two.self_play, two.cross_play, two.gap):
+        assert figure is not None
+        assert (figure.mean_ci, figure.iqm_ci, figure.generalises_to) == (None, None, "nothing")
+
+
 def test_relative_gap_needs_positive_self_play():
     teams = same_traits(["a", "b", "c"])
     assert metrics.cross_play(-np.eye(3), teams, teams).relative_gap is None

@@ -121,7 +121,7 @@ def _relative(sp: Draws, xp: Draws) -> Interval | None:
         sp.means - xp.means, sp.means, out=np.full(len(sp.means), np.nan), where=sp.means > 0
     )
     return Interval(
-        1 - xp.mean / sp.mean, interval(ratios, sp.generalises_to), sp.n + xp.n, sp.generalises_to
+        1 - xp.mean / sp.mean, interval(ratios, xp.generalises_to), sp.n + xp.n, xp.generalises_to
     )
 
 
