@@ -9,6 +9,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from evaluation.figures import curves
+from evaluation.figures.summary import read_summary
 from evaluation.plots import charts
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
@@ -17,7 +18,7 @@ from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure, spelled
 from evaluation.plots.sweep import sweep_panels
 from evaluation.record import tables
-from evaluation.record.verification import check_whole
+from evaluation.record.verification import check_whole, strange_tables_refused
 
 
 def evaluation_figure(
@@ -44,6 +45,7 @@ def evaluation_figure(
     if not folders:
         raise ValueError("there is no folder to draw; name at least one evaluation's")
     summaries: dict[str, Any] = {}
+    profiles: dict[str, pl.DataFrame] = {}
     for folder in folders:
         name = folder.resolve().name
         if name in summaries:
@@ -51,20 +53,22 @@ def evaluation_figure(
                 f"two folders are named {name}; rename one, because the figure labels methods by it"
             )
         _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
-        summaries[name] = tables.read_json(folder / tables.SUMMARY_FILE)
-    if kind != "profile":
+        with strange_tables_refused(folder):
+            summaries[name] = tables.to_json(read_summary(folder))
+            profiles[name] = tables.read_parquet(folder / tables.PROFILE_FILE).select(
+                pl.col("threshold", "share", "low", "high").cast(pl.Float64)
+            )
+    if kind == "profile":
+        task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
+        caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
+        drawn = charts.performance_profile(profiles, task=task, caption=caption, width=width)
+    else:
         drawn = (
             charts.zsc_dots(summaries, width=width)
             if kind == "zsc"
             else charts.trait_points(summaries, kind, width=width)
         )
-        return save_figure(drawn, path, bare=bare)
-    read = [tables.read_parquet(folder / tables.PROFILE_FILE) for folder in folders]
-    task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
-    caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
-    profiles = dict(zip(summaries, read, strict=True))
-    figure = charts.performance_profile(profiles, task=task, caption=caption, width=width)
-    return save_figure(figure, path, bare=bare)
+    return save_figure(drawn, path, bare=bare)
 
 
 def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
@@ -87,10 +91,14 @@ def crossplay_figure(
     """
     check_path(path)
     _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE, tables.ORDER_FILE)
-    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
-    matrix = arrange(pairs, tables.read_json(folder / tables.ORDER_FILE), order)
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    return save_figure(crossplay_heatmap(matrix, summary, width=width), path, bare=bare)
+    with strange_tables_refused(folder):
+        matrix = arrange(
+            tables.read_parquet(folder / tables.PAIRS_FILE),
+            tables.read_json(folder / tables.ORDER_FILE),
+            order,
+        )
+        drawn = crossplay_heatmap(matrix, tables.to_json(read_summary(folder)), width=width)
+    return save_figure(drawn, path, bare=bare)
 
 
 def curves_figure(
@@ -105,8 +113,9 @@ def curves_figure(
     seeds = ", ".join(f"{name} {n}" for name, n in counts)
     caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
     title = f"Training: {config['task']}, {spelled(config.get('algorithm', 'ippo'))}"
-    figure = charts.learning_curves(table, title=title, caption=caption, width=width)
-    return save_figure(figure, path, bare=bare)
+    return save_figure(
+        charts.learning_curves(table, title=title, caption=caption, width=width), path, bare=bare
+    )
 
 
 def sweep_figure(
@@ -116,15 +125,15 @@ def sweep_figure(
     check_path(path)
     _require(folder, "sweep", "sweep.parquet", "preset.json")
     results = tables.read_parquet(folder / "sweep.parquet")
-    diverged = results.filter(results["diverged"]).height
     caption = (
         f"{results['configuration'].n_unique()} configurations x {results['seed'].n_unique()} "
-        f"seeds, {diverged} runs diverged and are not drawn. Circles: the configuration with the "
-        "best mean."
+        f"seeds, {results['diverged'].sum()} runs diverged and are not drawn. Circles: the "
+        "configuration with the best mean."
     )
     title = f"Sweep: {spelled(tables.read_json(folder / 'preset.json')['algorithm'])}"
-    figure = sweep_panels(results, title=title, caption=caption, width=width)
-    return save_figure(figure, path, bare=bare)
+    return save_figure(
+        sweep_panels(results, title=title, caption=caption, width=width), path, bare=bare
+    )
 
 
 def speed_figure(
@@ -156,8 +165,9 @@ def population_figure(
         f"n = {len(entries)} human partners of release {releases}. Below each setting: the elbow's "
         "range and the strength that are left."
     )
-    figure = population_grid(pl.DataFrame(rows), caption=caption, width=width)
-    return save_figure(figure, path, bare=bare)
+    return save_figure(
+        population_grid(pl.DataFrame(rows), caption=caption, width=width), path, bare=bare
+    )
 
 
 def _require(folder: Path, command: str, *names: str) -> None:

@@ -88,15 +88,16 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
     values = (
         rows.select("ego")
         .join(wide, on="ego", how="left", maintain_order="left")
-        .select(columns["partner"].to_list())
+        .select(pl.col(columns["partner"].to_list()).cast(pl.Float64))
+        .to_numpy()
     )
-    if values.null_count().sum_horizontal().item():
+    if not np.isfinite(values).all():
         raise ValueError(
-            "the table of pairs has no return for some pairs; run the cross-play again into the "
-            "same folder"
+            "the table of pairs has no return for some pairs, or none that is finite; run the "
+            "cross-play again into the same folder"
         )
     return Matrix(
-        values.to_numpy(),
+        values,
         _side(rows, "ego", orders[0], "A"),
         _side(columns, "partner", orders[1], "A" if shared else "a"),
         shared,

@@ -5,10 +5,13 @@ folder that was received comes from another machine, so what is absent is said, 
 Whatever a received manifest names is read within bounds.
 """
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
+
+import polars as pl
 
 from assistax_base.errors import ZooError, printable, shorten
 from assistax_base.parquet import check_readable
@@ -85,6 +88,27 @@ def check_whole(folder: Path) -> None:
     for path in (files := our_files(folder)):
         check_ours(path)
     check_readable([path for path in files if path.suffix == ".parquet"])
+
+
+@contextlib.contextmanager
+def strange_tables_refused(folder: Path, *others: type[Exception]) -> Generator[None]:
+    """Refuse tables and fields of other kinds than ours, by what reading them leads to.
+
+    Somebody sent the folder: its hashes may be right and its tables no tables of ours.
+
+    Args:
+        folder: That is read.
+        others: What else strange ones lead to.
+    """
+    try:
+        yield
+    except (
+        *(ArithmeticError, AttributeError, LookupError, TypeError),
+        *(pl.exceptions.PolarsError, *others),
+    ) as error:
+        raise ValueError(
+            f"{folder} is damaged, or of another version ({shorten(error)}); run again"
+        ) from None
 
 
 def unchecked(folder: Path) -> list[str]:

@@ -33,15 +33,10 @@ from evaluation.record import tables
 from evaluation.record.columns import TOUCHES
 from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.record import Record
-from evaluation.record.verification import unchecked
+from evaluation.record.verification import strange_tables_refused, unchecked
 from evaluation.report.matrix_data import matrix_data
 from zoo.ids import names_persons
 
-# What tables and fields of other kinds than ours lead to.
-_STRANGE = (
-    *(ArithmeticError, AttributeError, LookupError, TypeError),
-    *(jinja2.UndefinedError, pl.exceptions.PolarsError),
-)
 _HASHED = (
     *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
     *(tables.BOUNDS_FILE, tables.SUMMARY_FILE),
@@ -76,15 +71,8 @@ def write_report(
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; a report is written as .html"
         )
-    try:
+    with strange_tables_refused(folder, jinja2.UndefinedError):
         text = _league_page(folder, contrasts) if league else _page(folder, episodes)
-    except _STRANGE as error:
-        # A folder that somebody sent: its hashes may be right and its tables no tables of ours.
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ValueError(
-            f"{folder} is damaged, or of another version ({type(error).__name__}: {reason!a}); "
-            "run again"
-        ) from None
     tables.write_bytes(text.encode(), path)
 
 

@@ -20,6 +20,7 @@ from playwright.sync_api import Browser
 from evaluation.figures import normalised as relative
 from evaluation.figures import saved_tables as derived
 from evaluation.player.worst_pair import worst_pair
+from evaluation.plots.figures import crossplay_figure, evaluation_figure
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE, seal, write_manifest, write_run
 from evaluation.record.record import Record
@@ -253,6 +254,26 @@ def test_a_received_summary_with_a_wrong_field_is_refused_by_name(
     attack(folder, tables.SUMMARY_FILE, (field,), HOSTILE)
     with pytest.raises(ValueError, match=rf"is damaged, or of another version: .*{field}"):
         page_of(folder, tmp_path)
+
+
+def test_a_figure_of_a_received_folder_with_strange_tables_names_the_folder(
+    evaluation: Path, crossplay: Path, tmp_path: Path
+):
+    folder = Path(shutil.copytree(crossplay, tmp_path / "matrix"))
+    pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
+    tables.write_parquet(pairs.drop("ego_algorithm"), folder / tables.PAIRS_FILE)
+    seal(folder)
+    with pytest.raises(ValueError, match=r"matrix is damaged, or of another version \(Column"):
+        crossplay_figure(folder, tmp_path / "x.png")
+    folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
+    profile = tables.read_parquet(folder / tables.PROFILE_FILE)
+    tables.write_parquet(profile.drop("share"), folder / tables.PROFILE_FILE)
+    seal(folder)
+    with pytest.raises(ValueError, match=r"received is damaged, or of another version \(Column"):
+        evaluation_figure([folder], "profile", tmp_path / "x.png")
+    attack(folder, tables.SUMMARY_FILE, ("side",), HOSTILE)
+    with pytest.raises(ValueError, match=r"is damaged, or of another version: .*side"):
+        evaluation_figure([folder], "zsc", tmp_path / "x.png")
 
 
 def test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written(
