@@ -57,10 +57,12 @@ def zsc_dots(
                 axes.annotate(
                     f"{value['mean']:.0f}",
                     (i + shift, value["mean"]),
-                    (7, 0),
+                    (-7 if shift < 0 else 7, 0),
                     textcoords="offset points",
+                    ha="right" if shift < 0 else "left",
                     va="center",
                     fontsize=7,
+                    bbox=style.BEHIND,
                 )
     labels = [("training partners", "white"), ("test partners", style.FAINT)]
     if any(summary.get("m_validation") for summary in summaries.values()):

@@ -348,6 +348,19 @@ def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
         assert named[name].xy == (axes.get_xlim()[1], value)  # right of the line's end
 
 
+def test_in_a_column_no_number_lies_on_a_dot():
+    figure = zsc_dots(evaluations(), width=3.3)
+    canvas, axes = FigureCanvasAgg(figure), figure.axes[0]
+    canvas.draw()
+    dots = [line for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata())]
+    numbers = [text for text in axes.texts if text.get_text().lstrip("-").isdigit()]
+    assert len(numbers) == len(dots) == 4
+    for number, dot in itertools.product(numbers, dots):
+        assert not number.get_window_extent().contains(
+            *axes.transData.transform(dot.get_xydata()[0])
+        )
+
+
 def test_the_axis_is_zoomed_where_references_are_near():
     summaries = evaluations()
     low, high = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"].get_ylim()
