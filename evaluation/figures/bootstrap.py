@@ -246,9 +246,15 @@ def replicate_crossed(
                 lambda chunk: weighted_iqm(means, counts_of(chunk)), len(counts.seeds), means.size
             ),
         )
-    drawn = counts.seeds[:, mask.any(axis=1)], counts.partners[:, mask.any(axis=0)], counts.starts
-    to = _varied(counts.generalises_to, *drawn)
-    return Draws(mean(means), iqm(means), *replicates, means.size, to)
+    return Draws(
+        *(mean(means), iqm(means), *replicates, means.size),
+        _varied(
+            counts.generalises_to,
+            counts.seeds[:, mask.any(axis=1)],
+            counts.partners[:, mask.any(axis=0)],
+            counts.starts,
+        ),
+    )
 
 
 def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.ndarray, "B units"]:

@@ -58,11 +58,8 @@ def zsc_dots(
                     f"{value['mean']:.0f}",
                     (i + shift, value["mean"]),
                     (-7 if shift < 0 else 7, 0),
-                    textcoords="offset points",
-                    ha="right" if shift < 0 else "left",
-                    va="center",
-                    fontsize=7,
-                    bbox=style.BEHIND,
+                    **{"textcoords": "offset points", "fontsize": 7, "bbox": style.BEHIND},
+                    **{"ha": "right" if shift < 0 else "left", "va": "center"},
                 )
     labels = [("training partners", "white"), ("test partners", style.FAINT)]
     if any(summary.get("m_validation") for summary in summaries.values()):

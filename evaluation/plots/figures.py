@@ -60,8 +60,12 @@ def evaluation_figure(
             )
     if kind == "profile":
         task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
-        caption = f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}"
-        drawn = charts.performance_profile(profiles, task=task, caption=caption, width=width)
+        drawn = charts.performance_profile(
+            profiles,
+            task=task,
+            caption=f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}",
+            width=width,
+        )
     else:
         drawn = (
             charts.zsc_dots(summaries, width=width)
@@ -109,13 +113,16 @@ def curves_figure(
     _require(run, "train", "metrics.parquet", "config.json")
     table = curves.learning_curves(tables.read_parquet(run / "metrics.parquet"))
     config = tables.read_json(run / "config.json")["config"]
-    counts = table.select("disability", "seeds").unique().sort("disability").rows()
-    seeds = ", ".join(f"{name} {n}" for name, n in counts)
-    caption = f"IQM of the return over seeds and its pointwise 95% bootstrap band. Seeds: {seeds}."
-    title = f"Training: {config['task']}, {spelled(config.get('algorithm', 'ippo'))}"
-    return save_figure(
-        charts.learning_curves(table, title=title, caption=caption, width=width), path, bare=bare
+    counts = table.select("disability", "seeds").unique().sort("disability")
+    seeds = ", ".join(f"{name} {n}" for name, n in counts.rows())
+    figure = charts.learning_curves(
+        table,
+        title=f"Training: {config['task']}, {spelled(config.get('algorithm', 'ippo'))}",
+        caption="IQM of the return over seeds and its pointwise 95% bootstrap band. "
+        f"Seeds: {seeds}.",
+        width=width,
     )
+    return save_figure(figure, path, bare=bare)
 
 
 def sweep_figure(
@@ -130,10 +137,13 @@ def sweep_figure(
         f"seeds, {results['diverged'].sum()} runs diverged and are not drawn. Circles: the "
         "configuration with the best mean."
     )
-    title = f"Sweep: {spelled(tables.read_json(folder / 'preset.json')['algorithm'])}"
-    return save_figure(
-        sweep_panels(results, title=title, caption=caption, width=width), path, bare=bare
+    figure = sweep_panels(
+        results,
+        title=f"Sweep: {spelled(tables.read_json(folder / 'preset.json')['algorithm'])}",
+        caption=caption,
+        width=width,
     )
+    return save_figure(figure, path, bare=bare)
 
 
 def speed_figure(
