@@ -24,9 +24,10 @@ if [ ! -e "$lerobot/.installed" ]; then
     .venv/bin/python -m venv "$lerobot"
     "$folder/bin/python" -c 'import site; print(site.getsitepackages()[0])' \
         >"$("$lerobot/bin/python" -c 'import site; print(site.getsitepackages()[0])')/torch.pth"
-    "$lerobot/bin/python" -m pip install --quiet 'torch==2.13.0' 'torchvision==0.28.*' 'datasets==4.8.5' \
-        'huggingface-hub==0.35.3' 'numpy<2.3' 'pandas<3' 'packaging<26' 'av==15.1.0' 'draccus==0.10.0' \
-        accelerate deepdiff einops gymnasium imageio jsonlines pillow requests termcolor
+    "$lerobot/bin/python" -m pip install --quiet 'torch==2.13.0' 'torchvision==0.28.0' 'datasets==4.8.5' \
+        'huggingface-hub==0.35.3' 'numpy==2.2.6' 'pandas==2.3.3' 'packaging==25.0' 'av==15.1.0' \
+        'draccus==0.10.0' 'accelerate==1.15.0' 'deepdiff==9.1.0' 'einops==0.8.2' 'gymnasium==1.4.0' \
+        'imageio==2.38.1' 'jsonlines==4.0.0' 'pillow==13.0.0' 'requests==2.34.2' 'termcolor==3.3.0'
     "$lerobot/bin/python" -m pip install --quiet --no-deps 'lerobot==0.4.4'
     touch "$lerobot/.installed"
 fi
