@@ -136,24 +136,23 @@ def warn_once() -> None:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         nonlocal warned
-        place = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
-        torn = [
-            path
-            for name in re.findall(r"Error reading persistent .* entry for '(\w+)'", str(message))
-            for path in Path(place).glob(f"{name}-*-cache")
-        ]
-        if "persistent compilation cache entry" not in str(message):
+        text, place = str(message), os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
+        if "persistent compilation cache entry" not in text:
             shown(message, category, *where, **more)
-        elif torn:
+        elif torn := [
+            path
+            for name in re.findall(r"Error reading persistent .* entry for '(\w+)'", text)
+            for path in Path(place).glob(f"{name}-*-cache")
+        ]:
             with contextlib.suppress(OSError):  # nor can it be removed: compiled each time
                 for path in torn:
                     path.unlink(missing_ok=True)
         elif not warned:
             warned = True
+            reason = text.rpartition("] ")[2].partition(":")[0]
             print(
-                f"warning: compiled programs are not kept in {place} "
-                f"({str(message).rpartition('] ')[2].partition(':')[0]}); choose another cache "
-                f"with ${CACHE_VARIABLE}",
+                f"warning: compiled programs are not kept in {place} ({reason}); choose another "
+                f"cache with ${CACHE_VARIABLE}",
                 file=sys.stderr,
             )
 

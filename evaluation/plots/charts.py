@@ -50,16 +50,17 @@ def zsc_dots(
         colour = colours[name]
         for key, shift, fill in (*_SIDES, ("m_test", 0.13, colour)):
             if value := summary.get(key):
-                _whisker(axes, i + shift, value, colours[name])
-                axes.plot(
-                    [i + shift], [value["mean"]], "o", color=colours[name], markerfacecolor=fill
-                )
+                _whisker(axes, i + shift, value, colour)
+                axes.plot([i + shift], [value["mean"]], "o", color=colour, markerfacecolor=fill)
                 axes.annotate(
                     f"{value['mean']:.0f}",
                     (i + shift, value["mean"]),
                     (-7 if shift < 0 else 7, 0),
-                    **{"textcoords": "offset points", "fontsize": 7, "bbox": style.BEHIND},
-                    **{"ha": "right" if shift < 0 else "left", "va": "center"},
+                    textcoords="offset points",
+                    ha="right" if shift < 0 else "left",
+                    va="center",
+                    fontsize=7,
+                    bbox=style.BEHIND,
                 )
     labels = [("training partners", "white"), ("test partners", style.FAINT)]
     if any(summary.get("m_validation") for summary in summaries.values()):

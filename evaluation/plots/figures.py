@@ -55,14 +55,14 @@ def evaluation_figure(
         _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
         with strange_tables_refused(folder):
             summaries[name] = tables.to_json(read_summary(folder))
-            profiles[name] = tables.read_parquet(folder / tables.PROFILE_FILE).select(
-                pl.col("threshold", "share", "low", "high").cast(pl.Float64)
-            )
+            if kind == "profile":
+                profiles[name] = tables.read_parquet(folder / tables.PROFILE_FILE).select(
+                    pl.col("threshold", "share", "low", "high").cast(pl.Float64)
+                )
     if kind == "profile":
-        task = " and ".join(sorted({summary["task"] for summary in summaries.values()}))
         drawn = charts.performance_profile(
             profiles,
-            task=task,
+            task=" and ".join(sorted({summary["task"] for summary in summaries.values()})),
             caption=f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}",
             width=width,
         )

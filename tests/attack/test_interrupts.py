@@ -8,6 +8,7 @@ import pytest
 from tests.attack.commands import Command
 from tests.attack.ledger import Ledger, attack
 from tests.attack.process import Outcome, call
+from tests.cli.test_interrupts import last_line
 
 INTERRUPTS = {  # of the whole attack: 60
     "evaluate": 14,
@@ -21,14 +22,14 @@ INTERRUPTS = {  # of the whole attack: 60
 SOON = 2.0  # seconds, without those that it waited for a processor
 
 
-def ended_well(ledger: Ledger, outcome: Outcome) -> None:
+def ended_well(ledger: Ledger, outcome: Outcome, name: str) -> None:
     ledger.judge(outcome)
     message = outcome.err[-300:]
     assert outcome.code in (0, 130), f"{outcome.code}: {message}"  # 0: done before the key press
     assert outcome.err.count("error") <= 1, message
     if outcome.code == 130:
         spent = outcome.seconds - outcome.waited
-        assert outcome.err.splitlines()[-1].startswith("error: interrupted"), message
+        assert outcome.err.splitlines()[-1] == last_line(name), message
         assert spent < SOON, f"{spent:.1f} s after the key press"
 
 
@@ -46,7 +47,7 @@ def test_interrupted_commands(name: str, table: dict[str, Command], tmp_path: Pa
             with ledger.trial(f"{name} {trial}"):
                 moment = ledger.random.uniform(0.0, 0.95) * whole.computed
                 pressed = call(command.words, home, press=(signal.SIGINT, moment))
-                ended_well(ledger, pressed)
+                ended_well(ledger, pressed, name)
                 ledger.struck += pressed.code == 130
                 left = command.figures(home)
                 assert left.items() <= expected.items(), "a file is not of an undisturbed run"

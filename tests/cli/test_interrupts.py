@@ -77,6 +77,12 @@ def computed_by_children() -> float:
     return spent.children_user + spent.children_system
 
 
+def last_line(command: str) -> str:
+    """Return what a command with --out says at the end."""
+    kept = "; what is done is kept, and the same command continues"
+    return f"error: interrupted{kept if command in CONTINUED else ''}"
+
+
 def interrupt(command: str, seconds: float, folder: Path) -> None:
     name = "film.gif" if command == "render" else "out"
     with begin([*COMMANDS[command], str(folder / name)], folder) as process:
@@ -89,9 +95,7 @@ def interrupt(command: str, seconds: float, folder: Path) -> None:
         out, err = process.communicate(timeout=AT_LAST)
     spent = computed_by_children() - others - before
     assert (process.returncode, out) == (130, ""), err
-    continues = "; what is done is kept, and the same command continues"
-    kept = continues if COMMANDS[command][0] in CONTINUED else ""
-    assert err.splitlines()[-1] == f"error: interrupted{kept}"
+    assert err.splitlines()[-1] == last_line(command)
     assert err.count("error") == 1 and "Traceback" not in err
     assert spent < SOON
 
