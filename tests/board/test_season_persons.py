@@ -205,7 +205,7 @@ def test_a_task_of_persons_alone_has_a_board(tmp_path: Path) -> None:
     _, usual = choose_partners(registry, task, None, None)
     assert set(panel) == {entry.id for entry in usual} and len(panel) == 200
     references = catalogue.references(task)
-    assert SELF_PLAY not in references and "gru-ego-s3-v4" in references
+    assert SELF_PLAY not in references and "asymmetric_gru-ego-s114-v5" in references
     robot = tmp_path / "robot.safetensors"
     spec = registry.select(f"{task}/*/robot")[0].spec
     write_policy_file(robot, spec, params_of(spec, 7))

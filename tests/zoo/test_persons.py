@@ -65,7 +65,8 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
     assert {table.count for table in release.persons.values()} == {COUNT}
     assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
-    assert official.release_of("gentle_feeding") == "v4"  # which alone has it
+    assert official.release_of("gentle_brushing") == "v4"  # which alone has it
+    assert official.release_of("gentle_feeding") == "v5"
     alone = {task for task in TASKS if official.split(task).rule == "persons"}
     assert alone == {"gentle_feeding", "gentle_brushing"}
     assert {name: official.root(name) for name in ROOTS} == ROOTS
@@ -74,19 +75,19 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
 def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Registry) -> None:
     """And each release has its own, however many follow it."""
     older = official.split("gentle_feeding")
-    assert (older.release, older.held_out) == ("v4", None)
-    newer = official.data.releases["v4"].model_copy(update={"root": None})
-    releases = {**official.data.releases, "v5": newer}
+    assert (older.release, older.held_out) == ("v5", None)
+    newer = official.data.releases["v5"].model_copy(update={"root": None})
+    releases = {**official.data.releases, "v6": newer}
     data = official.data.model_copy(update={"releases": releases})
     grown = dataclasses.replace(official, data=data)
-    assert grown.split("gentle_feeding", release="v4") == older
-    assert grown.split("gentle_feeding").release == "v5"
+    assert grown.split("gentle_feeding", release="v5") == older
+    assert grown.split("gentle_feeding").release == "v6"
     assert grown.split("gentle_feeding", older.id) == older
-    assert grown.split("gentle_feeding", "persons").release == "v5"
+    assert grown.split("gentle_feeding", "persons").release == "v6"
     assert grown.split("gentle_scratch", release="v3").rule == "three-sides"  # it has teams
-    glob = "gentle_feeding/person-0900?-v4"
+    glob = "gentle_feeding/person-0900?-v5"
     split, chosen = choose_persons(data, "gentle_feeding", None, glob)
-    assert split == older and {entry.release for entry in chosen} == {"v4"} and len(chosen) == 10
+    assert split == older and {entry.release for entry in chosen} == {"v5"} and len(chosen) == 10
     added = merge(official.data, {"lab": official.data})
     lab = dataclasses.replace(official, data=added, parts={"": official, "lab": official})
     assert lab.split("gentle_feeding", "lab:") == lab.split("gentle_feeding", "lab:persons")
@@ -219,7 +220,7 @@ def test_verify_counts_persons_and_published_ones_never_change(
     official: Registry, tmp_path: Path
 ) -> None:
     report = verify(official)
-    assert report.ok and report.persons == 5 * COUNT
+    assert report.ok and report.persons == 6 * COUNT
     assert f"persons {TASK}" in leaves(official.data, "v3")
     other = changed(official, tmp_path, program=3)
     assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]

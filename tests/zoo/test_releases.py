@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
 from assistax_workshop.plans.plan import read_plan
 from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
@@ -40,7 +40,9 @@ def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
         "gentle_bath/ppo-ego-s0-v2",
         "gentle_bath/ppo-ego-s3-v3",
         "gentle_brushing/gru-ego-s1-v4",
+        "gentle_feeding/asymmetric_gru-ego-s114-v5",
         "gentle_feeding/gru-ego-s3-v4",
+        "gentle_lift/asymmetric-ego-s107-v3",
         "gentle_lift/asymmetric-ego-s15-v3",
         "gentle_lift/ppo-ego-s0-v2",
         "gentle_lift/ppo-ego-s2-v3",
@@ -52,9 +54,11 @@ def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
         "scratch/ppo-ego-s0-v1",
     ]
     for team, ego in egos.items():
-        whom = "persons" if team.endswith(("-v3", "-v4")) else None
+        release = team.rpartition("-")[2]
+        whom = "persons" if release == "v3" else None
         whom = "three-sides" if team.endswith("-s102-v3") else whom
-        split = REGISTRY.split(team.partition("/")[0], whom)
+        alone = {"release": release} if whom is None else {}
+        split = REGISTRY.split(team.partition("/")[0], whom, **alone)
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 
 
@@ -116,7 +120,8 @@ def test_a_task_has_its_own_default_release() -> None:
     assert releases == {
         **dict.fromkeys(PAPER_TASKS, "v1"),
         **dict.fromkeys(GENTLE_TASKS, "v2"),
-        **dict.fromkeys(CARE_TASKS, "v4"),
+        "gentle_brushing": "v4",
+        "gentle_feeding": "v5",
     }
     assert REGISTRY.split("scratch", "half").release == "v1"
 
