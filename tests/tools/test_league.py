@@ -234,6 +234,56 @@ def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
     assert "Above PPO" not in page and "Not shown" not in page
 
 
+def test_rows_of_an_earlier_page_stand_beside_new_ones(tmp_path: Path, capsys) -> None:
+    """Rows that are made anew take the place of older ones, and p is corrected over both."""
+    contrasts = tmp_path / "contrasts.toml"
+    contrasts.write_text(NAMED.replace('"sac"', '"liam"'))
+
+    def page(name: str, *more: str) -> str:
+        text = tmp_path / name / "results.md"
+        words = ["page", str(tmp_path / name), "--contrasts", str(contrasts), "--text", str(text)]
+        assert run([*words, *more]) == 0, capsys.readouterr().err
+        return text.read_text()
+
+    def table(name: str, what: str) -> pl.DataFrame:
+        return pl.read_csv(tmp_path / name / f"page/{what}.csv")
+
+    def play(name: str, row: str, returns: float) -> None:
+        noise = np.random.default_rng(len(row)).normal(0.0, 20.0, (4, 10))
+        put(tmp_path / name / "scratch", row, returns + noise, baselines=row == "ppo")
+
+    for row, returns in (("ppo", 200.0), ("gru", 260.0)):
+        play("old", row, returns)
+    page("old")
+    for row, returns in (("ppo", 210.0), ("liam", 240.0)):
+        play("new", row, returns)
+    earlier = ["--earlier", str(tmp_path / "old/page")]
+    text = page("new", *earlier)
+    league = table("new", "scratch-league")
+    assert league["row"].to_list()[3:] == ["ppo", "gru", "liam"]
+    means = dict(league.select("row", "mean").iter_rows())
+    older = dict(table("old", "scratch-league").select("row", "mean").iter_rows())
+    assert means["gru"] == older["gru"] and means["ppo"] == pytest.approx(older["ppo"] + 10)
+    chances = {line["method"]: line for line in table("new", "contrasts").iter_rows(named=True)}
+    alone = table("old", "contrasts").row(0, named=True)
+    assert chances["gru"]["p"] == alone["p"] and set(chances) == {"gru", "liam"}
+    least, most = sorted(line["p"] for line in chances.values())
+    found = sorted(line["p_holm"] for line in chances.values())
+    assert found == pytest.approx([2 * least, max(2 * least, most)], abs=2e-6)
+    assert "| `gru` - `ppo` |" in text and "| `liam` - `ppo` |" in text
+    partners = table("new", "scratch-partners")
+    best = partners.group_by("partner").agg(pl.col("mean").max())
+    kept = partners.filter(row="gru").join(best, on="partner", suffix="_best")
+    assert (kept["best"] - kept["mean_best"]).abs().max() == 0
+    path = tmp_path / "old/page/rows.csv"  # a task of another split has its new rows alone
+    records = pl.read_csv(path).with_columns(pl.lit("scratch/half-s0-v9-01234567").alias("split"))
+    records.write_csv(path)
+    page("new", *earlier)
+    assert table("new", "scratch-league")["row"].to_list()[3:] == ["ppo", "liam"]
+    assert run(["page", str(tmp_path / "new"), "--earlier", str(tmp_path)]) == 1
+    assert "has no tables of a league's page" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_cards_of_published_robots_have_a_film_and_their_m_test(tmp_path: Path, capsys) -> None:
     robot, out = "gentle_brushing/gru-ego-s1-v4", tmp_path / "cards"

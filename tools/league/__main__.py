@@ -136,6 +136,7 @@ def page(
     images: Path | None = None,
     contrasts: Path | None = None,
     text: Path | None = None,
+    earlier: Path | None = None,
 ) -> None:
     """Write the results' page, its tables as CSV, and its figures.
 
@@ -145,6 +146,7 @@ def page(
         images: Folder of the figures; that of the tables if not given.
         contrasts: File of named contrasts.
         text: Page to write; none if not given.
+        earlier: Tables of an earlier page, whose rows that FOLDER lacks are shown too.
 
     Example:
         python -m tools.league page league --contrasts contrasts.toml --text league/page/page.md
@@ -152,7 +154,7 @@ def page(
     from tools.league.page import write_page
 
     out = out or folder / "page"
-    for path in write_page(folder, out, images or out, contrasts, text):
+    for path in write_page(folder, out, images or out, contrasts, text, earlier):
         print(path)
 
 

@@ -3,24 +3,17 @@
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 from matplotlib.figure import Figure
 
-from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
-from assistax_zoo.comparing import compare_named
-from evaluation.figures.contrasts import Contrast, ContrastFigures, read_contrasts
-from evaluation.figures.league import league_table, ordered, read_league, row_folders
+from evaluation.figures.contrasts import read_contrasts
 from evaluation.plots.league import league_chart
 from evaluation.plots.style import save_figure
-from evaluation.record import tables
-from evaluation.validation import CURVE
 from tools.league.figures import failure_chart, failures, validation_curves
-from tools.league.making import RECORD, RUNS, TRAINING_SIDE
-from tools.league.results import Played, results_page
-from tools.league.rows import rows
+from tools.league.results import results_page
+from tools.league.tables import Tables, beside, corrected, of_folders, read_tables
 
 FIGURES = {
     "league": "Mean return of each row with its 95% interval",
@@ -30,7 +23,12 @@ FIGURES = {
 
 
 def write_page(
-    folder: Path, out: Path, images: Path, contrasts: Path | None = None, text: Path | None = None
+    folder: Path,
+    out: Path,
+    images: Path,
+    contrasts: Path | None = None,
+    text: Path | None = None,
+    earlier: Path | None = None,
 ) -> list[Path]:
     """Write tables as CSV, three figures and the page of all tasks of a folder; return their paths.
 
@@ -44,127 +42,49 @@ def write_page(
         images: Of the figures.
         contrasts: File of named contrasts.
         text: The page to write.
+        earlier: Tables of an earlier page; rows that the folder lacks stay as they are there.
 
     Raises:
-        FileNotFoundError: The folder has no row of any task.
+        FileNotFoundError: The folder has no row of any task, or there are no earlier tables.
     """
-    places = sorted(place for place in folder.glob("*") if row_folders(place))
-    if not places:
-        raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
-    of_folder = {place: _curves(place) for place in places}
-    played = [
-        Played(read_league(place), place, _validated(some)) for place, some in of_folder.items()
-    ]
-    trained = [
-        Played(read_league(side), side, task.validated)
-        for task in played
-        if row_folders(side := task.folder / TRAINING_SIDE)
-    ]
-    league = {task.task: league_table(task.league) for task in played}
-    shares = {task.task: failures(task.league.by_partner) for task in played}
-    curves = {task.task: some for task in played if (some := of_folder[task.folder])}
-    records = pl.DataFrame(_records(places))
-    named = {"league": league, "partners": shares}
-    named["training-side"] = {task.task: league_table(task.league) for task in trained}
-    named["validation"] = {task: _long(some) for task, some in curves.items()}
-    written = [
-        _csv(table, out / f"{task}-{what}.csv")
-        for what, by_task in named.items()
-        for task, table in by_task.items()
-    ]
-    written += _figure(league_chart(league), images / "league.png")
-    written += _figure(failure_chart(shares), images / "partners.png")
-    if curves:
-        written += _figure(validation_curves(curves), images / "validation.png")
-    written.append(_csv(records, out / "rows.csv"))
-    tested: ContrastFigures | None = None
-    asked: tuple[Contrast, ...] = ()
-    if contrasts is not None:
-        asked = read_contrasts(contrasts)[0].contrasts
-        methods = [place for task in places for place in row_folders(task).values()]
-        tested = compare_named(contrasts, methods)
-        written.append(_csv(_contrast_table(tested), out / "contrasts.csv"))
-        about = {"file": tested.file, "sha256": tested.sha256, "notes": list(tested.notes)}
+    shown = of_folders(folder, contrasts)
+    if earlier is not None:
+        shown = beside(shown, read_tables(earlier))
+    written = []
+    named = None
+    if contrasts is not None and shown.contrasts is not None:
+        named, digest = read_contrasts(contrasts)
+        tested = corrected(shown.contrasts, named)
+        shown = Tables(*shown.by_task.values(), shown.records, tested)
+        about = {"file": contrasts.name, "sha256": digest}
         path = out / "contrasts.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(path, (json.dumps(about, indent=1) + "\n").encode())
         written.append(path)
+    written += shown.write(out)
+    shares = {task: failures(table) for task, table in shown.partners.items()}
+    written += _figure(league_chart(shown.league), images / "league.png")
+    written += _figure(failure_chart(shares), images / "partners.png")
+    if shown.validation:
+        curves = {task: _by_row(table) for task, table in shown.validation.items()}
+        written += _figure(validation_curves(curves), images / "validation.png")
     if text is not None:
         near = {"images": images, "tables": out}
-        shown = {name: what for name, what in FIGURES.items() if curves or name != "validation"}
+        figures = {
+            name: what for name, what in FIGURES.items() if (images / f"{name}.png") in written
+        }
         links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
-        page = results_page(played, tested, asked, records, links, shown, trained)
-        atomic_write(text, page.encode())
+        atomic_write(text, results_page(shown, named, links, figures).encode())
         written.append(text)
     return written
 
 
-def _curves(task: Path) -> dict[str, pl.DataFrame]:
-    """Return the learning curves of a task's rows."""
-    return {
-        row: tables.read_parquet(path)
-        for row in ordered(place.name for place in (task / RUNS).glob("*"))
-        if (path := task / RUNS / row / "training" / CURVE).is_file()
-    }
-
-
-def _validated(curves: dict[str, pl.DataFrame]) -> dict[str, float]:
-    """Return what each row's robots earn with the validation side, each at its best checkpoint."""
-    best = pl.col("return").max().over("seed").mean()
-    return {row: float(curve.select(best).item()) for row, curve in curves.items()}
-
-
-def _long(curves: dict[str, pl.DataFrame]) -> pl.DataFrame:
-    return pl.concat(
-        curve.select(pl.lit(row).alias("row"), pl.all()) for row, curve in curves.items()
-    )
+def _by_row(curves: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    parts = curves.partition_by("row", as_dict=True, maintain_order=True, include_key=False)
+    return {str(row): table for (row,), table in parts.items()}
 
 
 def _figure(figure: Figure, path: Path) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path)
     return [path]
-
-
-def _csv(table: pl.DataFrame, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, table.write_csv(float_precision=3).encode())
-    return path
-
-
-def _records(tasks: list[Path]) -> list[dict[str, Any]]:
-    """Return what rows say of their making, those of `row` alone."""
-    shown = ("task", "row", "robots", "steps", "total_steps", "device", "device_minutes_in_all")
-    found = []
-    for task in tasks:
-        for name in row_folders(task):
-            path = task / RUNS / name / RECORD
-            record = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
-            known = {key: record.get(key) for key in shown} | {"contrasts": record.get("contrasts")}
-            found.append({**known, "row": name, "task": task.name, "made": name in rows()})
-    return found
-
-
-def _contrast_table(figures: ContrastFigures) -> pl.DataFrame:
-    lines = []
-    for figure in figures.contrasts:
-        low, high = figure.difference.mean_ci or (None, None)
-        lines.append(
-            {
-                "task": figure.task,
-                "method": figure.method,
-                "baseline": figure.baseline,
-                "metric": figure.metric,
-                "named": figure.named,
-                "seeds": min(figure.seeds),
-                "partners": figure.partners,
-                "mean": figure.difference.mean,
-                "low": low,
-                "high": high,
-                "p": figure.p,
-                "p_holm": figure.p_holm,
-                "found": figure.found,
-                "detectable": figure.detectable,
-                "detectable_holm": figure.detectable_holm,
-            }
-        )
-    return pl.DataFrame(lines, infer_schema_length=None)

@@ -2,12 +2,12 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from typing import TypeVar
 
 import polars as pl
 
 from assistax_base.errors import listing
-from evaluation.figures.contrasts import Contrast, ContrastFigure, ContrastFigures
+from evaluation.figures.contrasts import Contrast, ContrastsFile
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIRST,
@@ -17,15 +17,14 @@ from evaluation.figures.league import (
     SCRIPT,
     TOLD,
     TOLD_MEMORY,
-    League,
-    LeagueRow,
 )
 from evaluation.figures.metrics.inference import holm
-from evaluation.record.record import Record
 from tools.league.figures import FAILED, failures
 from tools.league.rows import rows
+from tools.league.tables import Tables
 from tools.release_page.markdown import table
 
+Shown = TypeVar("Shown", "ShownRow", "Tested")
 LIMITS = """- Persons are numbers and a program. Nothing here is about people. With partners that
   are networks [it is otherwise](log/league.md#with-co-trained-teams): for them choose
   [a robot that learned with such partners](log/league.md#robots-that-learned-with-teams).
@@ -34,36 +33,44 @@ LIMITS = """- Persons are numbers and a program. Nothing here is about people. W
 - Checkpoints of all rows are chosen by the validation side, except those of best responses and of
   the mirror. These met the test side and stay as they are at the end of training.
 - Hyperparameters are those of PPO's gates for all methods. A method may be better with its own.
-- In feeding, which is played in version 1, a spoon that stays tilted costs points in each step, so
-  a few episodes rule the means.
-  [Medians and safe success](log/league.md#what-was-tried-and-what-explains-it) put
-  `asymmetric_gru` first.
+- Robots had 50 M steps. [With 200 M steps](log/league.md#what-was-tried-and-what-explains-it)
+  `asymmetric` earns 820 in lift, and PPO 678.
 """
+
+
+@dataclasses.dataclass(frozen=True)
+class ShownRow:
+    """What the page says of a row."""
+
+    row: str
+    partners: int
+    mean: float
+    low: float | None  # ends of the mean's 95% interval
+    high: float | None
+    safe_success: float | None
+    violations: float | None
+    seed_sd: float | None
 
 
 @dataclasses.dataclass(frozen=True)
 class Played:
     """What the page says of a task."""
 
-    league: League
-    folder: Path  # of the task, with a folder for each row
+    task: str
+    rows: tuple[ShownRow, ...]
+    by_partner: pl.DataFrame | None  # none of the training side
     # By row, the mean return of its chosen robots with the validation side.
-    validated: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    validated: Mapping[str, float]
 
     @property
-    def task(self) -> str:
-        """Its name."""
-        return self.league.context.task
-
-    @property
-    def methods(self) -> list[LeagueRow]:
+    def methods(self) -> list[ShownRow]:
         """Return the rows of methods, PPO among them, the best first."""
         bounds = {*FIRST, *LAST} - {PPO}
-        found = [row for row in self.league.rows if row.row not in bounds]
-        return sorted(found, key=lambda row: -row.mean.mean)
+        found = [row for row in self.rows if row.row not in bounds]
+        return sorted(found, key=lambda row: -row.mean)
 
     @property
-    def best(self) -> LeagueRow:
+    def best(self) -> ShownRow:
         """The method that the validation side chooses; without one for each, that of most return.
 
         What is best with the test side is no choice: its return would be too high.
@@ -73,54 +80,78 @@ class Played:
         return self.methods[0]
 
     @property
-    def told(self) -> LeagueRow | None:
+    def told(self) -> ShownRow | None:
         """The better of the robots that are told the preference, with a memory or without."""
         found = [row for name in (TOLD, TOLD_MEMORY) if (row := self.row(name))]
-        return max(found, key=lambda row: row.mean.mean, default=None)
+        return max(found, key=lambda row: row.mean, default=None)
 
-    def row(self, name: str) -> LeagueRow | None:
+    def row(self, name: str) -> ShownRow | None:
         """Return a row by its name; None if it was not played."""
-        return next((row for row in self.league.rows if row.row == name), None)
+        return next((row for row in self.rows if row.row == name), None)
 
     def by_family(self, row: str) -> dict[str, float]:
         """Return the mean return of a row with the partners of each algorithm, or family."""
-        episodes = Record.read(self.folder / row).table
-        means = episodes.group_by("partner_algorithm").agg(pl.col("return").mean())
-        return dict(sorted(means.iter_rows()))
+        assert self.by_partner is not None
+        own = self.by_partner.filter(row=row)
+        return dict(sorted(own.group_by("family").agg(pl.col("mean").mean()).iter_rows()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Tested:
+    """What the page says of a contrast."""
+
+    task: str
+    method: str
+    baseline: str
+    metric: str
+    named: bool
+    mean: float
+    low: float | None
+    high: float | None
+    p: float
+    p_holm: float | None
+    found: bool | None
+    detectable_holm: float
 
 
 def results_page(
-    tasks: Sequence[Played],
-    tested: ContrastFigures | None,
-    named: Sequence[Contrast],
-    records: pl.DataFrame,
+    shown: Tables,
+    named: ContrastsFile | None,
     places: Mapping[str, str],
     figures: Mapping[str, str],
-    trained: Sequence[Played] = (),
 ) -> str:
     """Return the page in Markdown.
 
     Args:
-        tasks: What was played.
-        tested: The contrasts of a file, with their figures; None without a file.
-        named: The contrasts that the file names, played or not.
-        records: A row of each row's making: `steps` and `device_minutes_in_all`.
+        shown: The tables.
+        named: The file of contrasts.
         places: Links: "images" and "tables", relative to the page.
         figures: What they show, by name.
-        trained: What was played with partners of the training side.
     """
+    validated = {task: _validated(table) for task, table in shown.validation.items()}
+    tasks = [
+        _played(task, table, shown.partners[task], validated.get(task, {}))
+        for task, table in shown.league.items()
+    ]
+    trained = [
+        _played(task, table, None, validated.get(task, {}))
+        for task, table in shown.training.items()
+    ]
+    contrasts, asked = (), ()
+    if named and shown.contrasts is not None:
+        contrasts, asked = tuple(_of_table(Tested, shown.contrasts)), named.contrasts
+    alpha = named.alpha if named else 1.0
     images, tables = places["images"], places["tables"]
-    contrasts, alpha = (tested.contrasts, tested.alpha) if tested else ((), 1.0)
     said = "\n".join(
         f"{place}. {text}"
-        for place, text in enumerate(sentences(tasks, contrasts, named, alpha, trained), 1)
+        for place, text in enumerate(sentences(tasks, contrasts, asked, alpha, trained), 1)
     )
     missing = [
         f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
         for task in tasks
     ]
     # The best of each four seeds are another row's robots: its training is not counted twice.
-    made = records.filter(pl.col("row") != BEST_OF_FOUR)
+    made = shown.records.filter(pl.col("row") != BEST_OF_FOUR)
     minutes = [taken for taken in made["device_minutes_in_all"] if taken is not None]
     cost = f"{sum(minutes):.0f} minutes of processes for {len(minutes)} rows"
     parts = [
@@ -135,7 +166,7 @@ def results_page(
         said,
         *(f"![{what}]({images}/{name}.png)" for name, what in figures.items()),
         "## Tables",
-        _contrast_lines(contrasts, named),
+        _contrast_lines(contrasts, asked),
         f"As CSV, in `{tables}`: all rows, the return with each partner, learning curves, "
         f"contrasts, and what each row took ({cost}).",
         "## What the league cannot say",
@@ -144,9 +175,26 @@ def results_page(
     return "\n\n".join(parts) + "\n"
 
 
+def _of_table(kind: type[Shown], table: pl.DataFrame) -> list[Shown]:
+    names = [field.name for field in dataclasses.fields(kind)]
+    return [kind(**line) for line in table.select(names).iter_rows(named=True)]
+
+
+def _played(
+    task: str, table: pl.DataFrame, partners: pl.DataFrame | None, validated: Mapping[str, float]
+) -> Played:
+    return Played(task, tuple(_of_table(ShownRow, table)), partners, validated)
+
+
+def _validated(curves: pl.DataFrame) -> dict[str, float]:
+    """Return what each row's robots earn with the validation side, each at its best checkpoint."""
+    best = curves.group_by("row", "seed").agg(pl.col("return").max())
+    return dict(best.group_by("row").agg(pl.col("return").mean()).iter_rows())
+
+
 def sentences(
     tasks: Sequence[Played],
-    contrasts: Sequence[ContrastFigure],
+    contrasts: Sequence[Tested],
     named: Sequence[Contrast],
     alpha: float,
     trained: Sequence[Played] = (),
@@ -158,7 +206,7 @@ def sentences(
     contrasts = [c for c in contrasts if (c.baseline, c.metric) == (PPO, "return")]
     named = [c for c in named if (c.baseline, c.metric) == (PPO, "return")]
     tested = [contrast for contrast in contrasts if contrast.named]
-    above = [contrast for contrast in tested if contrast.found and contrast.difference.mean > 0]
+    above = [contrast for contrast in tested if contrast.found and contrast.mean > 0]
     if above:
         said = listing([_contrast(contrast) for contrast in above], 12)
         yield f"Above PPO at Holm's {alpha:.0%} over all named contrasts: {said}."
@@ -174,7 +222,7 @@ def sentences(
     unnamed = [
         _contrast(contrast)
         for contrast, chance in zip(contrasts, chances, strict=True)
-        if not contrast.named and chance <= alpha and contrast.difference.mean > 0
+        if not contrast.named and chance <= alpha and contrast.mean > 0
     ]
     if unnamed:
         yield (
@@ -200,7 +248,7 @@ def sentences(
     if split := [text for task in tasks if (text := _apart(task))]:
         yield f"No method is best with both families of persons: {listing(split)}."
     shares = [
-        f"{row.seed_sd / row.mean.mean:.0%} for `{row.row}` in `{task.task}`"
+        f"{row.seed_sd / row.mean:.0%} for `{row.row}` in `{task.task}`"
         for task in tasks
         if (row := task.best).seed_sd is not None
     ]
@@ -216,22 +264,24 @@ def _choices(tasks: Sequence[Played]) -> str:
         best = task.best
         rows_beside = (task.row(PPO), task.row(SCRIPT), task.told)
         others = [_figure(row) if row else "" for row in rows_beside]
-        shares = [f"{x.mean:.0%}" if x else "" for x in (best.safe_success, best.violations)]
-        fails = failures(task.league.by_partner).filter(row=best.row)
+        known = (best.safe_success, best.violations)
+        # Half a percent is shown as one: tables have three digits, and Python rounds 0.5 to 0.
+        shares = ["" if share is None else f"{share + 1e-9:.0%}" for share in known]
+        assert task.by_partner is not None
+        fails = failures(task.by_partner).filter(row=best.row)
         fail = f"{int(fails['fails'].sum())} of {fails.height} persons"
         first = f"`{task.task}`", f"`{best.row}`", f"**{_figure(best)}**"
         lines.append((*first, *others, *shares, fail))
     return table(headings.split(", "), lines)
 
 
-def _figure(row: LeagueRow) -> str:
-    ends = row.mean.mean_ci
-    return f"{row.mean.mean:.0f}" + (f" [{ends[0]:.0f}, {ends[1]:.0f}]" if ends else "")
+def _figure(row: ShownRow) -> str:
+    ends = "" if row.low is None else f" [{row.low:.0f}, {row.high:.0f}]"
+    return f"{row.mean:.0f}{ends}"
 
 
-def _contrast(contrast: ContrastFigure) -> str:
-    low, high = contrast.difference.mean_ci or (float("nan"),) * 2
-    difference = f"{contrast.difference.mean:+.0f} [{low:.0f}, {high:.0f}]"
+def _contrast(contrast: Tested) -> str:
+    difference = f"{contrast.mean:+.0f} [{contrast.low:.0f}, {contrast.high:.0f}]"
     return f"`{contrast.method}` in `{contrast.task}` ({difference})"
 
 
@@ -239,7 +289,7 @@ def _chance(p: float) -> str:
     return f"{p:.4f}" if p >= 0.0001 else "< 0.0001"
 
 
-def _in_tasks(contrasts: Sequence[Contrast | ContrastFigure]) -> str:
+def _in_tasks(contrasts: Sequence[Contrast | Tested]) -> str:
     """Return the methods of contrasts, each with its tasks."""
     tasks: dict[str, list[str]] = {}
     for contrast in contrasts:
@@ -251,7 +301,7 @@ def _in_tasks(contrasts: Sequence[Contrast | ContrastFigure]) -> str:
 def _better(task: Played) -> str:
     """Say which method has the highest mean with the test side, beside the chosen one."""
     most, chosen = task.methods[0], task.best
-    returns = f"{most.mean.mean:.0f}, `{chosen.row}` {chosen.mean.mean:.0f}"
+    returns = f"{most.mean:.0f}, `{chosen.row}` {chosen.mean:.0f}"
     return f"`{most.row}` in `{task.task}` ({returns})"
 
 
@@ -261,21 +311,22 @@ def _gap(task: Played) -> str | None:
     Of less than a tenth of PPO's return no share is said.
     """
     plain, best, told = task.row(PPO), task.best, task.told
-    if not plain or best.row == PPO or not told or told.mean.mean < 1.1 * plain.mean.mean:
+    if not plain or best.row == PPO or not told or told.mean < 1.1 * plain.mean:
         return None
-    gap = told.mean.mean - plain.mean.mean
-    won = (best.mean.mean - plain.mean.mean) / gap
+    gap = told.mean - plain.mean
+    won = (best.mean - plain.mean) / gap
     return f"`{best.row}` wins {won:.0%} of {gap:.0f} points in `{task.task}` (`{told.row}`)"
 
 
 def _beside(tasks: Sequence[Played]) -> Iterator[str]:
     """Yield which share of best responses' return the best method earns with their persons."""
     for task in tasks:
-        if task.row(RESPONSE):
-            best, returns = task.best.row, task.league.by_partner
-            own = returns.filter(pl.col("row") == RESPONSE).select("partner", own="mean")
-            both = returns.filter(pl.col("row") == best).join(own, on="partner")
-            earned, bound = (both[name].to_numpy().mean() for name in ("mean", "own"))
+        if response := task.row(RESPONSE):
+            best, earned, bound = task.best.row, task.best.mean, response.mean
+            if task.by_partner is not None:  # few partners of the test side have best responses
+                own = task.by_partner.filter(row=RESPONSE).select("partner", own="mean")
+                both = task.by_partner.filter(row=best).join(own, on="partner")
+                earned, bound = (both[name].to_numpy().mean() for name in ("mean", "own"))
             share = f"{earned:.0f} of {bound:.0f} ({earned / bound:.0%})"
             yield f"`{best}` earns {share} in `{task.task}`"
 
@@ -291,15 +342,14 @@ def _apart(task: Played) -> str | None:
     return f"{listing(said)} in `{task.task}`"
 
 
-def _contrast_lines(contrasts: Sequence[ContrastFigure], named: Sequence[Contrast]) -> str:
+def _contrast_lines(contrasts: Sequence[Tested], named: Sequence[Contrast]) -> str:
     lines, in_file = [], {(c.task, c.method, c.baseline, c.metric) for c in named}
     for c in contrasts:
-        low, high = c.difference.mean_ci or (float("nan"),) * 2
         too_few = (c.task, c.method, c.baseline, c.metric) in in_file
         uncorrected = "1, too few seeds" if too_few else "not named"
         holms = uncorrected if c.p_holm is None else _chance(c.p_holm)
         names = f"`{c.method}` - `{c.baseline}`", f"`{c.task}`"
-        difference = f"{c.difference.mean:.0f} [{low:.0f}, {high:.0f}]"
+        difference = f"{c.mean:.0f} [{c.low:.0f}, {c.high:.0f}]"
         lines.append((*names, difference, _chance(c.p), holms, f"{c.detectable_holm:.0f}"))
     headings = "contrast, task, difference, p, p by Holm, detectable by Holm"
     return table(headings.split(", "), lines)

@@ -1,0 +1,250 @@
+"""The tables of a league's page: of folders of rows, and those of an earlier page beside them."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from assistax_base.bounded_reading import parse_json
+from assistax_base.files import atomic_write
+from assistax_zoo.comparing import compare_named
+from evaluation.figures.contrasts import Contrast, ContrastsFile
+from evaluation.figures.league import League, league_table, ordered, read_league, row_folders
+from evaluation.figures.metrics.inference import holm
+from evaluation.record import tables
+from evaluation.record.record import Record
+from evaluation.validation import CURVE
+from tools.league.figures import failures
+from tools.league.making import RECORD, RUNS, TRAINING_SIDE
+from tools.league.rows import rows
+
+# By what they hold; each task has a file of each, but of the last two all tasks have one.
+LEAGUE, PARTNERS, TRAINING, VALIDATION = "league", "partners", TRAINING_SIDE, "validation"
+RECORDS, CONTRASTS = "rows", "contrasts"
+_KEY = ("task", "method", "baseline", "metric")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tables:
+    """What a page shows. The first four are by task, and have a column `row`."""
+
+    league: dict[str, pl.DataFrame]  # of `league_table`
+    partners: dict[str, pl.DataFrame]  # each row's mean with each partner, and the partner's family
+    training: dict[str, pl.DataFrame]  # as `league`, with partners of the training side
+    validation: dict[str, pl.DataFrame]  # learning curves: `seed`, `steps`, `return`
+    records: pl.DataFrame  # how each row was made
+    contrasts: pl.DataFrame | None = None
+
+    @property
+    def by_task(self) -> dict[str, dict[str, pl.DataFrame]]:
+        """The tables of each task by what they hold."""
+        known = (self.league, self.partners, self.training, self.validation)
+        return dict(zip((LEAGUE, PARTNERS, TRAINING, VALIDATION), known, strict=True))
+
+    def write(self, out: Path) -> list[Path]:
+        """Write them as CSV, and return their paths."""
+        written = []
+        for what, of_task in self.by_task.items():
+            for task, table in of_task.items():
+                shown = failures(table) if what == PARTNERS else table
+                written.append(_csv(shown, out / f"{task}-{what}.csv"))
+        written.append(_csv(self.records, out / f"{RECORDS}.csv"))
+        if self.contrasts is not None:
+            written.append(_csv(self.contrasts, out / f"{CONTRASTS}.csv", 6))
+        return written
+
+
+def of_folders(folder: Path, contrasts: Path | None) -> Tables:
+    """Return the tables of the rows in a folder, a folder for each task.
+
+    Raises:
+        FileNotFoundError: The folder has no row of any task.
+    """
+    places = sorted(place for place in folder.glob("*") if row_folders(place))
+    if not places:
+        raise FileNotFoundError(f"{folder} has no folder of a task with rows; make some with `row`")
+    leagues = {place: read_league(place) for place in places}
+    sides = {place: read_league(place / TRAINING_SIDE) for place in places if _trained(place)}
+    tested = None
+    if contrasts is not None:
+        methods = [row for place in places for row in row_folders(place).values()]
+        tested = _contrast_table(compare_named(contrasts, methods).contrasts)
+    return Tables(
+        league={league.context.task: league_table(league) for league in leagues.values()},
+        partners={
+            league.context.task: _with_families(league, place) for place, league in leagues.items()
+        },
+        training={league.context.task: league_table(league) for league in sides.values()},
+        validation={
+            league.context.task: curves
+            for place, league in leagues.items()
+            if (curves := _curves(place)) is not None
+        },
+        records=pl.DataFrame(_records(leagues), infer_schema_length=None),
+        contrasts=tested,
+    )
+
+
+def read_tables(folder: Path) -> Tables:
+    """Return the tables that a page wrote.
+
+    Raises:
+        FileNotFoundError: There are none.
+    """
+    found: dict[str, dict[str, pl.DataFrame]] = {}
+    for what in (LEAGUE, PARTNERS, TRAINING, VALIDATION):
+        paths = sorted(folder.glob(f"*-{what}.csv"))
+        found[what] = {path.name.removesuffix(f"-{what}.csv"): _read(path) for path in paths}
+    if not found[LEAGUE]:
+        raise FileNotFoundError(f"{folder} has no tables of a league's page; name its --out")
+    path = folder / f"{CONTRASTS}.csv"
+    tested = _read(path) if path.is_file() else None
+    return Tables(*found.values(), _read(folder / f"{RECORDS}.csv"), tested)
+
+
+def beside(new: Tables, old: Tables) -> Tables:
+    """Return new tables with the rows that only older ones have.
+
+    A task that was played on another split since has its new rows alone.
+    """
+    splits = [dict(table.records.select("task", "split").iter_rows()) for table in (new, old)]
+    moved = {task for task, split in splits[0].items() if splits[1].get(task, split) != split}
+    joined: dict[str, dict[str, pl.DataFrame]] = {}
+    for what, tasks in new.by_task.items():
+        kept = {name: t for name, t in old.by_task[what].items() if name not in moved}
+        joined[what] = {
+            task: _joined(tasks.get(task), kept.get(task), ["row"], ordered_rows=True)
+            for task in sorted({*tasks, *kept})
+        }
+    stays = ~pl.col("task").is_in(sorted(moved))
+    records = _joined(new.records, old.records.filter(stays), ["task", "row"])
+    places = {name: place for place, name in enumerate(ordered(records["row"].to_list()))}
+    order = pl.col("row").replace_strict(places, return_dtype=pl.Int64)
+    tested = new.contrasts
+    if tested is not None and old.contrasts is not None:
+        tested = _joined(tested, old.contrasts.filter(stays), list(_KEY))
+    return Tables(*joined.values(), records.sort("task", order), tested)
+
+
+def corrected(table: pl.DataFrame, file: ContrastsFile) -> pl.DataFrame:
+    """Return contrasts in the file's order, with p by Holm over all that the file names.
+
+    Those that were not played, or with fewer seeds than named, count as p = 1.
+    """
+    order = {_key(contrast): place for place, contrast in enumerate(file.contrasts)}
+    lines = list(table.iter_rows(named=True))
+    lines.sort(key=lambda line: order.get(_of(line), len(order)))
+    full = {_of(line): line["p"] for line in lines if line["named"]}
+    chances = holm([full.get(key, 1.0) for key in order])
+    by_holm = dict(zip(order, chances, strict=True))
+    for line in lines:
+        p = by_holm[_of(line)] if line["named"] else None
+        line |= {"p_holm": p, "found": None if p is None else p <= file.alpha}
+    return pl.DataFrame(lines, schema=table.schema)
+
+
+def _key(contrast: Contrast) -> tuple[str, ...]:
+    return tuple(getattr(contrast, name) for name in _KEY)
+
+
+def _of(line: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(line[name] for name in _KEY)
+
+
+def _trained(place: Path) -> bool:
+    return bool(row_folders(place / TRAINING_SIDE))
+
+
+def _with_families(league: League, place: Path) -> pl.DataFrame:
+    """Return each row's mean with each partner, and the partner's algorithm: a person's family."""
+    folders = row_folders(place).values()
+    known = [Record.read(folder).table.select("partner", "partner_algorithm") for folder in folders]
+    families = pl.concat(known).unique().rename({"partner_algorithm": "family"})
+    return league.by_partner.join(families, on="partner", how="left", maintain_order="left")
+
+
+def _curves(task: Path) -> pl.DataFrame | None:
+    """Return the learning curves of a task's rows, one below the other."""
+    found = [
+        tables.read_parquet(path).select(pl.lit(row).alias("row"), pl.all())
+        for row in ordered(place.name for place in (task / RUNS).glob("*"))
+        if (path := task / RUNS / row / "training" / CURVE).is_file()
+    ]
+    return pl.concat(found) if found else None
+
+
+def _records(leagues: Mapping[Path, League]) -> list[dict[str, Any]]:
+    """Return what rows say of their making, those of `row` alone."""
+    shown = ("task", "row", "robots", "steps", "total_steps", "device", "device_minutes_in_all")
+    found = []
+    for place, league in leagues.items():
+        for name in row_folders(place):
+            path = place / RUNS / name / RECORD
+            record = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
+            known = {key: record.get(key) for key in (*shown, "contrasts")}
+            known |= {"row": name, "task": league.context.task, "made": name in rows()}
+            found.append({**known, "split": record.get("split")})
+    return found
+
+
+def _contrast_table(figures: tuple[Any, ...]) -> pl.DataFrame:
+    lines = []
+    for figure in figures:
+        low, high = figure.difference.mean_ci or (None, None)
+        lines.append(
+            {
+                "task": figure.task,
+                "method": figure.method,
+                "baseline": figure.baseline,
+                "metric": figure.metric,
+                "named": figure.named,
+                "seeds": min(figure.seeds),
+                "partners": figure.partners,
+                "mean": figure.difference.mean,
+                "low": low,
+                "high": high,
+                "p": figure.p,
+                "p_holm": figure.p_holm,
+                "found": figure.found,
+                "detectable": figure.detectable,
+                "detectable_holm": figure.detectable_holm,
+            }
+        )
+    types = {"p_holm": pl.Float64, "found": pl.Boolean, "low": pl.Float64, "high": pl.Float64}
+    return pl.DataFrame(lines, schema_overrides=types if lines else None)
+
+
+def _joined(
+    new: pl.DataFrame | None,
+    old: pl.DataFrame | None,
+    keys: list[str],
+    *,
+    ordered_rows: bool = False,
+) -> pl.DataFrame:
+    """Return the lines of a new table, and an old one's lines of other keys, with new columns."""
+    if new is None or old is None:
+        table = new if old is None else old
+        assert table is not None
+        return table
+    kept = old.join(new, on=keys, how="anti").select(
+        pl.col(name).cast(new.schema[name]) if name in old.columns else pl.lit(None).alias(name)
+        for name in new.columns
+    )
+    table = pl.concat([new, kept], how="vertical_relaxed")
+    if not ordered_rows:
+        return table
+    places = {name: place for place, name in enumerate(ordered(table["row"].to_list()))}
+    order = pl.col("row").replace_strict(places, return_dtype=pl.Int64)
+    return table.sort(order, maintain_order=True)
+
+
+def _read(path: Path) -> pl.DataFrame:
+    return pl.read_csv(path, infer_schema_length=None)
+
+
+def _csv(table: pl.DataFrame, path: Path, digits: int = 3) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, table.write_csv(float_precision=digits).encode())
+    return path
