@@ -1,6 +1,7 @@
 """Rows of the league from nothing, at tiny sizes, and the tables of its page."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put
 from tools.league.__main__ import run
+from tools.league.queue import read_queue, run_queue
 from tools.league.rows import named, rows
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
@@ -297,3 +299,75 @@ def test_cards_of_published_robots_have_a_film_and_their_m_test(tmp_path: Path, 
     assert run(words) == 0 and film.stat().st_mtime_ns == before, "made once"
     assert run(["cards", "scratch/ippo-*", "--out", str(out)]) == 1
     assert "no robot that learned with" in capsys.readouterr().err
+
+
+MAKER = """
+import json, os, pathlib, sys, time
+row, task, *words = sys.argv[1:]
+place = pathlib.Path(words[-1], f"{task}-{row}" + "-side" * ("train" in words))
+before = sorted(path.name for path in place.parent.glob("*-*"))
+known = "CUDA_VISIBLE_DEVICES", "XLA_PYTHON_CLIENT_MEM_FRACTION"
+own = {name: os.environ[name] for name in known}
+time.sleep(0.2)
+if row == "liam" or row == "gru" and not place.with_suffix(".once").exists():
+    place.with_suffix(".once").touch()
+    sys.exit("a full card")
+place.write_text(json.dumps({"before": before, **own}))
+"""
+
+
+def test_a_queue_shares_cards_and_waits_for_what_a_row_needs(tmp_path: Path) -> None:
+    file, out = tmp_path / "queue.txt", tmp_path / "league"
+    file.write_text(
+        """# best responses, and the best of four, come last whatever the order
+        4 best-response scratch --side train
+        2 ppo-best-of-4 scratch
+        22 ppo scratch --seeds 100-131  # which two do not fit on a card
+        22 gru scratch
+        22 asymmetric scratch
+        2 ppo bed_bath
+        """
+    )
+    program = (sys.executable, "-c", MAKER)
+    lines = list(run_queue(read_queue(file), out, {"0": 40.0, "3": 80.0}, program, 0.02))
+    made = {path.name: json.loads(path.read_text()) for path in out.glob("*-*") if not path.suffix}
+    assert set(made) == {
+        *("scratch-ppo", "scratch-gru", "scratch-asymmetric", "bed_bath-ppo"),
+        *("scratch-ppo-best-of-4", "scratch-best-response-side"),
+    }
+    assert "scratch-ppo" in made["scratch-ppo-best-of-4"]["before"]
+    side = set(made["scratch-best-response-side"]["before"])
+    assert {"scratch-ppo", "scratch-gru", "scratch-asymmetric", "scratch-ppo-best-of-4"} <= side
+    shares = {"0": 22 / 40, "3": 22 / 80}
+    for name in ("scratch-ppo", "scratch-gru", "scratch-asymmetric"):
+        own = made[name]
+        share = float(own["XLA_PYTHON_CLIENT_MEM_FRACTION"])
+        assert share == pytest.approx(shares[own["CUDA_VISIBLE_DEVICES"]], abs=1e-3)
+    assert "scratch-gru ended with 1 on " in "\n".join(lines)  # and was tried again
+    assert "a full card" in (out / "logs/scratch-gru.log").read_text()
+    running, most = {"0": 0, "3": 0}, {"0": 0, "3": 0}
+    for line in lines:
+        card = line.rpartition(" ")[2]
+        if line.split()[0] in ("scratch-ppo", "scratch-gru", "scratch-asymmetric"):
+            running[card] += 1 if "starts" in line else -1
+            most[card] = max(most[card], running[card])
+    assert most["0"] <= 1 and most["3"] <= 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("9 liam scratch", "rows failed 2 times: scratch-liam; see "),
+        ("90 gru scratch", "takes 90 GB and 8 beside them; the largest card has 80"),
+        ("9 dreamer scratch", "line 1 is '9 dreamer scratch' .row is 'dreamer'; allowed are"),
+        ("gru scratch", "line 1 is 'gru scratch'"),
+        ("9 gru scratch\n9 gru scratch --split half", "has scratch-gru twice"),
+    ],
+)
+def test_a_queue_that_cannot_be_made_gets_one_error(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    file, program = tmp_path / "queue.txt", (sys.executable, "-c", MAKER)
+    file.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        list(run_queue(read_queue(file), tmp_path / "out", {"0": 80.0}, program, 0.02))

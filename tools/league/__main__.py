@@ -1,6 +1,6 @@
 """The league: any of its rows from nothing, the tables and figures of its page, and robots' cards.
 
-Run from a checkout: `python -m tools.league rows`, `row`, `page` and `cards`.
+Run from a checkout: `python -m tools.league rows`, `row`, `queue`, `page` and `cards`.
 """
 
 import json
@@ -24,7 +24,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: Words of the command line; this process's own if None.
     """
     app = App(name=PROGRAM, help=__doc__)
-    for command in (rows, row, page, cards):
+    for command in (rows, row, queue, page, cards):
         app.command(command)
     words = sys.argv[1:] if arguments is None else arguments
     try:
@@ -126,6 +126,25 @@ def row(
         chosen = loaded.split(task, "three-sides")
     record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side))
     print(json.dumps(record, indent=1))
+
+
+def queue(file: Path, /, *, out: Path) -> None:
+    """Make many rows on all GPUs of this host, several side by side on each.
+
+    Each line of FILE has the GB of memory that JAX takes for a row, and the words of `row`.
+    OUT/logs has what each row says. What was interrupted goes on by the same command.
+
+    Args:
+        file: The queue, such as docs/data/league/queue.txt.
+        out: Folder of the league.
+
+    Example:
+        python -m tools.league queue docs/data/league/queue.txt --out league
+    """
+    from tools.league.queue import cards_here, read_queue, run_queue
+
+    for line in run_queue(read_queue(file), out, cards_here()):
+        print(line, flush=True)
 
 
 def page(

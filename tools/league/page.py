@@ -1,5 +1,6 @@
 """The results' page with its tables and figures, from folders of rows."""
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -13,7 +14,7 @@ from evaluation.plots.league import league_chart
 from evaluation.plots.style import save_figure
 from tools.league.figures import failure_chart, failures, validation_curves
 from tools.league.results import results_page
-from tools.league.tables import Tables, beside, corrected, of_folders, read_tables
+from tools.league.tables import beside, corrected, of_folders, read_tables
 
 FIGURES = {
     "league": "Mean return of each row with its 95% interval",
@@ -54,8 +55,7 @@ def write_page(
     named = None
     if contrasts is not None and shown.contrasts is not None:
         named, digest = read_contrasts(contrasts)
-        tested = corrected(shown.contrasts, named)
-        shown = Tables(*shown.by_task.values(), shown.records, tested)
+        shown = dataclasses.replace(shown, contrasts=corrected(shown.contrasts, named))
         about = {"file": contrasts.name, "sha256": digest}
         path = out / "contrasts.json"
         path.parent.mkdir(parents=True, exist_ok=True)
