@@ -241,7 +241,7 @@ def _joined(
 
 
 def _read(path: Path) -> pl.DataFrame:
-    return pl.read_csv(path, infer_schema_length=None)
+    return pl.read_csv(path.read_bytes(), infer_schema_length=None)
 
 
 def _csv(table: pl.DataFrame, path: Path, digits: int = 3) -> Path:

@@ -251,7 +251,7 @@ def _print_variance(variance: dict[str, Any] | None) -> None:
     parts = ", ".join(f"{word} {variance['spread'][name]:.1f}" for name, word in names.items())
     chance = variance["interaction_p"]
     beyond = (
-        "" if chance is None else f" (p {chance:.3f} that pairs differ by their episodes alone)"
+        "" if chance is None else f" (p {chance:.2g} that pairs differ by their episodes alone)"
     )
     print(f"SD of {parts}; interaction index {variance['interaction_index']:.2f}{beyond}")
 
