@@ -17,6 +17,7 @@ from tests.evaluation.test_league import put
 from tools.league.__main__ import run
 from tools.league.queue import read_queue, run_queue
 from tools.league.rows import named, rows
+from tools.league.tables import read_tables
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
@@ -277,9 +278,19 @@ def test_rows_of_an_earlier_page_stand_beside_new_ones(tmp_path: Path, capsys) -
     best = partners.group_by("partner").agg(pl.col("mean").max())
     kept = partners.filter(row="gru").join(best, on="partner", suffix="_best")
     assert (kept["best"] - kept["mean_best"]).abs().max() == 0
+    again = read_tables(tmp_path / "new/page").write(tmp_path / "again")
+    for path in again:
+        assert path.read_bytes() == (tmp_path / "new/page" / path.name).read_bytes(), path.name
+    renamed = contrasts.read_text().replace('"gru"', '"palm"').replace("seeds = 4", "seeds = 5")
+    contrasts.write_text(renamed)  # of other methods, or with more seeds
+    page("new", *earlier)
+    assert not table("new", "contrasts")["named"].any()
     path = tmp_path / "old/page/rows.csv"  # a task of another split has its new rows alone
     records = pl.read_csv(path).with_columns(pl.lit("scratch/half-s0-v9-01234567").alias("split"))
     records.write_csv(path)
+    runs = tmp_path / "new/scratch/runs/ppo"
+    runs.mkdir(parents=True)
+    (runs / "row.json").write_text(json.dumps({"split": "scratch/half-s0-v8-01234567"}))
     page("new", *earlier)
     assert table("new", "scratch-league")["row"].to_list()[3:] == ["ppo", "liam"]
     assert run(["page", str(tmp_path / "new"), "--earlier", str(tmp_path)]) == 1

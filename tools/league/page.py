@@ -53,9 +53,9 @@ def write_page(
         shown = beside(shown, read_tables(earlier))
     written = []
     named = None
-    if contrasts is not None and shown.contrasts is not None:
+    if contrasts is not None:
         named, digest = read_contrasts(contrasts)
-        shown = dataclasses.replace(shown, contrasts=corrected(shown.contrasts, named))
+        shown = dataclasses.replace(shown, contrasts=corrected(shown, named))
         about = {"file": contrasts.name, "sha256": digest}
         path = out / "contrasts.json"
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -97,6 +97,8 @@ def read_tables(folder: Path) -> Tables:
     for what in (LEAGUE, PARTNERS, TRAINING, VALIDATION):
         paths = sorted(folder.glob(f"*-{what}.csv"))
         found[what] = {path.name.removesuffix(f"-{what}.csv"): _read(path) for path in paths}
+    known = found[PARTNERS].items()  # shares are of the best row, which a new one may be
+    found[PARTNERS] = {task: t.select("row", "partner", "mean", "family") for task, t in known}
     if not found[LEAGUE]:
         raise FileNotFoundError(f"{folder} has no tables of a league's page; name its --out")
     path = folder / f"{CONTRASTS}.csv"
@@ -109,8 +111,10 @@ def beside(new: Tables, old: Tables) -> Tables:
 
     A task that was played on another split since has its new rows alone.
     """
-    splits = [dict(table.records.select("task", "split").iter_rows()) for table in (new, old)]
-    moved = {task for task, split in splits[0].items() if splits[1].get(task, split) != split}
+    before = _splits(old.records)
+    moved = {
+        task for task, split in _splits(new.records).items() if before.get(task, split) != split
+    }
     joined: dict[str, dict[str, pl.DataFrame]] = {}
     for what, tasks in new.by_task.items():
         kept = {name: t for name, t in old.by_task[what].items() if name not in moved}
@@ -128,21 +132,36 @@ def beside(new: Tables, old: Tables) -> Tables:
     return Tables(*joined.values(), records.sort("task", order), tested)
 
 
-def corrected(table: pl.DataFrame, file: ContrastsFile) -> pl.DataFrame:
+def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
     """Return contrasts in the file's order, with p by Holm over all that the file names.
 
-    Those that were not played, or with fewer seeds than named, count as p = 1.
+    Those that were not played, on another split, or with fewer seeds than named, count as p = 1.
     """
-    order = {_key(contrast): place for place, contrast in enumerate(file.contrasts)}
-    lines = list(table.iter_rows(named=True))
-    lines.sort(key=lambda line: order.get(_of(line), len(order)))
+    if shown.contrasts is None:
+        return None
+    wanted = {_key(contrast): contrast for contrast in file.contrasts}
+    places = {key: place for place, key in enumerate(wanted)}
+    splits, lines = _splits(shown.records), list(shown.contrasts.iter_rows(named=True))
+    for line in lines:
+        contrast = wanted.get(_of(line))
+        split = splits.get(line["task"])
+        line["named"] = (
+            contrast is not None
+            and line["seeds"] >= contrast.seeds
+            and split in (None, contrast.split)
+        )
+    lines.sort(key=lambda line: places.get(_of(line), len(places)))
     full = {_of(line): line["p"] for line in lines if line["named"]}
-    chances = holm([full.get(key, 1.0) for key in order])
-    by_holm = dict(zip(order, chances, strict=True))
+    by_holm = dict(zip(places, holm([full.get(key, 1.0) for key in places]), strict=True))
     for line in lines:
         p = by_holm[_of(line)] if line["named"] else None
         line |= {"p_holm": p, "found": None if p is None else p <= file.alpha}
-    return pl.DataFrame(lines, schema=table.schema)
+    return pl.DataFrame(lines, schema=shown.contrasts.schema)
+
+
+def _splits(records: pl.DataFrame) -> dict[str, str]:
+    """Return on which split each task was played, where a row of it says so."""
+    return dict(records.select("task", "split").drop_nulls().iter_rows())
 
 
 def _key(contrast: Contrast) -> tuple[str, ...]:
