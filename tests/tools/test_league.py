@@ -1,5 +1,6 @@
 """Rows of the league from nothing, at tiny sizes, and the tables of its page."""
 
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put
 from tools.league.__main__ import run
 from tools.league.queue import read_queue, run_queue
+from tools.league.results import ShownContrast, sentences
 from tools.league.rows import named, rows
 from tools.league.tables import read_tables
 from zoo.parameters.storage import read_policy_file
@@ -295,6 +297,20 @@ def test_rows_of_an_earlier_page_stand_beside_new_ones(tmp_path: Path, capsys) -
     assert table("new", "scratch-league")["row"].to_list()[3:] == ["ppo", "liam"]
     assert run(["page", str(tmp_path / "new"), "--earlier", str(tmp_path)]) == 1
     assert "has no tables of a league's page" in capsys.readouterr().err
+
+
+def test_a_contrast_without_an_interval_is_shown_without_one() -> None:
+    """One episode of one pair gives none."""
+    known = {"named": True, "p": 1.0, "p_holm": 1.0, "found": False, "detectable_holm": 9.0}
+    alone = ShownContrast(
+        "scratch", "gru", "ppo", "return", mean=60.0, low=None, high=None, **known
+    )
+    [told] = [text for text in sentences([], [alone], [], 0.05) if "Not shown" in text]
+    assert "`gru` in `scratch`" in told
+    whole = dataclasses.replace(alone, found=True)
+    assert "`gru` in `scratch` (+60)" in next(iter(sentences([], [whole], [], 0.05)))
+    ended = dataclasses.replace(whole, low=50.0, high=70.0)
+    assert "`gru` in `scratch` (+60 [50, 70])" in next(iter(sentences([], [ended], [], 0.05)))
 
 
 @pytest.mark.slow

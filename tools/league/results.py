@@ -24,7 +24,7 @@ from tools.league.rows import rows
 from tools.league.tables import Tables
 from tools.release_page.markdown import table
 
-Shown = TypeVar("Shown", "ShownRow", "Tested")
+Shown = TypeVar("Shown", "ShownRow", "ShownContrast")
 LIMITS = """- Persons are numbers and a program. Nothing here is about people. With partners that
   are networks [it is otherwise](log/league.md#with-co-trained-teams): for them choose
   [a robot that learned with such partners](log/league.md#robots-that-learned-with-teams).
@@ -97,7 +97,7 @@ class Played:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tested:
+class ShownContrast:
     """What the page says of a contrast."""
 
     task: str
@@ -139,7 +139,7 @@ def results_page(
     ]
     contrasts, asked = (), ()
     if named and shown.contrasts is not None:
-        contrasts, asked = tuple(_of_table(Tested, shown.contrasts)), named.contrasts
+        contrasts, asked = tuple(_of_table(ShownContrast, shown.contrasts)), named.contrasts
     alpha = named.alpha if named else 1.0
     images, tables = places["images"], places["tables"]
     said = "\n".join(
@@ -194,7 +194,7 @@ def _validated(curves: pl.DataFrame) -> dict[str, float]:
 
 def sentences(
     tasks: Sequence[Played],
-    contrasts: Sequence[Tested],
+    contrasts: Sequence[ShownContrast],
     named: Sequence[Contrast],
     alpha: float,
     trained: Sequence[Played] = (),
@@ -276,12 +276,16 @@ def _choices(tasks: Sequence[Played]) -> str:
 
 
 def _figure(row: ShownRow) -> str:
-    ends = "" if row.low is None else f" [{row.low:.0f}, {row.high:.0f}]"
-    return f"{row.mean:.0f}{ends}"
+    return f"{row.mean:.0f}{_ends(row)}"
 
 
-def _contrast(contrast: Tested) -> str:
-    difference = f"{contrast.mean:+.0f} [{contrast.low:.0f}, {contrast.high:.0f}]"
+def _ends(of: ShownRow | ShownContrast) -> str:
+    """Return the ends of an interval after a space; nothing where few robots gave none."""
+    return "" if of.low is None else f" [{of.low:.0f}, {of.high:.0f}]"
+
+
+def _contrast(contrast: ShownContrast) -> str:
+    difference = f"{contrast.mean:+.0f}{_ends(contrast)}"
     return f"`{contrast.method}` in `{contrast.task}` ({difference})"
 
 
@@ -289,7 +293,7 @@ def _chance(p: float) -> str:
     return f"{p:.4f}" if p >= 0.0001 else "< 0.0001"
 
 
-def _in_tasks(contrasts: Sequence[Contrast | Tested]) -> str:
+def _in_tasks(contrasts: Sequence[Contrast | ShownContrast]) -> str:
     """Return the methods of contrasts, each with its tasks."""
     tasks: dict[str, list[str]] = {}
     for contrast in contrasts:
@@ -342,14 +346,14 @@ def _apart(task: Played) -> str | None:
     return f"{listing(said)} in `{task.task}`"
 
 
-def _contrast_lines(contrasts: Sequence[Tested], named: Sequence[Contrast]) -> str:
+def _contrast_lines(contrasts: Sequence[ShownContrast], named: Sequence[Contrast]) -> str:
     lines, in_file = [], {(c.task, c.method, c.baseline, c.metric) for c in named}
     for c in contrasts:
         too_few = (c.task, c.method, c.baseline, c.metric) in in_file
         uncorrected = "1, too few seeds" if too_few else "not named"
         holms = uncorrected if c.p_holm is None else _chance(c.p_holm)
         names = f"`{c.method}` - `{c.baseline}`", f"`{c.task}`"
-        difference = f"{c.mean:.0f} [{c.low:.0f}, {c.high:.0f}]"
+        difference = f"{c.mean:.0f}{_ends(c)}"
         lines.append((*names, difference, _chance(c.p), holms, f"{c.detectable_holm:.0f}"))
     headings = "contrast, task, difference, p, p by Holm, detectable by Holm"
     return table(headings.split(", "), lines)

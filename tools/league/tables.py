@@ -10,7 +10,7 @@ import polars as pl
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
 from assistax_zoo.comparing import compare_named
-from evaluation.figures.contrasts import Contrast, ContrastsFile
+from evaluation.figures.contrasts import ContrastsFile
 from evaluation.figures.league import League, league_table, ordered, read_league, row_folders
 from evaluation.figures.metrics.inference import holm
 from evaluation.record import tables
@@ -119,17 +119,15 @@ def beside(new: Tables, old: Tables) -> Tables:
     for what, tasks in new.by_task.items():
         kept = {name: t for name, t in old.by_task[what].items() if name not in moved}
         joined[what] = {
-            task: _joined(tasks.get(task), kept.get(task), ["row"], ordered_rows=True)
+            task: _in_order(_joined(tasks.get(task), kept.get(task), ["row"]))
             for task in sorted({*tasks, *kept})
         }
     stays = ~pl.col("task").is_in(sorted(moved))
     records = _joined(new.records, old.records.filter(stays), ["task", "row"])
-    places = {name: place for place, name in enumerate(ordered(records["row"].to_list()))}
-    order = pl.col("row").replace_strict(places, return_dtype=pl.Int64)
     tested = new.contrasts
     if tested is not None and old.contrasts is not None:
         tested = _joined(tested, old.contrasts.filter(stays), list(_KEY))
-    return Tables(*joined.values(), records.sort("task", order), tested)
+    return Tables(*joined.values(), _in_order(records, "task"), tested)
 
 
 def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
@@ -139,7 +137,7 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
     """
     if shown.contrasts is None:
         return None
-    wanted = {_key(contrast): contrast for contrast in file.contrasts}
+    wanted = {_of(dict(contrast)): contrast for contrast in file.contrasts}
     places = {key: place for place, key in enumerate(wanted)}
     splits, lines = _splits(shown.records), list(shown.contrasts.iter_rows(named=True))
     for line in lines:
@@ -162,10 +160,6 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
 def _splits(records: pl.DataFrame) -> dict[str, str]:
     """Return on which split each task was played, where a row of it says so."""
     return dict(records.select("task", "split").drop_nulls().iter_rows())
-
-
-def _key(contrast: Contrast) -> tuple[str, ...]:
-    return tuple(getattr(contrast, name) for name in _KEY)
 
 
 def _of(line: Mapping[str, Any]) -> tuple[str, ...]:
@@ -239,8 +233,6 @@ def _joined(
     new: pl.DataFrame | None,
     old: pl.DataFrame | None,
     keys: list[str],
-    *,
-    ordered_rows: bool = False,
 ) -> pl.DataFrame:
     """Return the lines of a new table, and an old one's lines of other keys, with new columns."""
     if new is None or old is None:
@@ -251,12 +243,14 @@ def _joined(
         pl.col(name).cast(new.schema[name]) if name in old.columns else pl.lit(None).alias(name)
         for name in new.columns
     )
-    table = pl.concat([new, kept], how="vertical_relaxed")
-    if not ordered_rows:
-        return table
+    return pl.concat([new, kept], how="vertical_relaxed")
+
+
+def _in_order(table: pl.DataFrame, *first: str) -> pl.DataFrame:
+    """Return a table sorted by some columns, and then by row in the order of a league."""
     places = {name: place for place, name in enumerate(ordered(table["row"].to_list()))}
     order = pl.col("row").replace_strict(places, return_dtype=pl.Int64)
-    return table.sort(order, maintain_order=True)
+    return table.sort(*first, order, maintain_order=True)
 
 
 def _read(path: Path) -> pl.DataFrame:
