@@ -120,14 +120,11 @@ def _split(
 
 
 def _draw(folder: Path, summary: CrossPlaySummary) -> None:
-    """Draw the matrix as it was saved."""
+    """Draw the matrix of the saved pairs."""
     from evaluation.plots.heatmap import crossplay_heatmap
     from evaluation.plots.matrix import arrange
     from evaluation.plots.style import save_figure
 
-    matrix = arrange(
-        tables.read_parquet(folder / tables.PAIRS_FILE),
-        tables.read_json(folder / tables.ORDER_FILE),
-    )
+    matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE))
     figure = crossplay_heatmap(matrix, tables.to_json(summary))
     save_figure(figure, folder / tables.MATRIX_FIGURE)

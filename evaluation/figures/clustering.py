@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -88,6 +89,39 @@ def cluster_teams(matrix: np.ndarray) -> Clustering:
             "axes"
         )
     return cluster_profiles(np.concatenate([matrix, matrix.T], axis=1))
+
+
+def clustered_order(pairs: pl.DataFrame) -> dict[str, Any]:
+    """Return the clustered order of a cross-play's table of pairs.
+
+    It has `rows` and `columns`, clustered separately, and `teams`: one order for both axes, with
+    self-play on the diagonal, or None unless both axes have the same teams.
+
+    Raises:
+        ValueError: The table lacks a pair, or a return is not finite.
+    """
+    wide = pairs.pivot("partner", index="ego", values="return")
+    scores = wide.drop("ego").cast(pl.Float64).to_numpy(order="c")
+    if not np.isfinite(scores).all():
+        raise ValueError(
+            "the table of pairs has no return for some pairs, or none that is finite; run the "
+            "cross-play again into the same folder"
+        )
+    rows, columns = (
+        pairs.unique(seat, keep="first", maintain_order=True)[f"{seat}_team"].to_list()
+        for seat in ("ego", "partner")
+    )
+    whole = None not in rows and len(set(rows)) == len(rows)
+    shared = whole and sorted(rows) == sorted(columns, key=str)
+    return {
+        "linkage": "average",
+        "distance": "euclidean",
+        "rows": cluster_profiles(scores).to_json(wide["ego"].to_list()),
+        "columns": cluster_profiles(scores.T).to_json(wide.columns[1:]),
+        "teams": cluster_teams(scores[:, [columns.index(team) for team in rows]]).to_json(rows)
+        if shared
+        else None,
+    }
 
 
 def conventions(matrix: np.ndarray) -> np.ndarray:

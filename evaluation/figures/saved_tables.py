@@ -90,31 +90,11 @@ def profile_table(record: Record) -> pl.DataFrame:
 
 
 def crossplay_matrix(record: Record) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """Return the matrix in long form, one row a pair, and its clustered order.
+    """Return the matrix in long form, one row a pair, and its clustered order."""
+    from evaluation.figures.clustering import clustered_order  # SciPy: an evaluation has none
 
-    The order has `rows` and `columns`, clustered separately, and `teams`: one order for both axes,
-    with self-play on the diagonal, or None unless both axes have the same teams.
-    """
-    from evaluation.figures.clustering import (  # SciPy: an evaluation has none
-        cluster_profiles,
-        cluster_teams,
-    )
-
-    returns = record.returns
-    egos, partners, scores = returns.egos, returns.partners, returns.scores
-    order = {
-        "linkage": "average",
-        "distance": "euclidean",
-        "rows": cluster_profiles(scores).to_json(egos["ego"].to_list()),
-        "columns": cluster_profiles(scores.T).to_json(partners["partner"].to_list()),
-        "teams": None,
-    }
-    rows, columns = egos["ego_team"].to_list(), partners["partner_team"].to_list()
-    whole = None not in rows and len(set(rows)) == len(rows)
-    if whole and sorted(rows) == sorted(columns, key=str):
-        square = scores[:, [columns.index(team) for team in rows]]
-        order["teams"] = cluster_teams(square).to_json(rows)
-    return pair_table(record), order
+    pairs = pair_table(record)
+    return pairs, clustered_order(pairs)
 
 
 def save_evaluation(

@@ -90,17 +90,15 @@ def crossplay_figure(
 ) -> Figure:
     """Draw the clustered matrix of a cross-play, `width` inches wide, bare of title and caption.
 
+    The order is that of its pairs. Nothing of its file of the order is drawn.
+
     Raises:
         ValueError: The folder holds something else, or its axes share no order.
     """
     check_path(path)
-    _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE, tables.ORDER_FILE)
+    _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE)
     with strange_tables_refused(folder):
-        matrix = arrange(
-            tables.read_parquet(folder / tables.PAIRS_FILE),
-            tables.read_json(folder / tables.ORDER_FILE),
-            order,
-        )
+        matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE), order)
         drawn = crossplay_heatmap(matrix, tables.to_json(read_summary(folder)), width=width)
     return save_figure(drawn, path, bare=bare)
 

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs.versions import TASKS
+from evaluation.figures.clustering import clustered_order
 
 Order = Literal["shared", "separate"]
 ORDERS: tuple[Order, ...] = ("shared", "separate")
@@ -60,20 +61,20 @@ class Matrix:
         )
 
 
-def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = None) -> Matrix:
-    """Put the saved pairs into the saved order.
+def arrange(pairs: pl.DataFrame, how: Order | None = None) -> Matrix:
+    """Put the saved pairs into their clustered order.
 
     Args:
         pairs: the table of pairs that `crossplay` saved.
-        order: the order that it saved beside.
         how: "shared" is one order of teams on both axes; None takes it where both axes have the
             same teams.
 
     Raises:
-        ValueError: there is no shared order, or table and order name different policies.
+        ValueError: there is no shared order, or the table lacks a pair.
     """
     if how is not None and how not in ORDERS:
         raise ValueError(f"order is {how!r}; allowed are {', '.join(ORDERS)}")
+    order = clustered_order(pairs)
     if how == "shared" and order["teams"] is None:
         raise ValueError(
             "rows and columns are not the same teams, so they share no order; choose 'separate'"
@@ -85,19 +86,11 @@ def arrange(pairs: pl.DataFrame, order: Mapping[str, Any], how: Order | None = N
         for seat, part in zip(("ego", "partner"), orders, strict=True)
     )
     wide = pairs.pivot("partner", index="ego", values="return")
-    values = (
+    return Matrix(
         rows.select("ego")
         .join(wide, on="ego", how="left", maintain_order="left")
         .select(pl.col(columns["partner"].to_list()).cast(pl.Float64))
-        .to_numpy()
-    )
-    if not np.isfinite(values).all():
-        raise ValueError(
-            "the table of pairs has no return for some pairs, or none that is finite; run the "
-            "cross-play again into the same folder"
-        )
-    return Matrix(
-        values,
+        .to_numpy(),
         _side(rows, "ego", orders[0], "A"),
         _side(columns, "partner", orders[1], "A" if shared else "a"),
         shared,
@@ -132,12 +125,8 @@ def _policies(
     pairs: pl.DataFrame, seat: str, order: Mapping[str, Any], shared: bool
 ) -> pl.DataFrame:
     identity = f"{seat}_team" if shared else seat
-    described = pairs.select(pl.col(f"^{seat}(_.*)?$")).unique()
+    described = pairs.select(pl.col(f"^{seat}(_.*)?$")).unique(identity, maintain_order=True)
     names = pl.DataFrame({identity: order["order"]}, schema={identity: pl.String})
-    if sorted(order["order"]) != sorted(described[identity].drop_nulls()):
-        raise ValueError(
-            f"table and order name different {seat}s; run the cross-play again into the same folder"
-        )
     return names.join(described, on=identity, how="left", maintain_order="left")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 from matplotlib.colors import to_hex
 
+from evaluation.figures.clustering import clustered_order
 from evaluation.plots import style
 from evaluation.plots.matrix import short_names
 
@@ -26,9 +27,7 @@ _DIGITS = 4  # significant, of what is only looked at
 Places = tuple[list[int], list[int]]  # an order along an axis, and where lines are drawn
 
 
-def matrix_data(
-    pairs: pl.DataFrame, order: Mapping[str, Any], strategies: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+def matrix_data(pairs: pl.DataFrame, strategies: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return axes, measures as [robots][humans] in the table's order, orders and palettes."""
     rows, columns = (_axis(pairs, seat) for seat in ("ego", "partner"))
     shape = len(rows), len(columns)
@@ -47,7 +46,11 @@ def matrix_data(
         "columns": columns,
         "measures": measures,
         "orders": _orders(
-            rows, columns, pairs["return"].to_numpy().reshape(shape), order, strategies
+            rows,
+            columns,
+            pairs["return"].to_numpy().reshape(shape),
+            clustered_order(pairs),
+            strategies,
         ),
         "colours": [
             to_hex(colour)

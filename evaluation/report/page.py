@@ -231,15 +231,14 @@ _BOUNDS = {
 def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return the matrix, the viewer's data and the strategies of a cross-play."""
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
-    order = tables.read_json(folder / tables.ORDER_FILE)
     strategies = _read(folder, tables.STRATEGIES_FILE)
     listed = strategies["partners"] if strategies else ()
     return {
-        "data": matrix_data(pairs, order, strategies) | {"film": film_of(folder)},
+        "data": matrix_data(pairs, strategies) | {"film": film_of(folder)},
         "strategies": strategies,
         "short": _short([row["partner"] for row in listed])
         | _short([row["robot"] for row in listed]),
-        "static": _embedded(crossplay_heatmap(arrange(pairs, order), summary), "png"),
+        "static": _embedded(crossplay_heatmap(arrange(pairs), summary), "png"),
     }
 
 

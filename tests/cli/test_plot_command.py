@@ -1,6 +1,7 @@
 """`assistax-zoo plot`: figures from saved folders, and one clear line where a folder is not one."""
 
 import inspect
+import json
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +56,25 @@ def test_crossplay_draws_the_saved_matrix_and_says_where(
     assert capfd.readouterr().out == f"{out}\n"
 
 
-def test_crossplay_reads_only_the_saved_order_matrix_and_summary(
-    crossplay_folder: Path, tmp_path: Path
-):
+def test_crossplay_reads_only_the_saved_matrix_and_summary(crossplay_folder: Path, tmp_path: Path):
     for path in crossplay_folder.iterdir():
-        if path.name not in (tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE):
+        if path.name not in (tables.PAIRS_FILE, tables.SUMMARY_FILE):
             path.unlink()
     assert call("crossplay", crossplay_folder, "--out", tmp_path / "matrix.png") == 0
+
+
+def test_a_forged_order_is_not_drawn(crossplay_folder: Path, tmp_path: Path):
+    path, drawn = crossplay_folder / tables.ORDER_FILE, []
+    forged = tables.read_json(path)
+    for axis in ("rows", "columns", "teams"):
+        forged[axis]["order"].reverse()
+        forged[axis]["silhouette"] = 1.0
+    for content in (path.read_text(), json.dumps(forged), "{"):
+        path.write_text(content)
+        out = tmp_path / f"{len(drawn)}.png"
+        assert call("crossplay", crossplay_folder, "--out", out) == 0
+        drawn.append(out.read_bytes())
+    assert drawn[0] == drawn[1] == drawn[2]
 
 
 def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
@@ -91,8 +104,8 @@ def test_wrong_folders_and_names_get_one_line(
     assert "ends in '.jpg'; figures are written as .png, .pdf, .svg" in failure(
         capfd, call("crossplay", crossplay_folder, "--out", tmp_path / "x.jpg")
     )
-    (crossplay_folder / tables.ORDER_FILE).write_text("{")
-    assert "order.json is not readable JSON" in failure(
+    (crossplay_folder / tables.SUMMARY_FILE).write_text("{")
+    assert "summary.json is not readable JSON" in failure(
         capfd, call("crossplay", crossplay_folder, "--out", out)
     )
     assert not out.exists()

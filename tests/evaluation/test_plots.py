@@ -44,20 +44,18 @@ from tools.release_page.paper.panels import training_panels
 ROOT = Path(__file__).parents[2]
 
 
-def saved(
-    population: list[Team], clusters: int = 3
-) -> tuple[pl.DataFrame, dict[str, Any], dict[str, Any]]:
-    """What crossplay saves: pairs, order and summary."""
+def saved(population: list[Team], clusters: int = 3) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """What crossplay saves: pairs and summary."""
     table = episode_table(
         clustered_matrix(len(population), clusters)[:, :, None], population, population
     )
-    pairs, order = derived.crossplay_matrix(recorded(table))
-    return pairs, order, tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    pairs = derived.pair_table(recorded(table))
+    return pairs, tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
 
 
 def draw(population: list[Team], how: Any = None, clusters: int = 3) -> tuple[Matrix, Figure]:
-    pairs, order, figures = saved(population, clusters)
-    matrix = arrange(pairs, order, how)
+    pairs, figures = saved(population, clusters)
+    matrix = arrange(pairs, how)
     return matrix, crossplay_heatmap(matrix, figures)
 
 
@@ -224,9 +222,9 @@ def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, message: str
     values = np.linspace(0.0, 500.0, 20)
     values[0] = least
     table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs, order = derived.crossplay_matrix(recorded(table))
+    pairs = derived.pair_table(recorded(table))
     summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
-    figure = crossplay_heatmap(arrange(pairs, order), summarised)
+    figure = crossplay_heatmap(arrange(pairs), summarised)
     [image] = axes_by_label(figure)["matrix"].images
     first = 0.0 if message is None else 0.95 * values[1] + 0.05 * least
     assert (image.norm.vmin, image.norm.vmax) == (pytest.approx(first), 500.0)
@@ -235,8 +233,8 @@ def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, message: str
 
 def test_an_outsider_is_drawn_without_self_play():
     table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs, order = derived.crossplay_matrix(recorded(table))
-    matrix = arrange(pairs, order)
+    pairs = derived.pair_table(recorded(table))
+    matrix = arrange(pairs)
     content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     figure = crossplay_heatmap(matrix, content)
     assert not matrix.self_play.any()
@@ -244,18 +242,15 @@ def test_an_outsider_is_drawn_without_self_play():
     with pytest.raises(
         ValueError, match="not the same teams, so they share no order; choose 'separate'"
     ):
-        arrange(pairs, order, "shared")
+        arrange(pairs, "shared")
 
 
-def test_planted_defect_an_order_of_another_table_is_caught():
-    pairs, order, _ = saved(teams(4), 2)
-    _, other, _ = saved(teams(5), 2)
-    with pytest.raises(ValueError, match="table and order name different egos"):
-        arrange(pairs, other)
+def test_planted_defect_a_table_that_lacks_a_pair_is_caught():
+    pairs, _ = saved(teams(4), 2)
     unknown = pl.when(pl.int_range(pl.len()) == 3).then(float("nan")).otherwise("return")
     for table in (pairs[:-1], pairs.with_columns(unknown.alias("return"))):
         with pytest.raises(ValueError, match="no return for some pairs, or none that is finite"):
-            arrange(table, order)
+            arrange(table)
 
 
 @pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
@@ -498,8 +493,8 @@ def test_speeds_lie_inside_their_axes_and_names_inside_the_figure():
 
 @pytest.mark.parametrize("width", [4.5, 7.0])
 def test_a_matrix_is_as_wide_as_is_asked_and_a_bare_one_has_no_title(tmp_path: Path, width: float):
-    pairs, order, figures = saved(teams(80), clusters=3)
-    figure = crossplay_heatmap(arrange(pairs, order), figures, width=width)
+    pairs, figures = saved(teams(80), clusters=3)
+    figure = crossplay_heatmap(arrange(pairs), figures, width=width)
     assert figure.get_size_inches()[0] == width
     words = [text.get_text() for text in figure.texts]
     for bare, name in ((False, "whole.svg"), (True, "bare.svg")):
@@ -511,19 +506,15 @@ def test_a_matrix_is_as_wide_as_is_asked_and_a_bare_one_has_no_title(tmp_path: P
 
 
 def test_a_width_that_does_not_hold_the_figure_is_refused():
-    pairs, order, figures = saved(teams(8))
+    pairs, figures = saved(teams(8))
     with pytest.raises(ValueError, match=r"width is 1 inches; allowed for this figure are \d"):
-        crossplay_heatmap(arrange(pairs, order), figures, width=1.0)
+        crossplay_heatmap(arrange(pairs), figures, width=1.0)
     with pytest.raises(ValueError, match="width is 1 inches"):
         zsc_dots(evaluations(), width=1.0)
 
 
-def test_saved_matrix_survives_its_files(tmp_path: Path):
-    pairs, order, _ = saved(teams(6), 2)
+def test_saved_matrix_survives_its_file(tmp_path: Path):
+    pairs, _ = saved(teams(6), 2)
     tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
-    tables.write_json(order, tmp_path / tables.ORDER_FILE)
-    arranged = arrange(
-        tables.read_parquet(tmp_path / tables.PAIRS_FILE),
-        tables.read_json(tmp_path / tables.ORDER_FILE),
-    )
-    np.testing.assert_array_equal(arranged.values, arrange(pairs, order).values)
+    arranged = arrange(tables.read_parquet(tmp_path / tables.PAIRS_FILE))
+    np.testing.assert_array_equal(arranged.values, arrange(pairs).values)

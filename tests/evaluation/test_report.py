@@ -305,11 +305,8 @@ def test_what_enters_a_template_is_escaped_and_none_says_otherwise():
 
 
 def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
-    pairs, order = (
-        tables.read_parquet(crossplay / tables.PAIRS_FILE),
-        tables.read_json(crossplay / tables.ORDER_FILE),
-    )
-    data = matrix_data(pairs, order, tables.read_json(crossplay / tables.STRATEGIES_FILE))
+    pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
+    data = matrix_data(pairs, tables.read_json(crossplay / tables.STRATEGIES_FILE))
     expected = {(row["ego"], row["partner"]): row["return"] for row in pairs.iter_rows(named=True)}
     for r, row in enumerate(data["rows"]):
         for c, column in enumerate(data["columns"]):
@@ -321,6 +318,21 @@ def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
     assert [data["rows"][i]["team"] for i in shared["rows"]] == [
         data["columns"][i]["team"] for i in shared["columns"]
     ]
+
+
+def test_a_page_has_the_order_of_the_pairs_and_not_that_of_a_forged_file(tmp_path: Path):
+    population = teams(6)
+    table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
+    derived.save_crossplay(Record(table, tmp_path), CONTEXT)
+    path, pages = tmp_path / tables.ORDER_FILE, []
+    forged = tables.read_json(path)
+    for axis in ("rows", "columns", "teams"):
+        forged[axis]["order"].reverse()
+    for content in (tables.read_json(path), forged):
+        tables.write_json(content, path)
+        write_report(tmp_path, tmp_path / "x.html")
+        pages.append((tmp_path / "x.html").read_text())
+    assert pages[0] == pages[1]
 
 
 def test_a_folder_of_neither_kind_is_refused(tmp_path: Path):

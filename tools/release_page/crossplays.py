@@ -34,7 +34,7 @@ def matrix_table(crossplays: Mapping[str, CrossPlayed], tasks: Sequence[str]) ->
 
 def heatmap(played: CrossPlayed) -> Figure:
     """Draw a cross-play's clustered matrix."""
-    return crossplay_heatmap(arrange(played.pairs, played.order), played.summary)
+    return crossplay_heatmap(arrange(played.pairs), played.summary)
 
 
 def _figures(played: CrossPlayed) -> list[object]:

@@ -115,7 +115,7 @@ def read_crossplay(task: str, folder: Path) -> CrossPlay:
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     path = folder / tables.STRATEGIES_FILE
     strategies = tables.read_json(path) if path.is_file() else None
-    data = matrix_data(pairs, tables.read_json(folder / tables.ORDER_FILE), strategies)
+    data = matrix_data(pairs, strategies)
     shape = len(data["rows"]), len(data["columns"])
     values = {}
     for name, measure in data["measures"].items():
