@@ -22,6 +22,7 @@ _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8,
 _LEFT, _NARROWEST = 0.75, 1.2  # inches: left of axes, and their least width
 
 Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the method's name
+References = Mapping[str, Mapping[int, float]]  # name -> place of a method -> height of its line
 
 
 def zsc_dots(
@@ -32,17 +33,14 @@ def zsc_dots(
 ) -> Figure:
     """Draw M_train beside M_test of each method, mean and 95% interval (paper, Figures 6, 14).
 
-    The axis holds the dots and what they are compared with; it need not begin at zero.
+    The axis holds the dots and, beside each, the references of its own folder; it may not hold 0.
 
     Args:
         summaries: of `evaluate`.
         lines: other returns to draw as lines, by name, beside those of the reference egos.
         width: of the figure, in inches.
     """
-    references = {
-        textwrap.fill(f"{name} {value:.0f}", 16): value
-        for name, value in _references(summaries, lines).items()
-    }
+    references = _references(summaries, lines)
     size = width or max(2.6 + 0.9 * len(summaries), 6.2) + style.room_for(references) - 0.15
     figure, axes = _returns(summaries, "Zero-shot coordination", size, style.room_for(references))
     colours = style.algorithm_colours(summaries)
@@ -62,44 +60,47 @@ def zsc_dots(
                     fontsize=7,
                     bbox=style.BEHIND,
                 )
-    labels = [("training partners", "white"), ("test partners", style.FAINT)]
-    if any(summary.get("m_validation") for summary in summaries.values()):
-        labels.insert(1, ("validation partners", style.GRID))
-    for label, fill in labels:
+    validated = any(summary.get("m_validation") for summary in summaries.values())
+    between = [("validation partners", style.GRID)] * validated
+    for label, fill in (("training partners", "white"), *between, ("test partners", style.FAINT)):
         axes.plot([], [], "o", color=style.FAINT, markerfacecolor=fill, label=label)
-    for (name, value), dashes in zip(references.items(), _DASHES, strict=False):
+    for heights, dashes in zip(references.values(), _DASHES, strict=False):
         below: Any = {"color": style.MUTED, "linewidth": 0.9, "zorder": 1.5}  # the dots
-        axes.axhline(value, linestyle=dashes, gid=name, **below)
+        left, right = ([place + half for place in heights] for half in (-0.5, 0.5))
+        axes.hlines([*heights.values()], left, right, linestyles=dashes, **below)
     axes.set_ylim(*_limits(summaries, references))
-    axes.grid(axis="y", color=style.GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
     _name_places(axes, [style.spelled(name) for name in summaries])
-    ends = {name: (axes.get_xlim()[1], value) for name, value in references.items()}
+    ends = {name: (len(summaries) - 0.4, own[max(own)]) for name, own in references.items()}
     style.label_ends(axes, ends, dict.fromkeys(ends, style.MUTED))
     return figure
 
 
+_MEANS = ("m_train", "m_validation", "m_test")
 _SIDES = (("m_train", -0.13, "white"), ("m_validation", 0.0, style.GRID))  # beside the test's
 
 
-def _limits(summaries: Summaries, references: Mapping[str, float]) -> tuple[float, float]:
+def _limits(summaries: Summaries, references: References) -> tuple[float, float]:
     """Return limits that hold the dots with their intervals, and the references."""
-    sides = ("m_train", "m_validation", "m_test")
-    values = [s[key] for s in summaries.values() for key in sides if s.get(key)]
+    values = [s[key] for s in summaries.values() for key in _MEANS if s.get(key)]
     ends = [end for value in values for end in (value["mean_ci"] or [value["mean"]])]
-    low, high = min([*ends, *references.values()]), max([*ends, *references.values()])
+    ends += [height for heights in references.values() for height in heights.values()]
+    low, high = min(ends), max(ends)
     room = 0.15 * max(high - low, 0.02 * max(abs(low), abs(high)), 1e-6)
     return low - room, high + room
 
 
-def _references(summaries: Summaries, lines: Mapping[str, float]) -> dict[str, float]:
-    """Return what to compare with: references' means, of several methods their mean."""
-    means: dict[str, list[float]] = {name: [value] for name, value in lines.items()}
-    for summary in summaries.values():
+def _references(summaries: Summaries, lines: Mapping[str, float]) -> References:
+    """Return what to compare with: means of each method's own references, which may differ."""
+    means = {name: dict.fromkeys(range(len(summaries)), value) for name, value in lines.items()}
+    for place, summary in enumerate(summaries.values()):
         for name, value in (summary.get("references") or {}).items():
             if value is not None:
-                means.setdefault(name.replace("_", " "), []).append(value["mean"])
-    return {name: sum(values) / len(values) for name, values in means.items()}
+                means.setdefault(name.replace("_", " "), {})[place] = value["mean"]
+    spans = {
+        name: " to ".join(dict.fromkeys(f"{end(heights.values()):.0f}" for end in (min, max)))
+        for name, heights in means.items()
+    }
+    return {textwrap.fill(f"{name} {spans[name]}", 16): means[name] for name in means}
 
 
 def trait_points(
@@ -131,8 +132,6 @@ def trait_points(
         for place, value in places.items():
             _whisker(axes, place, value, colour)
     _name_places(axes, settings)
-    axes.grid(axis="y", color=style.GRID, linewidth=0.6)
-    axes.set_axisbelow(True)
     return figure
 
 
@@ -282,8 +281,7 @@ def _returns(
         raise ValueError(
             f"the folders are of several tasks, {', '.join(sorted(tasks))}; draw one task at a time"
         )
-    sides = ("m_test", "m_validation", "m_train")
-    figures = [summary.get(key) for summary in summaries.values() for key in sides]
+    figures = [summary.get(key) for summary in summaries.values() for key in _MEANS]
     scopes = sorted({scope(figure["generalises_to"]) for figure in figures if figure})
     caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}"
     rows = -(-marks // _columns(width - _LEFT - right))
@@ -291,6 +289,8 @@ def _returns(
     figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, span, "returns")
     axes.set_ylabel("return of an episode", fontsize=9, color=style.INK)
     axes.tick_params(axis="y", labelsize=8)
+    axes.grid(axis="y", color=style.GRID, linewidth=0.6)
+    axes.set_axisbelow(True)
     return figure, axes
 
 

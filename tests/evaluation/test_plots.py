@@ -343,6 +343,19 @@ def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
         assert named[name].xy == (axes.get_xlim()[1], value)  # right of the line's end
 
 
+def test_references_that_differ_between_folders_are_each_methods_own():
+    summaries = evaluations()
+    for name, script, zero in (("ppo", 300.0, 10.0), ("fcp", 420.0, 10.2)):
+        summaries[name]["references"] = {"script": {"mean": script}, "zero_action": {"mean": zero}}
+    axes = axes_by_label(zsc_dots(summaries))["returns"]
+    lines = [part.tolist() for parts in axes.collections for part in parts.get_segments()]
+    for place, height in ((0, 300.0), (1, 420.0), (0, 10.0), (1, 10.2)):
+        assert [[place - 0.5, height], [place + 0.5, height]] in lines
+    named = {" ".join(text.get_text().split()): text for text in axes.texts}
+    assert named["script 300 to 420"].xy[1] == 420.0  # beside the last method
+    assert named["zero action 10"].xy[1] == 10.2
+
+
 def test_in_a_column_no_number_lies_on_a_dot():
     summaries = evaluations()
     for figures in summaries.values():  # side by side, where a number is nearest to another's dot

@@ -37,6 +37,9 @@ def crossplay(
 def zsc(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw the returns of methods with training and test partners, with 95% intervals.
 
+    Lines are the references of each folder; a name such as `script 300 to 420` says that they
+    differ.
+
     Args:
         folders: Folders that `assistax-zoo evaluate --split both --out` filled, one for each
             method; the figure shows their names.
