@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.errors import counted
 from assistax_base.files import atomic_write
 from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
@@ -42,12 +43,14 @@ class EgoTraining:
         envs, count = self.config.trainer.num_envs, len(self.partners)
         if self.split.rule == PERSONS:
             return f"a new person each episode, of the {len(self.split.train)} of {self.split.id}"
-        share = f"{envs // count} simulation{'s' * (envs > count)} each"
+        share = f"{counted(envs // count, 'simulation')} each"
         likes = ", ".join(self.config.preferences)
-        line = f"{count} partners of {self.split.id}{f' under {likes}' if likes else ''}, {share}"
-        if envs == self.preset_envs:
-            return line
-        return f"{line}, {envs} in place of the preset's {self.preset_envs}"
+        line = (
+            f"{counted(count, 'partner')} of {self.split.id}{likes and f' under {likes}'}, {share}"
+        )
+        return line + f", {envs} in place of the preset's {self.preset_envs}" * (
+            envs != self.preset_envs
+        )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -160,8 +160,8 @@ def _probe() -> dict[str, Any]:
 def _cache() -> Iterator[Finding]:
     for kind in KINDS:
         content = held(kind)
-        text = f"{kind}: {content.files} files, {content.bytes / 1e6:.1f} MB in {content.folder}"
-        yield Finding("cache", "ok", text, vars(content))
+        size = f"{counted(content.files, 'file')}, {content.bytes / 1e6:.1f} MB in {content.folder}"
+        yield Finding("cache", "ok", f"{kind}: {size}", vars(content))
     own, chosen = str(cache_root() / "xla"), os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if chosen and chosen != own:
         text = f"programs that JAX compiles are kept in {shorten(chosen)}, not in {own}"
@@ -223,7 +223,7 @@ def _roots(topic: str, name: str, registry: Registry) -> Iterator[Finding]:
         "roots": not problems,
     }
     if not problems:
-        here = f"{shards - absent} of {shards} shards here"
+        here = f"{shards - absent} of {counted(shards, 'shard')} here"
         text = f"{counted(len(registry.policies), 'policy')}, {here}, releases"
         text = f"{name}: {text} {', '.join(registry.data.releases)}, roots hold"
         yield Finding(topic, "ok", text, details)
@@ -243,10 +243,12 @@ def _absent_by_default() -> int:
 def _remote() -> Iterator[Finding]:
     name, absent = default_remote(), _absent_by_default()
     if name is None:
-        text = "none is named, and none is needed: all shards are here"
-        if absent:
-            text = f"none is named, and {absent} shards are not here; name one with: assistax-zoo"
-            text += " config remote hf://org/name"
+        text = (
+            f"none is named, and not here: {counted(absent, 'shard')}; name one with: "
+            "assistax-zoo config remote hf://org/name"
+            if absent
+            else "none is named, and none is needed: all shards are here"
+        )
         yield Finding("remote", "broken" if absent else "ok", text, {"name": None})
         return
     problem = _unreachable(name)

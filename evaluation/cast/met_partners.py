@@ -11,7 +11,7 @@ from typing import Any
 
 import polars as pl
 
-from assistax_base.errors import listing, shorten
+from assistax_base.errors import counted, listing, shorten
 from evaluation.cast.roster import Member, Roster
 from zoo.met.claims import declared_met, known_humans
 from zoo.met.published import Met
@@ -160,8 +160,8 @@ def met_notes(table: pl.DataFrame, met: MetPartners, include_own: bool) -> list[
         )
         why = f" ({'; '.join(met.reasons)})" if met.frozen & set(left) else ""
         notes.append(
-            f"{len(left)} {'partner' if len(left) == 1 else 'partners'} that one of the egos was "
-            f"trained with{why}, hence not new to it, {done}: {listing(left, 3)}"
+            f"{counted(len(left), 'partner')} that one of the egos was trained "
+            f"with{why}, hence not new to it, {done}: {listing(left, 3)}"
         )
     return [*notes, *_training_notes(table, met), *source_notes(met)]
 

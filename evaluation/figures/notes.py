@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import polars as pl
 
+from assistax_base.errors import counted
 from evaluation.record.record import Returns
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see
@@ -21,8 +22,8 @@ def seed_notes(egos: int) -> list[str]:
 
 def group_notes(returns: Returns) -> list[str]:
     """Say how few partners the smallest group has."""
-    traits = (returns.partners[f"partner_{name}"] for name in ("algorithm", "disability"))
-    counts = [Counter(values) for values in traits]
+    columns = ("partner_algorithm", "partner_disability")
+    counts = [Counter(returns.partners[name]) for name in columns]
     smallest = min(count for groups in counts for count in groups.values())
     return _few(smallest, f"groups of partners have as few as {smallest}", " partners")
 
@@ -45,7 +46,7 @@ def preference_notes(returns: Returns, sides: Mapping[str, Sequence[str]]) -> li
 def team_notes(returns: Returns) -> list[str]:
     """Say how few teams a matrix is of."""
     units = min(returns.egos.height, returns.partners.height)
-    return _few(units, f"{units} teams")
+    return _few(units, counted(units, "team"))
 
 
 def start_notes(returns: Returns) -> list[str]:

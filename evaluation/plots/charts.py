@@ -253,14 +253,14 @@ def provenance(summaries: Summaries) -> str:
     lines = []
     for name, summary in summaries.items():
         partners = ", ".join(
-            f"{count} {side}" for side, count in summary["partners"].items() if count
+            counted(n, f"{side} partner") for side, n in summary["partners"].items() if n
         )
         split = f", split {summary['split']['id']}" if summary["split"] else ""
         broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
         known = (summary.get("met") or {}).get("known")
         lines.append(
             f"{style.spelled(name)}: {counted(len(summary['egos']), 'seed')} × {partners} "
-            f"partners × {counted(summary['episodes_per_pair'], 'episode')}"
+            f"× {counted(summary['episodes_per_pair'], 'episode')}"
             f"{broken}; {summary['task']}, release {summary['release']}{split}, "
             f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
         )

@@ -1,5 +1,8 @@
 """Robots that train with a split's training side."""
 
+import dataclasses
+from typing import Any
+
 import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
@@ -61,6 +64,8 @@ def test_a_training_is_prepared_and_says_how_simulations_are_shared():
         load_registry(), "scratch", split="half-s0-v0", algorithm="sac", hyperparameters={}
     )
     assert fitted.summary.endswith("4 simulations each")
+    one: Any = dataclasses.replace(fitted, partners=["one"])
+    assert one.summary == "1 partner of scratch/half-s0-v0-f4c7b97d, 64 simulations each"
 
 
 @pytest.mark.parametrize(

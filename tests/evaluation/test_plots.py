@@ -18,7 +18,7 @@ from matplotlib.text import Text
 
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
-from evaluation.plots import style
+from evaluation.plots import charts, style
 from evaluation.plots.charts import (
     learning_curves,
     performance_profile,
@@ -321,7 +321,10 @@ def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     np.testing.assert_allclose(whiskers, sorted(tuple(value["mean_ci"]) for value in values))
     written = " ".join("\n".join(texts(figure)).split())
-    assert "PPO: 3 seeds × 4 train, 4 test partners × 2 episodes; scratch, release v0" in written
+    assert (
+        "PPO: 3 seeds × 4 train partners, 4 test partners × 2 episodes; scratch, release v0"
+        in written
+    )
     assert (
         "95% interval for new partners and starts; 95% interval for new seeds, partners and starts"
         in written
@@ -388,6 +391,12 @@ def test_a_side_that_was_not_evaluated_has_no_dot():
     }
     lines = axes_by_label(zsc_dots(summaries))["returns"].lines
     assert sum(len(line.get_ydata()) == 1 for line in lines) == 2
+
+
+def test_a_caption_counts_one_partner_as_one():
+    summaries = evaluations()
+    summaries["fcp"] |= {"partners": {"train": 0, "test": 1}, "episodes_per_pair": 1}
+    assert "1 seed × 1 test partner × 1 episode;" in charts.provenance(summaries)
 
 
 def test_disability_points_and_mixed_tasks():

@@ -159,6 +159,12 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
     assert [len(cluster["members"]) for cluster in order["teams"]["clusters"]] == [4, 4, 4]
 
 
+def test_a_matrix_of_one_robot_is_of_one_team():
+    table = episode_table(np.zeros((1, 20, 1)), teams(1), teams(20))
+    notes = summary.summarise_crossplay(recorded(table), CONTEXT).notes
+    assert any(note.startswith("1 team: intervals over fewer than 16") for note in notes)
+
+
 def test_other_teams_on_the_axes_share_no_order():
     table = episode_table(np.zeros((2, 3, 1)), teams(2), teams(3))
     _, order = derived.crossplay_matrix(recorded(table))

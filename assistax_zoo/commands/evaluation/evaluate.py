@@ -163,12 +163,14 @@ def _share(text: str | None, replace: bool, spread: bool) -> tuple[int, int] | N
 
 
 def _share_lines(summary: dict[str, Any], out: Path) -> tuple[str, str]:
-    done = f"{summary['episodes']} episodes in {summary['chunks']} parts of {out}/parts"
+    parts = f"{counted(summary['chunks'], 'part')} of {out}/parts"
     next_step = "all parts are here: the same command without --share merges them"
     if missing := summary["missing"]:
-        count = f"{missing} of {summary['all_chunks']}"
-        next_step = f"{count} parts are not here; gather those of all shares"
-    return f"share {summary['share']}: {done}", next_step
+        next_step = (
+            f"parts not here: {missing} of {summary['all_chunks']}; gather all shares' parts"
+        )
+    done = f"share {summary['share']}: {counted(summary['episodes'], 'episode')} in {parts}"
+    return done, next_step
 
 
 def _print_evaluation(summary: dict[str, Any]) -> None:
@@ -236,8 +238,8 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
         ("  within one disability setting", "within_disability"),
         ("  across disability settings", "across_disabilities"),
     )
-    title = f"{summary['task']}, {summary['egos']} robots x {summary['partners']} humans"
-    _print_figures(title, [(name, summary[key]) for name, key in names])
+    shape = f"{counted(summary['egos'], 'robot')} x {counted(summary['partners'], 'human')}"
+    _print_figures(f"{summary['task']}, {shape}", [(name, summary[key]) for name, key in names])
     _print_variance(summary["variance"])
     best = summary["best_ego"]
     print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
@@ -260,8 +262,8 @@ def _print_origin(summary: dict[str, Any]) -> None:
     speed = summary["env_steps_per_second"]
     pace = f", {speed:,.0f} environment steps/s" if speed else ", found finished"
     print(
-        f"{summary['episodes']} episodes on {summary['backend']}{pace}; environment version "
-        f"{summary['env_version']}, release {summary['release']}; non-finite episodes: "
+        f"{counted(summary['episodes'], 'episode')} on {summary['backend']}{pace}; environment "
+        f"version {summary['env_version']}, release {summary['release']}; non-finite episodes: "
         f"{summary['nonfinite']}"
     )
     for note in summary["notes"]:

@@ -158,7 +158,7 @@ def _person_lines(registry: Registry, task: str | None, release: str | None) -> 
     for its_release, its_task, table in person_tables(registry.data):
         if task in (None, its_task) and release in (None, its_release):
             glob = person_glob(its_task, its_release)
-            yield f"{glob}: {table.count} persons, partners made of numbers"
+            yield f"{glob}: {counted(table.count, 'person')}, partners made of numbers"
 
 
 def _report_lines(report: "Report") -> list[str]:

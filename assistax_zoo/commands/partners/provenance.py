@@ -99,6 +99,6 @@ def _replay_lines(report: "ReplayReport") -> list[str]:
         f"compared {'bit by bit' if report.exact else 'with measured noise'}: {report.why}",
         f"sample of seed {report.seed}: {report.episodes} of {report.of_episodes} episodes and "
         f"{report.references} of {report.of_references} of the references",
-        f"every figure of {report.folder} drawn again, {report.episodes} episodes played again: "
-        f"{verdict}",
+        f"every figure of {report.folder} drawn again, "
+        f"{counted(report.episodes, 'episode')} played again: {verdict}",
     ]

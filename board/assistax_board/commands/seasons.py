@@ -39,7 +39,7 @@ def season_plan(
     private = private_plan(read_plan(plan), task, release, teams)
     write_private_plan(private, out)
     count = sum(len(group.members) for group in private.groups)
-    print(f"{out} has {count} teams; keep it secret, since it is all one needs to train them")
+    print(f"teams in {out}: {count}; keep it secret, since it is all one needs to train them")
 
 
 def season_persons(folder: Path, /, *, task: str, count: int = 200) -> None:

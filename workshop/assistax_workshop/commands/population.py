@@ -90,7 +90,7 @@ def _report(statuses: Sequence[Status], json: bool, json_lines: bool) -> None:
     columns = (*(name.replace("_", " ") for name in names), "device minutes")
     lines = [(*(str(row[name]) for name in names), _minutes(row)) for row in rows]
     done, teams = sum(row["published"] for row in rows), sum(row["teams"] for row in rows)
-    table = table_lines(columns, lines, f"{done} of {teams} teams are published")
+    table = table_lines(columns, lines, f"published: {done} of {teams}")
     line = [jsonlib.dumps({"groups": rows})]
     answer(json and not json_lines, {"groups": rows}, *(line if json_lines else table))
 

@@ -101,7 +101,8 @@ def sweep(
             "best": {"algorithm": algorithm, "hyperparameters": best},
             "results": results.to_dicts(),
         },
-        f"{plan.configurations} configurations x {plan.seeds} seeds, {diverged} runs diverged; "
+        f"configurations: {plan.configurations}, each of seeds: {plan.seeds}, runs that diverged: "
+        f"{diverged}; "
         f"{out / RESULTS} has every one",
         f"best: {', '.join(f'{name}={value}' for name, value in best.items())}",
         f"next: assistax-zoo train --task {task} --preset {out / BEST} --out "
