@@ -4,12 +4,11 @@ After a cast is made no registry is asked anything.
 """
 
 import dataclasses
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from assistax_base.errors import RegistryVersionError, SplitError, listing
+from assistax_base.errors import RegistryVersionError, SplitError, listing, nearest
 from assistax_envs.versions import PLAYABLE, VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
@@ -123,7 +122,7 @@ def choose_partners(
     chosen = [entry for entry in humans if manifest.side(entry.team) in SIDES[side]]
     if not chosen:
         raise ValueError(
-            f"none of the {len(humans)} partners that match is on the "
+            f"none of the partners that match ({len(humans)}) is on the "
             f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, another "
             "side, or another split's id (assistax-zoo split list)"
         )
@@ -268,9 +267,9 @@ def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Ros
 def _unknown_split(registry: Registry, task: str, name: str) -> str:
     """Say that neither a side nor a split has this name, and which are near."""
     ids = [split.id for split in registry.data.splits if split.task == task]
-    near = difflib.get_close_matches(name, [*SIDES, *ids], n=2, cutoff=0.4)
-    nearest = f", nearest: {', '.join(near)}" if near else ""
+    near = nearest(name, [*SIDES, PERSONS, *ids])
     return (
-        f"split {name!r} is neither a side ({', '.join(SIDES)}) nor a split's id{nearest}; "
+        f"split {name!r} is neither a side ({', '.join(SIDES)}) nor a split's id"
+        f"{f', nearest: {listing(near)}' if near else ''}; "
         "`assistax-zoo split list` prints the ids"
     )

@@ -104,7 +104,7 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
     )  # of both releases
     with pytest.raises(
         ValueError,
-        match=r"none of the 8 partners that match is on the train or test side of .*half-s0-v1",
+        match=r"none of the partners that match \(8\) is on the train or test side of .*half-s0-v1",
     ):
         choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
 
@@ -120,12 +120,32 @@ def test_a_glob_over_partners_keeps_to_the_side_that_was_asked_for(side: str) ->
         assert choose_partners(registry, "scratch", None, glob) == (split, chosen)
     other = split.train if side == "test" else split.test
     with pytest.raises(
-        ValueError, match=f"none of the 1 partners that match is on the {side} side"
+        ValueError, match=rf"none of the partners that match \(1\) is on the {side} side"
     ):
         choose_partners(registry, "scratch", side, f"{other[0]}/human")
 
 
-@pytest.mark.parametrize(("split", "near"), [("tset", "test"), ("half-s0-v2", "half-s0")])
+@pytest.mark.parametrize(
+    ("split", "near"), [("tset", "test"), ("half-s0-v2", "half-s0"), ("person", "persons")]
+)
 def test_a_split_that_is_not_there_is_told_with_its_nearest_names(split: str, near: str) -> None:
     with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):
         choose_partners(load_registry(), "scratch", split, None)
+
+
+@pytest.mark.parametrize(
+    ("partners", "hint"),
+    [
+        ("person", "persons"),
+        ("persons:test", "split 'persons:test'"),
+        ("qqq", "an id of `assistax-zoo list`"),
+    ],
+)
+@pytest.mark.parametrize("task", ["scratch", "gentle_feeding"])  # with teams, and persons alone
+def test_a_text_of_no_partner_is_told_with_what_was_meant(
+    task: str, partners: str, hint: str
+) -> None:
+    with pytest.raises(
+        ValueError, match=rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
+    ):
+        choose_partners(load_registry(), task, None, partners)

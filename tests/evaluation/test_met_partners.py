@@ -272,6 +272,16 @@ def test_a_declaration_takes_nothing_away(registry: Registry) -> None:
         left_out(registry, [still], D1, "scratch/isac-*")
 
 
+@pytest.mark.parametrize(
+    ("text", "meant"), [("nobdy", "nobody"), ("person", "persons"), ("persons:train", "persons")]
+)
+def test_a_declaration_that_is_nearly_a_word_is_told_with_it(
+    text: str, meant: str, registry: Registry
+) -> None:
+    with pytest.raises(ValueError, match=f"trained_with is '{text}'; .* did you mean '{meant}'"):
+        left_out(registry, [still], D1, text)
+
+
 def test_a_python_module_declares_it(registry: Registry, tmp_path: Path) -> None:
     code = "def make():\n    return lambda obs: obs[:, :7]\n"
     module = tmp_path / "met_robot.py"

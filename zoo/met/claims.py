@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from assistax_base.errors import IdError, shorten
+from assistax_base.errors import IdError, nearest, shorten
 from zoo.ids import PERSONS, parse_person, parse_team
 from zoo.met.published import (
     CLAIMED,
@@ -92,17 +92,25 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
     if NOBODY in names:
         raise ValueError(f"trained_with has {NOBODY!r} beside others; leave one of them out")
     partners: Humans = {}
-    splits = []
+    sides = []
     for name in names:
         if _names_teams(name):
             chosen = registry.select(name, task=task, role="human")
             partners |= {entry.team: entry.sha256 for entry in chosen}
+        elif (
+            name != PERSONS
+            and name.removeprefix(f"{PERSONS}:").isalpha()
+            and (meant := nearest(name, (NOBODY, PERSONS)))
+        ):
+            raise ValueError(
+                f"trained_with is {name!r}; allowed are {NOBODY!r}, or split ids, each for its "
+                f"training side, and globs over partners; did you mean {meant[0]!r}?"
+            )
         else:
-            splits.append(registry.split(task, name))
-            partners |= side_met(registry, splits[-1]).partners
-    split = splits[0] if len(splits) == len(names) == 1 else None
-    against = TrainedAgainst(split=split.id, sha256=split.sha256) if split else None
-    return Met(source="declared", partners=partners, split=against)
+            sides.append(side_met(registry, registry.split(task, name)))
+            partners |= sides[-1].partners
+    split = sides[0].split if len(sides) == len(names) == 1 else None
+    return Met(source="declared", partners=partners, split=split)
 
 
 def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[str]:

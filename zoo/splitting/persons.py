@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from assistax_base.digest import sha256
-from assistax_base.errors import UnknownIdError
+from assistax_base.errors import UnknownIdError, nearest
 from zoo.ids import PERSONS, names_persons
 from zoo.persons.registered import VALIDATION, known_persons, person_split, select_persons
 from zoo.schema import PolicyEntry, RegistryFile, Split
@@ -16,15 +16,22 @@ def asks_for_persons(split: str | None, patterns: str | Sequence[str] | None) ->
     """Return whether persons are meant, by a split's name or by all patterns over partners.
 
     Raises:
-        ValueError: Persons stand beside other partners.
+        ValueError: Persons stand beside other partners, or a pattern can be of no partner.
     """
     texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
     named = [text for text in texts if text == PERSONS or names_persons(text)]
-    if named and len(named) < len(texts):
-        other = next(text for text in texts if text not in named)
+    others = [text for text in texts if text not in named]
+    if odd := [text for text in others if not set(text) & set("/*?[")]:
+        near = ", ".join(nearest(odd[0], [PERSONS])) or "an id of `assistax-zoo list`"
+        meant = f"split {odd[0]!r}" if ":" in odd[0] else near
         raise ValueError(
-            f"partners are {named[0]!r} beside {other!r}; persons have their own preferences, so "
-            "play them in a separate job"
+            f"partners are {odd[0]!r}; allowed are {PERSONS!r}, and ids and globs over partners, "
+            f"such as 'scratch/ippo-d9-*'; did you mean {meant}?"
+        )
+    if named and others:
+        raise ValueError(
+            f"partners are {named[0]!r} beside {others[0]!r}; persons have their own preferences, "
+            "so play them in a separate job"
         )
     return bool(named) or PERSONS in (split or "")
 
