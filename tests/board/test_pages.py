@@ -38,7 +38,7 @@ from assistax_envs.persons.rows import described_numbers, person
 from tests.board.board_data import HOSTILE, Robot, make_app
 from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
 from tests.untrained import published, teams_of
-from zoo.exports.policies import policy_file
+from zoo.exports.policies import Format, policy_file
 from zoo.registry import load_registry
 
 PAIR = "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
@@ -145,11 +145,12 @@ def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
     assert measure and all(line not in client.get(address).text for address in measure)
 
 
-def test_of_a_published_ego_it_is_said_whom_it_met(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["safetensors", "onnx"])
+def test_of_a_published_ego_it_is_said_whom_it_met(form: Format, tmp_path: Path) -> None:
     """Its bytes are those that `export` writes; what a changed file says of itself is no proof."""
     ego = load_registry().policy("scratch/ppo-ego-s0-v1/robot")
     assert ego.trained_against is not None
-    data = policy_file(ego.id, "safetensors", load_registry)
+    data = policy_file(ego.id, form, load_registry)
     digest = hashlib.sha256(data).hexdigest()
     changed = hashlib.sha256(data.replace(b"self_play", b"self-play")).hexdigest()
     app = make_app(tmp_path, (Robot("lab", "published", 900.0), Robot("school", "changed", 800.0)))

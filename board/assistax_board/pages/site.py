@@ -49,7 +49,7 @@ class Site:
     met: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)  # see `met_by_file`
 
     def met_by_file(self, task: str) -> dict[str, str]:
-        """Whom a task's published egos met, by the sha256 of the file that `export` writes of each.
+        """Whom a task's published egos met, by the sha256 of each file that `export` writes of it.
 
         So nothing that a file says of itself is asked. It is kept: some egos met thousands.
         """
@@ -58,8 +58,11 @@ class Site:
             for ego in self.registry.policies:
                 if ego.task == task and ego.trained_against:
                     with contextlib.suppress(ZooError):  # its parameters are not on this machine
-                        file = policy_file(ego.id, "safetensors", lambda: self.registry)
-                        met[sha256(file)] = f"the training side of {ego.trained_against.split}"
+                        said = f"the training side of {ego.trained_against.split}"
+                        met |= {
+                            sha256(policy_file(ego.id, form, lambda: self.registry)): said
+                            for form in ("safetensors", "onnx")
+                        }
             self.met[task] = met
         return self.met[task]
 
