@@ -7,6 +7,7 @@ server is upgraded while the season is open, and killed while it closes.
 
 import contextlib
 import dataclasses
+import re
 import signal
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from assistax_board.ids import new_id
 from assistax_board.live.client import play_live
 from assistax_board.rules.release_pack import add_persons
 from assistax_board.rules.seasons import Plan
-from assistax_board.serve import free_port, open_service
+from assistax_board.serve import open_service
 from assistax_board.service import Service
 from assistax_board.store.backup import back_up
 from assistax_board.submitting import verify_revealed
@@ -144,8 +145,7 @@ class Server:
 
     def __init__(self, stage: Stage) -> None:
         self._stage, self._log = stage, stage.folder / "server.log"
-        self._port = free_port("127.0.0.1", 0)
-        self.address = f"http://127.0.0.1:{self._port}"
+        self.address = "http://127.0.0.1:0"  # a free port, until it has started once
 
     def start(self, backend: str) -> None:
         """Start it on an engine, and wait until it answers.
@@ -155,7 +155,8 @@ class Server:
         """
         registry = self._stage.registry
         began = self._log.stat().st_size if self._log.exists() else 0
-        words = ["serve", "--data", str(self._stage.data), "--port", str(self._port)]
+        port = self.address.rpartition(":")[2]
+        words = ["serve", "--data", str(self._stage.data), "--port", port]
         words += ["--backend", backend, "--no-references"]
         words += ["--registry", str(registry)] if registry else []
         with self._log.open("a") as file:
@@ -167,7 +168,9 @@ class Server:
             told = self._log.read_text()[began:]
             if self.process.poll() is not None:
                 raise ValueError(f"the server ended: {told[-1000:].strip()}")
-            return "serving " in told
+            if found := re.search(r"serving (\S+) from ", told):
+                self.address = found[1]
+            return found is not None
 
         wait("the server starts", serves)
         with contextlib.closing(Client(self.address, patience=LIMIT_SECONDS)) as client:

@@ -40,6 +40,7 @@ TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given bac
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
 CLOSE_SECONDS = 10.0  # for a live client to take the last message
+MISSING = errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT  # what a machine says of an address it lacks
 EXTRAS = {"psycopg": "postgres", "s3fs": "s3"}  # module -> extra of this distribution
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
@@ -105,13 +106,15 @@ def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> 
 
 def run_server(
     service: Service,
-    host: str,
-    port: int,
+    listeners: list[socket.socket],
     stop_workers: Callable[[], None],
     proxy: str | None = None,
     **pages: Any,
 ) -> None:
-    """Serve until SIGINT or SIGTERM, ending requests first; `pages` go to `add_pages`."""
+    """Serve what `listen` gave until SIGINT or SIGTERM, ending requests first.
+
+    `pages` go to `add_pages`.
+    """
     from assistax_board.api.operations import log_to_stderr
     from assistax_board.app import create_app
 
@@ -119,15 +122,13 @@ def run_server(
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     enough = 2 * CONNECTIONS if hard == resource.RLIM_INFINITY else min(2 * CONNECTIONS, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, enough), hard))
-    _Server(config_of(create_app(service, **pages), host, port, proxy), stop_workers).run()
+    _Server(config_of(create_app(service, **pages), proxy), stop_workers).run(listeners)
 
 
-def config_of(app: Any, host: str, port: int, proxy: str | None = None) -> uvicorn.Config:
+def config_of(app: Any, proxy: str | None = None) -> uvicorn.Config:
     """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
         Doorkeeper(app),
-        host=host,
-        port=port,
         log_level="warning",
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
@@ -200,8 +201,7 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         # In a turn of the event loop uvloop takes one connection of each listener, and asyncio's
         # own loop a whole backlog: one is too few for a crowd, and a crowd holds up the loop.
-        listeners = listen(self.config.host, self.config.port)
-        self.config.backlog = TAKEN
+        listeners, self.config.backlog = sockets or [], TAKEN
         more = [listener.dup() for listener in listeners for _ in range(LISTENERS - 1)]
         await super().startup([*listeners, *more])
         for listener in listeners:
@@ -310,34 +310,31 @@ def _stop(process: Any) -> None:
         process.wait()
 
 
-def listen(host: str, port: int) -> list[socket.socket]:
+@contextlib.contextmanager
+def listen(host: str, port: int) -> Generator[tuple[int, list[socket.socket]]]:
     """Listen on each address of a host: browsers take localhost for ::1 or for 127.0.0.1.
+
+    Yields:
+        The port, which nobody else can take until the block ends (0 is a free one); what listens.
 
     Raises:
         ValueError: The port is taken on one of them, or the host is not this machine.
     """
     listeners: list[socket.socket] = []
-    try:
-        # Of IPv4 first: a machine without IPv6 may have names for its addresses all the same.
-        for family, *_, place in sorted({*socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}):
-            try:
-                address = place[0], port, *place[2:]
-                listeners.append(socket.create_server(address, family=family))
-            except OSError as error:
-                if not listeners or error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-                    raise
-            port = listeners[0].getsockname()[1]
-    except OSError as error:
-        for listener in listeners:
-            listener.close()
-        raise ValueError(
-            f"cannot listen on {host}:{port} ({error.strerror}); choose another port"
-        ) from error
-    return listeners
-
-
-def free_port(host: str, port: int) -> int:
-    """Return the port, or a free one if it is 0; say so now if it is taken."""
     with contextlib.ExitStack() as stack:
-        first, *_ = map(stack.enter_context, listen(host, port))
-        return first.getsockname()[1]
+        try:
+            # IPv4 first: a machine without IPv6 may have names for its addresses all the same.
+            found = {*socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
+            for family, *_, place in sorted(found):
+                try:
+                    listener = socket.create_server((place[0], port, *place[2:]), family=family)
+                    listeners.append(stack.enter_context(listener))
+                except OSError as error:
+                    if not listeners or error.errno not in MISSING:
+                        raise
+                port = listeners[0].getsockname()[1]
+        except OSError as error:
+            raise ValueError(
+                f"cannot listen on {host}:{port} ({error.strerror}); choose another port"
+            ) from error
+        yield port, listeners

@@ -67,7 +67,7 @@ def main(how: str, *words: str) -> None:
     import uvicorn
 
     from assistax_board.app import create_app
-    from assistax_board.serve import config_of
+    from assistax_board.serve import config_of, listen
 
     folder, url, port, version = (*words, "1")[:4]
     service = real_service(Path(folder), url, int(version))
@@ -75,7 +75,8 @@ def main(how: str, *words: str) -> None:
     if service.database.is_sqlite:
         disk_that_fills(service, Path(folder))
     app = create_app(service)
-    uvicorn.Server(config_of(app, "127.0.0.1", int(port))).run()
+    with listen("127.0.0.1", int(port)) as (_, listeners):
+        uvicorn.Server(config_of(app)).run(listeners)
 
 
 if __name__ == "__main__":

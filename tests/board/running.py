@@ -12,7 +12,7 @@ import uvicorn
 
 from assistax_board.app import create_app
 from assistax_board.client import Client
-from assistax_board.serve import config_of, free_port
+from assistax_board.serve import config_of, listen
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 
@@ -25,8 +25,9 @@ def port_of_its_own() -> int:
     It is below those that the system gives to whoever asks for any.
     """
     while True:
-        with contextlib.suppress(ValueError):
-            return free_port("127.0.0.1", 20_000 + next(_PLACES) % 12_000)
+        port = 20_000 + next(_PLACES) % 12_000
+        with contextlib.suppress(ValueError), listen("127.0.0.1", port):
+            return port
 
 
 @dataclasses.dataclass
@@ -50,23 +51,24 @@ def served(
     port: int = 0,
     proxy: str | None = None,
     kind: Callable[[uvicorn.Config], uvicorn.Server] = uvicorn.Server,
+    host: str = "127.0.0.1",
 ) -> Generator[Served]:
     """Serve until the block ends."""
-    config = config_of(create_app(service), "127.0.0.1", port, proxy)
+    config = config_of(create_app(service), proxy)
     config.lifespan, config.log_level = "off", "error"
     server = kind(config)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive(), "it has not started"
-        time.sleep(0.01)
-    port = server.servers[0].sockets[0].getsockname()[1]
-    running = Served(service, f"http://127.0.0.1:{port}")
-    try:
-        yield running
-    finally:
-        for client in running.clients:
-            client.close()
-        server.should_exit = True
-        server.force_exit = True
-        thread.join()
+    with listen(host, port) as (port, listeners):
+        running = Served(service, f"http://127.0.0.1:{port}")
+        thread = threading.Thread(target=server.run, args=(listeners,))
+        thread.start()
+        while not server.started:
+            assert thread.is_alive(), "it has not started"
+            time.sleep(0.01)
+        try:
+            yield running
+        finally:
+            for client in running.clients:
+                client.close()
+            server.should_exit = True
+            server.force_exit = True
+            thread.join()

@@ -10,6 +10,7 @@ import httpx2
 import pytest
 
 from assistax_board import serve
+from assistax_board.commands.serving import serve as command
 from tests.board.fakes import new_service
 from tests.board.running import port_of_its_own, served
 
@@ -42,10 +43,9 @@ def test_a_server_answers_on_each_address_of_its_host(
     monkeypatch.setattr(serve, "stop_limited", lambda: None)  # it would be for good
 
     def kind(config: Any) -> Any:
-        config.host = "localhost"
         return serve._Server(config, lambda: None)  # private: what `serve` runs
 
-    with served(new_service(tmp_path), kind=kind) as server:
+    with served(new_service(tmp_path), kind=kind, host="localhost") as server:
         for address in ("127.0.0.1", "[::1]"):
             health = server.address.replace("127.0.0.1", address) + "/api/health"
             assert httpx2.get(health).status_code == 200
@@ -54,10 +54,13 @@ def test_a_server_answers_on_each_address_of_its_host(
 
 def test_an_address_that_the_machine_lacks_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     name(monkeypatch, ELSEWHERE, "127.0.0.1")
-    with contextlib.closing(*serve.listen("localhost", 0)) as listener:
-        assert listener.getsockname()[0] == "127.0.0.1"
-    with pytest.raises(ValueError, match="cannot listen on 2001:db8::1:0 "):
-        serve.listen(ELSEWHERE, 0)
+    with serve.listen("localhost", 0) as (_, listeners):
+        assert [listener.getsockname()[0] for listener in listeners] == ["127.0.0.1"]
+    with (
+        pytest.raises(ValueError, match="cannot listen on 2001:db8::1:0 "),
+        serve.listen(ELSEWHERE, 0),
+    ):
+        pass
 
 
 def test_a_port_that_is_taken_on_one_address_is_refused(
@@ -67,7 +70,25 @@ def test_a_port_that_is_taken_on_one_address_is_refused(
     with (
         socket.create_server(("::1", port_of_its_own()), family=socket.AF_INET6) as taken,
         pytest.raises(ValueError, match=r"in use .*::1.*; choose another port"),
+        serve.listen("localhost", taken.getsockname()[1]),
     ):
-        serve.listen("localhost", taken.getsockname()[1])
-    port = serve.free_port("localhost", 0)
-    assert serve.free_port("localhost", port) == port
+        pass
+
+
+def test_nobody_else_can_take_the_free_port_that_serve_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was given back and taken again later, when the workers knew it."""
+    service, ran = new_service(tmp_path), []
+
+    def run_server(*_: Any, **__: Any) -> None:
+        said = capsys.readouterr().err
+        ran.append(int(said.split("serving http://127.0.0.1:")[1].split()[0]))
+        with pytest.raises(OSError, match="in use"):
+            socket.create_server(("127.0.0.1", ran[0]))
+
+    monkeypatch.setattr(serve, "open_service", lambda *_, **__: service)
+    monkeypatch.setattr(serve, "stopped_by_signals", contextlib.nullcontext)
+    monkeypatch.setattr(serve, "run_server", run_server)
+    command(data=tmp_path / "board", port=0, workers=0, references=False)
+    assert ran[0] > 0

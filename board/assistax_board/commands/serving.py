@@ -55,20 +55,20 @@ def serve(
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
         )
-        port = serving.free_port(host, port)
-        own = folder.worker_token(service, data) if workers else ""
-        service.adopt_version()
-        if references:
-            serving.add_references_later(service)
-        address = f"http://{f'[{host}]' if ':' in host else host}:{port}"
-        print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-        print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
-        options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
-        local = address.replace("0.0.0.0", "127.0.0.1")
-        playing = serving.local_workers(workers, local, own, options)
-        with watched(service, data, webhook), playing as stop_workers:
-            pages = folder.page_folders(data, registry)
-            serving.run_server(service, host, port, stop_workers, proxy, **pages)
+        with serving.listen(host, port) as (port, listeners):
+            own = folder.worker_token(service, data) if workers else ""
+            service.adopt_version()
+            if references:
+                serving.add_references_later(service)
+            address = f"http://{f'[{host}]' if ':' in host else host}:{port}"
+            print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
+            print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
+            options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
+            local = address.replace("0.0.0.0", "127.0.0.1")
+            playing = serving.local_workers(workers, local, own, options)
+            with watched(service, data, webhook), playing as stop_workers:
+                pages = folder.page_folders(data, registry)
+                serving.run_server(service, listeners, stop_workers, proxy, **pages)
 
 
 def worker(
