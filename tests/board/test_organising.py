@@ -1,13 +1,15 @@
 """What an organiser is told and may do, by commands and by the page."""
 
+import contextlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 from starlette.testclient import TestClient
 
 from assistax_board.app import create_app
@@ -17,6 +19,7 @@ from assistax_board.problems import Problem
 from assistax_board.rules import jobs
 from assistax_board.serve import open_service
 from assistax_board.service import Service
+from assistax_board.store.database import Database
 from assistax_board.store.notices import list_notices
 from assistax_zoo.shell.main import run
 from tests.board.fakes import advance, draft, new_service, new_submitter, shown, take, work_off
@@ -287,3 +290,51 @@ def test_the_page_is_the_organisers_alone(service: Service, browser: TestClient)
     token = service.create_token(("organise",))
     assert browser.post("/organise", data={"account_token": token}).status_code == 403
     assert len(notices(service)) == 1
+
+
+def between(
+    monkeypatch: pytest.MonkeyPatch, act: Callable[[], object], *, before: bool = False
+) -> None:
+    """Let something happen right after the next transaction, or right before it."""
+    whole = Database.write
+    acts = [act]
+
+    @contextlib.contextmanager
+    def write(database: Database) -> Generator[sa.Connection]:
+        if before and acts:
+            acts.pop()()
+        with whole(database) as connection:
+            yield connection
+        if acts:
+            acts.pop()()
+
+    monkeypatch.setattr(Database, "write", write)
+
+
+@pytest.mark.parametrize("before", [False, True], ids=["after its commit", "before the upload's"])
+def test_a_file_that_comes_while_a_lab_is_erased_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bool
+) -> None:
+    """Another lab hands in the same bytes; they were removed once the upload was answered."""
+    service = new_service(tmp_path)
+    gone, lab = new_submitter(service, "gone"), new_submitter(service)
+    service.submit(gone, draft(2.0))
+    acts = [lambda: service.submit(lab, draft(2.0)), lambda: service.erase_submitter(gone)]
+    first, second = acts if before else acts[::-1]
+    between(monkeypatch, second, before=before)
+    first()
+    assert work_off(service) == 3
+    assert check_service(service)["whole"]
+
+
+def test_a_lab_that_is_erased_while_it_hands_in_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its file and the names that it wrote would have stayed for ever."""
+    service = new_service(tmp_path)
+    gone = new_submitter(service, "gone")
+    between(monkeypatch, lambda: service.erase_submitter(gone), before=True)
+    with pytest.raises(Problem, match="was erased; ask the organiser for a new token"):
+        service.submit(gone, draft(2.0))
+    assert service.queries.submissions() == []
+    assert not list((tmp_path / "artefacts").glob("*/*"))

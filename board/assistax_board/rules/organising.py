@@ -15,6 +15,7 @@ from assistax_board.store.notices import withdraw_notice
 from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import (
     ARTEFACT,
+    ERASED,
     JOB,
     RECEIPT,
     SEASON,
@@ -221,26 +222,28 @@ def extend(database: Database, name: str, closes_at: float, now: float) -> None:
 
 def erase_submitter(service: "Service", submitter: str) -> None:
     """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
-    now = service.clock()
-    with service.database.write() as connection:
+    database, now = service.database, service.clock()
+    with database.write() as connection:
+        database.one_at_a_time(connection, f"submitter {submitter}")
         where = SUBMITTER.id == submitter
         row = connection.execute(sa.select(schema.submitters).where(where)).first()
         if row is None:
             raise Problem("not_found", f"no submitter {submitter!r}")
         values = {"name": f"erased-{submitter}", "contact": None, "webhook": None}
-        values["erased_at"] = now
-        connection.execute(sa.update(schema.submitters).where(where).values(values))
+        connection.execute(
+            sa.update(schema.submitters).where(where).values(**values, erased_at=now)
+        )
         open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        columns = SUBMISSION.id, SUBMISSION.artefact, SUBMISSION.season
         mine = connection.execute(
-            sa.select(*columns).where(SUBMISSION.submitter == submitter)
+            sa.select(schema.submissions).where(SUBMISSION.submitter == submitter)
         ).all()
         seasons = sorted({row.season for row in mine if row.season})
         for season in seasons:  # all of them before the ledger
-            service.database.one_at_a_time(connection, f"season {season}")
+            database.one_at_a_time(connection, f"season {season}")
+        database.one_at_a_time(connection, "files")  # nobody hands one in while it is chosen
         for row in mine:
-            submissions.fail(service.database, connection, row.id, "withdrawn", now)
+            submissions.fail(database, connection, row.id, "withdrawn", now)
             jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
             update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
             # Its client chose the request, and may have written anything.
@@ -252,13 +255,17 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         )
         kept = set(connection.execute(others).scalars())
         gone = {row.artefact for row in mine if row.artefact} - kept
-        erased = sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
-        connection.execute(erased)
-        ledger.append(service.database, connection, now, "erase", {"submitter": submitter})
+        connection.execute(
+            sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
+        )
+        ledger.append(database, connection, now, "erase", {"submitter": submitter})
         for season in seasons:
-            closing.go_on(service.database, connection, season, now)
-    for name in gone:
-        service.artefacts.erase(name)
+            closing.go_on(database, connection, season, now)
+    with database.write() as connection:
+        database.one_at_a_time(connection, "files")
+        # Another lab may have handed one in since.
+        for name in connection.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
+            service.artefacts.erase(name)
 
 
 def _sign_anew(service: "Service", connection: sa.Connection, submission: str) -> None:

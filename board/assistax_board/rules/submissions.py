@@ -24,7 +24,7 @@ from assistax_board.store import ledger, schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, insert_once
 from assistax_board.store.played import warning_of
-from assistax_board.store.schema import JOB, SEASON, SUBMISSION
+from assistax_board.store.schema import JOB, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
 
 MAX_BYTES = 16 * 1024 * 1024
@@ -112,11 +112,14 @@ def submit(
 ) -> str:
     """Record a submission with its jobs, and return its id; a repeated request adds nothing."""
     kept = None
-    if draft.data is not None and draft.refusal is None:
-        kept = artefacts.put(draft.data)  # before the row that names it
     with database.write() as connection:
         # Two requests at once must not both take the last attempt.
         database.one_at_a_time(connection, f"submitter {submitter}")
+        erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
+        if connection.execute(erased).scalar() is not None:
+            raise Problem(
+                "not_signed_in", "this token's lab was erased; ask the organiser for a new token"
+            )
         if before := _known(connection, submitter, draft.request):
             return before
         if draft.season:  # it must not close between here and the end of the transaction
@@ -125,7 +128,9 @@ def submit(
         if season is not None and draft.refusal is None:
             _check_not_disqualified(connection, season, submitter)
             _check_budget(connection, season, submitter)
-        if kept is not None and draft.data is not None:
+        if draft.data is not None and draft.refusal is None:
+            database.one_at_a_time(connection, "files")  # no erasure removes it until it is taken
+            kept = artefacts.put(draft.data)
             record_artefact(connection, kept, len(draft.data), now)
         public = catalogue.identity(draft.task).get("env_version")
         row = _row(connection, submitter, draft, kept, now)
@@ -215,10 +220,10 @@ def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
             raise Problem("not_found", f"you have no submission {id!r}")
         if row.state == "scored":
             _retract(database, connection, row, now)
-            return
-        if row.state in FINAL_STATES:
+        elif row.state in FINAL_STATES:
             raise Problem("too_late", f"submission {id} has ended: {row.state}")
-        fail(database, connection, id, "withdrawn", now)
+        else:
+            fail(database, connection, id, "withdrawn", now)
 
 
 def _retract(database: Database, connection: sa.Connection, row: Any, now: float) -> None:
@@ -257,7 +262,9 @@ def _row(
 ) -> dict[str, Any]:
     refused = draft.refusal is not None
     attempt = "free" if draft.season is None else "refunded" if refused else "reserved"
-    waiting = sa.select(sa.func.count()).where(SUBMISSION.submitter == submitter, _unfinished())
+    waiting = sa.select(sa.func.count()).where(
+        SUBMISSION.submitter == submitter, SUBMISSION.state.not_in(FINAL_STATES)
+    )
     return {
         "id": new_id(),
         "submitter": submitter,
@@ -322,10 +329,6 @@ def _met_hidden(connection: sa.Connection, id: str) -> bool:
         JOB.submission == id, JOB.panel == "A", JOB.leased_at.is_not(None)
     )
     return connection.execute(query.limit(1)).first() is not None
-
-
-def _unfinished() -> Any:
-    return SUBMISSION.state.not_in(FINAL_STATES)
 
 
 def admitted(admit: Any, draft: Draft) -> Draft:
