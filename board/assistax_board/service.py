@@ -72,10 +72,10 @@ class Service:
         """Give a worker the next job that it can do; `seats` say which live clients are gone."""
         closing.close_due(self.database, self.clock())
         for submission in () if seats is None else seats.gone():
-            self._fail(submission, "client_gone")
+            self.fail(submission, "client_gone")
         lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
         for submission in exhausted:
-            self._fail(submission, "worker_errors")
+            self.fail(submission, "worker_errors")
         return None if lease is None else self._work(lease)
 
     def beat(self, job: str, secret: str) -> bool:
@@ -89,7 +89,7 @@ class Service:
     def job_failed(self, job: str, secret: str) -> None:
         """Note that a worker could not do a job; several times are too often."""
         if submission := jobs.fail_job(self.database, job, secret):
-            self._fail(submission, "worker_errors")
+            self.fail(submission, "worker_errors")
 
     def job_refused(self, job: str, secret: str, code: str) -> None:
         """End a submission whose robot a worker could not play."""
@@ -147,11 +147,7 @@ class Service:
         if row is not None and row.panel == "public":
             jobs.give_back(self.database, job, secret)
         elif row is not None:
-            self._fail(row.submission, "client_gone")
-
-    def live_failed(self, submission: str, reason: str) -> None:
-        """End a live submission for a reason of `vocabulary.FAILURES`."""
-        self._fail(submission, reason)
+            self.fail(row.submission, "client_gone")
 
     def live_refused(self, submission: str, code: str) -> None:
         """End a live submission whose robot gave a wrong answer."""
@@ -184,21 +180,14 @@ class Service:
         """Make a token; see `tokens.create_token`."""
         return tokens.create_token(self.database, self.clock(), scopes, **options)
 
-    def erase_submitter(self, submitter: str) -> None:
-        """Remove a lab's name, contact and files; hashes and scores stay, under a pseudonym."""
-        organising.erase_submitter(self, submitter)
+    erase_submitter = organising.erase_submitter
+    retry = organising.retry
+    disqualify = organising.disqualify
+    adopt_version = upgrading.adopt_version
 
     def failures(self) -> list[organising.Failure]:
         """Return the submissions of which jobs have failed, the newest first."""
         return organising.failures(self.database)
-
-    def retry(self, submission: str, *, extra_attempt: bool = False) -> None:
-        """Queue again what the workers failed; see `organising.retry`."""
-        organising.retry(self, submission, extra_attempt=extra_attempt)
-
-    def disqualify(self, season: str, lab: str) -> int:
-        """Take a lab, by its name, out of a season; return how many submissions that was."""
-        return organising.disqualify(self, season, lab)
 
     def extend_season(self, name: str, closes_at: float) -> None:
         """Let an open season close later than was announced."""
@@ -218,11 +207,8 @@ class Service:
                 request = f"{task} {name}"
                 self.submit(nobody, Draft(task, method, request, kind="reference", format=name))
 
-    def adopt_version(self) -> int:
-        """Score anew what was scored by other versions; return how many submissions that is."""
-        return upgrading.adopt_version(self)
-
-    def _fail(self, submission: str, reason: str) -> None:
+    def fail(self, submission: str, reason: str) -> None:
+        """End a submission without a score, for a reason of `vocabulary.FAILURES`."""
         now = self.clock()
         with self.database.write() as connection:
             submissions.fail(self.database, connection, submission, reason, now)

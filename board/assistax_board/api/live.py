@@ -49,7 +49,7 @@ async def ask(
         await run_in_threadpool(service.live_away, job, lease)
         raise Problem("lease_lost", "the client is away; the job goes back") from None
     except BankEmpty:
-        await run_in_threadpool(service.live_failed, submission, "time_bank")
+        await run_in_threadpool(service.fail, submission, "time_bank")
         raise Problem("lease_lost", "the robot has no time left") from None
     if answer is None:
         return Response(status_code=202)

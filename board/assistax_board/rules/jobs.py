@@ -189,8 +189,9 @@ def queue_again(connection: sa.Connection, submission: str, version: str) -> boo
 
 def queue_b_again(connection: sa.Connection, submission: str) -> None:
     """Queue what is not done of panel B as if nothing had failed."""
-    again = sa.update(schema.jobs).where(JOB.submission == submission, JOB.panel == "B")
-    again = again.where(JOB.state == "cancelled")
+    again = sa.update(schema.jobs).where(
+        JOB.submission == submission, JOB.panel == "B", JOB.state == "cancelled"
+    )
     connection.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
 
 

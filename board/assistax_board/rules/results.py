@@ -57,18 +57,15 @@ def accept(
         if held is None or held.state not in ("leased", "waiting"):
             return False
         record_artefact(connection, name, len(kept), now)
-        if not insert_once(connection, schema.results, _result(row, name, seconds, now)):
+        result = {"table": name, "seconds": seconds, "created_at": now}
+        result |= {key: getattr(row, key) for key in ("submission", "version", "panel", "chunk")}
+        if not insert_once(connection, schema.results, result):
             return False
         done = sa.update(schema.jobs).where(JOB.id == job).values(state="done", done_at=now)
         connection.execute(done)
         if _left(connection, row, row.panel) == 0:
             _finish_panel(store, connection, row, now)
     return True
-
-
-def _result(job: Any, name: str, seconds: float, now: float) -> dict[str, Any]:
-    identity = {key: getattr(job, key) for key in ("submission", "version", "panel", "chunk")}
-    return {**identity, "table": name, "seconds": seconds, "created_at": now}
 
 
 def _left(connection: sa.Connection, job: Any, *panels: str) -> int:
@@ -193,12 +190,11 @@ def _partner_rows(job: Any, table: pl.DataFrame) -> list[dict[str, Any]]:
 def _release(store: ResultStore, connection: sa.Connection, job: Any, now: float) -> None:
     """Show what may be shown, end the submission, and sign the receipt: all in one transaction."""
     mine = (SCORE.submission == job.submission) & (SCORE.version == job.version)
-    public = connection.execute(
-        sa.select(SCORE.figures).where(mine, SCORE.panel == "public")
-    ).scalar_one()
-    shown = {"public": public}
+    query = sa.select(SCORE.panel, SCORE.figures).where(mine)
+    scores = {row.panel: row.figures for row in connection.execute(query)}
+    shown = {"public": scores["public"]}
     row = submissions.lock_submission(store.database, connection, job.submission)
-    if _has_score(connection, job, "A") and (answer := _hidden_answer(store, connection, job, row)):
+    if "A" in scores and (answer := _hidden_answer(store, connection, job, row)):
         shown["A"] = answer
     for panel, value in shown.items():
         update = sa.update(schema.scores).where(mine, SCORE.panel == panel)
@@ -210,11 +206,6 @@ def _release(store: ResultStore, connection: sa.Connection, job: Any, now: float
     _sign(store, connection, row, job.version, shown, entry, now)
     if row.season is not None:
         closing.go_on(store.database, connection, row.season, now)
-
-
-def _has_score(connection: sa.Connection, job: Any, panel: str) -> bool:
-    where = SCORE.submission == job.submission, SCORE.version == job.version, SCORE.panel == panel
-    return connection.execute(sa.select(SCORE.panel).where(*where)).first() is not None
 
 
 def _hidden_answer(
