@@ -14,12 +14,13 @@ from starlette.testclient import TestClient
 
 from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_board.app import create_app
+from assistax_board.clock import SteadyClock
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.crossplays import CrossPlays
 from assistax_board.pages.routes.organising import overview
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
-from assistax_board.rules import seasons
+from assistax_board.rules import jobs, seasons
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.schema import SEASON
@@ -245,6 +246,38 @@ def test_a_season_closes_by_itself_at_its_date(tmp_path: Path) -> None:
         with pytest.raises(Problem, match="closing date"):
             late()
     assert work_off(service) == 3 + 2 + 2
+    assert state_of(service, season) == "closed"
+
+
+@pytest.mark.parametrize("waits_for", ["its date", "the organiser"])
+def test_one_wrong_reading_of_the_clock_closes_and_reveals_nothing(
+    tmp_path: Path, waits_for: str
+) -> None:
+    """It is set far ahead and back; when it stays ahead, somebody has set it right."""
+    machine = SimpleNamespace(wall=1.7e9, steady=5.0)
+
+    def passes(seconds: float) -> None:
+        machine.wall, machine.steady = machine.wall + seconds, machine.steady + seconds
+
+    clock = SteadyClock(lambda: machine.wall, lambda: machine.steady)
+    service = dataclasses.replace(new_service(tmp_path), clock=clock)
+    season = open_season(service)
+    if waits_for == "the organiser":
+        service.submit(new_submitter(service), draft(season=season))
+        service.close_season("spring")
+        passes(5.0)
+        for _ in range(jobs.MAX_FAILURES):
+            work = take(service)
+            service.job_failed(work.job, work.lease)
+    before = state_of(service, season)
+    for jump in (seasons.OPEN_SECONDS, -seasons.OPEN_SECONDS, seasons.OPEN_SECONDS):
+        machine.wall += jump
+        for seconds in (0.0, 50.0):
+            passes(seconds)
+            assert service.lease("w", ()) is None
+            assert state_of(service, season) == before != "closed"
+    passes(20.0)
+    assert service.lease("w", ()) is None
     assert state_of(service, season) == "closed"
 
 

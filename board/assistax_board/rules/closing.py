@@ -57,8 +57,11 @@ def enter(
         ).all()
         _check(rows, chosen)
         connection.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
-        entered = sa.update(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
-        connection.execute(entered.values(entered_at=now))
+        connection.execute(
+            sa.update(schema.submissions)
+            .where(*mine, SUBMISSION.id.in_(chosen))
+            .values(entered_at=now)
+        )
         body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
         ledger.append(database, connection, now, "entry", body)
 

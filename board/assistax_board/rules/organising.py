@@ -121,10 +121,11 @@ def _retry_submission(
             "that it got back; nothing was queued. Give it one more attempt than the season has, "
             "which the ledger will say, or leave the submission as it is",
         )
-    values = {"state": "queued", "reason": None, "finished_at": None, "told_at": None}
-    values["attempt"] = "free" if season is None else "reserved"
+    attempt = "free" if season is None else "reserved"
     again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
-    connection.execute(again.values(values))
+    connection.execute(
+        again.values(state="queued", reason=None, finished_at=None, told_at=None, attempt=attempt)
+    )
     version = version_id(service.catalogue.identity(row.task))
     if not jobs.queue_again(connection, row.id, version):
         submissions.plan_jobs(connection, service.catalogue, row._mapping, season, service.clock())

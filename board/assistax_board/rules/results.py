@@ -61,8 +61,9 @@ def accept(
         result |= {key: getattr(row, key) for key in ("submission", "version", "panel", "chunk")}
         if not insert_once(connection, schema.results, result):
             return False
-        done = sa.update(schema.jobs).where(JOB.id == job).values(state="done", done_at=now)
-        connection.execute(done)
+        connection.execute(
+            sa.update(schema.jobs).where(JOB.id == job).values(state="done", done_at=now)
+        )
         if _left(connection, row, row.panel) == 0:
             _finish_panel(store, connection, row, now)
     return True

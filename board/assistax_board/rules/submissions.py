@@ -300,9 +300,10 @@ def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
 
 def attempts_left(connection: sa.Connection, season: Any, submitter: str) -> int:
     """Count attempts anew each time: a counter could be lost between two transactions."""
-    taken = SUBMISSION.attempt.in_(("reserved", "spent"))
     query = sa.select(sa.func.count()).where(
-        SUBMISSION.season == season.id, SUBMISSION.submitter == submitter, taken
+        SUBMISSION.season == season.id,
+        SUBMISSION.submitter == submitter,
+        SUBMISSION.attempt.in_(("reserved", "spent")),
     )
     return max(0, season.budget - connection.execute(query).scalar_one())
 
