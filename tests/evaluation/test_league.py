@@ -195,3 +195,14 @@ def test_every_row_of_a_figure_has_a_look_of_its_own() -> None:
     lines = validation_curves({"scratch": dict.fromkeys(names, curve)}).axes[0].lines
     looks = [(line.get_marker(), line.get_linestyle()) for line in lines]
     assert len(set(looks)) == len(names) == 24
+
+
+def test_the_legend_of_learning_curves_lies_on_none_of_them() -> None:
+    curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
+    rows = {"scratch": {"ppo": curve}, "lift": {"ppo": curve, "gru": curve}, "bath": {"gru": curve}}
+    chart = validation_curves(rows)
+    chart.draw_without_rendering()
+    (legend,) = chart.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ppo", "gru"]
+    assert not any(legend.get_window_extent().overlaps(a.get_window_extent()) for a in chart.axes)
+    assert chart.bbox.x1 >= legend.get_window_extent().x1

@@ -22,10 +22,11 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
             writes them.
     """
     caption = "IQM over seeds; band: pointwise 95% bootstrap."
-    figure, panels = panels_of("Validation", caption, curves, 3.4, left=0.75)
+    figure, panels = panels_of("Validation", caption, curves, 3.4, left=0.75, right=1.5)
     names = ordered({name for rows in curves.values() for name in rows})
     colours = style.algorithm_colours(names)
     looks = [mark + dash for dash in style.DASHES for mark in style.MARKERS]
+    drawn = {}
     for rect, (task, rows) in zip(panels, curves.items(), strict=True):
         axes = figure.add_axes(rect)
         for name in ordered(rows):
@@ -34,14 +35,17 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
             steps, band, colour = wide["steps"].to_numpy() / 1e6, curve_band(values), colours[name]
             centre = band[0] if band else values.mean(axis=0)
             look = looks[names.index(name) % len(looks)]
-            axes.plot(steps, centre, look, color=colour, label=name, markersize=4)
+            (drawn[name],) = axes.plot(steps, centre, look, color=colour, markersize=4)
             if band:
                 axes.fill_between(steps, band[1], band[2], color=colour, alpha=0.15, linewidth=0)
-        axes.set_xlabel(f"{task}: million environment steps of a robot", fontsize=9)
+        axes.set_xlabel(f"{task}: million environment steps of a robot", fontsize=8)
         axes.set_ylabel("return with validation partners", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(color=style.GRID, linewidth=0.6)
-        axes.legend(fontsize=7, frameon=False)
+    # One for all, beside them: in a panel it would lie on its curves.
+    (width, _), (_, bottom, _, tall) = figure.get_size_inches(), panels[0]
+    place = {"bbox_to_anchor": (1 - 1.4 / width, bottom + tall), "loc": "upper left"}
+    figure.legend([drawn[name] for name in names], names, fontsize=8, frameon=False, **place)
     return figure
 
 

@@ -86,5 +86,5 @@ def _by_row(curves: pl.DataFrame) -> dict[str, pl.DataFrame]:
 
 def _figure(figure: Figure, path: Path) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=130)  # enough for a page, and a repository keeps each of them
     return [path]
