@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from assistax_base.bounded_reading import parse_json
-from assistax_envs.preferences import Told
 from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
@@ -190,16 +189,11 @@ def _from_files(
         robots = [entry for entry in registry.policies if entry.role == "robot"]
         same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
-        met = met_in_training(registry, same[0]) if same else claimed_met(registry, metadata)
-        version = registry.env_version(same[0]) if same else claimed_version(metadata)
-        member = _of_file(name, Path(name), met, version)
-        yield dataclasses.replace(member, told=_told(metadata)), spec, params
-
-
-def _told(metadata: Mapping[str, Any]) -> Told:
-    """Return what a file says that its robot observes and no robot may."""
-    told = metadata.get("told")
-    return "partner" if told == "partner" else told is True
+        member = _of_file(name, Path(name), registry, {} if same else metadata)
+        if same:
+            known = met_in_training(registry, same[0]), registry.env_version(same[0])
+            member = dataclasses.replace(member, met=known[0], env_version=known[1])
+        yield member, spec, params
 
 
 def _with_folders_as_spelled(pattern: str) -> str:
@@ -229,10 +223,9 @@ def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Se
         data = onnx_ego.read_bytes(Path(reference.source))
         spec, params = admission.read_program(data)
         claims = _onnx_claims(onnx_ego.read_metadata(data))
-        met = claimed_met(registry, claims)
+        member = _of_file(reference.text, Path(reference.source), registry, claims)
     except (ImportError, ValueError):  # the process says in its own words what is wrong
         return None
-    member = _of_file(reference.text, Path(reference.source), met, claimed_version(claims))
     digest = identity_digest([admission.PROGRAM, member.digest])
     return dataclasses.replace(member, digest=digest), spec, params
 
@@ -245,9 +238,7 @@ def _from_outside(
         if reference.kind == "onnx":
             path = Path(reference.source)
             robot = PolicyProcess(*onnx_ego.factory(path))
-            claims = _onnx_claims(robot.metadata)
-            met, version = claimed_met(registry, claims), claimed_version(claims)
-            member = _of_file(reference.text, path, met, version)
+            member = _of_file(reference.text, path, registry, _onnx_claims(robot.metadata))
         else:
             robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
             declared = robot.trained_with
@@ -291,8 +282,17 @@ def _onnx_claims(metadata: str | None) -> Mapping[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _of_file(text: str, path: Path, met: Met, version: int | None) -> Member:
-    return Member(text, file_sha256(path), files=(path,), met=met, env_version=version)
+def _of_file(text: str, path: Path, registry: Registry, claims: Mapping[str, Any]) -> Member:
+    """Describe a file's robot by what the file claims: whom it met, and what it is told."""
+    told: Any = claims.get("told")
+    return Member(
+        text,
+        file_sha256(path),
+        files=(path,),
+        met=claimed_met(registry, claims),
+        env_version=claimed_version(claims),
+        told="partner" if told == "partner" else told is True,
+    )
 
 
 def _span(partners: Sequence[str]) -> str:

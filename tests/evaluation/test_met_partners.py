@@ -173,6 +173,15 @@ def claimed(folder: Path, metadata: dict[str, Any]) -> Path:
     return path
 
 
+@pytest.mark.parametrize("told", [False, True, "partner"])
+def test_a_file_says_what_its_robot_is_told(
+    registry: Registry, tmp_path: Path, told: bool | str
+) -> None:
+    mine, graph = claimed(tmp_path, {"task": TASK, "told": told}), tmp_path / "mine.onnx"
+    export_policy(str(mine), "onnx", graph, lambda: registry)
+    assert [read_egos([path], registry, TASK).told for path in (mine, graph)] == [told] * 2
+
+
 def test_files_of_before_name_their_policy_or_their_split(
     registry: Registry, tmp_path: Path
 ) -> None:
