@@ -35,7 +35,8 @@ def advance(physics, task: str, steps: int = 12) -> tuple[PhysicsState, jax.Arra
     )
     # The range of joints is an input of the engine, which no state keeps.
     limits = env._joint_range(state.params)
-    step = jax.jit(physics.step)
+    # A new function each time: JAX may keep what it traced of a method, whose model changes here.
+    step = jax.jit(lambda *arguments: physics.step(*arguments))
     physics_state, values = step(state.physics, control, limits)
     for _ in range(steps - 1):
         physics_state, values = step(physics_state, control, limits)
