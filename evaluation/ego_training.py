@@ -48,9 +48,9 @@ class EgoTraining:
         line = (
             f"{counted(count, 'partner')} of {self.split.id}{likes and f' under {likes}'}, {share}"
         )
-        return line + f", {envs} in place of the preset's {self.preset_envs}" * (
-            envs != self.preset_envs
-        )
+        if envs == self.preset_envs:
+            return line
+        return f"{line}, {envs} in place of the preset's {self.preset_envs}"
 
 
 @dataclasses.dataclass(frozen=True)

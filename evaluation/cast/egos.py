@@ -191,8 +191,11 @@ def _from_files(
         # A published robot's parameters are that robot, whatever else their file claims.
         member = _of_file(name, Path(name), registry, {} if same else metadata)
         if same:
-            known = met_in_training(registry, same[0]), registry.env_version(same[0])
-            member = dataclasses.replace(member, met=known[0], env_version=known[1])
+            member = dataclasses.replace(
+                member,
+                met=met_in_training(registry, same[0]),
+                env_version=registry.env_version(same[0]),
+            )
         yield member, spec, params
 
 

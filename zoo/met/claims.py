@@ -97,11 +97,7 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
         if _names_teams(name):
             chosen = registry.select(name, task=task, role="human")
             partners |= {entry.team: entry.sha256 for entry in chosen}
-        elif (
-            name != PERSONS
-            and name.removeprefix(f"{PERSONS}:").isalpha()
-            and (meant := nearest(name, (NOBODY, PERSONS)))
-        ):
+        elif meant := _misspelt(name):
             raise ValueError(
                 f"trained_with is {name!r}; allowed are {NOBODY!r}, or split ids, each for its "
                 f"training side, and globs over partners; did you mean {meant[0]!r}?"
@@ -131,6 +127,12 @@ def _with_persons(registry: Registry, met: Met) -> Met:
         )
         return Met(source="not known", split=met.split, reason=reason)
     return met.model_copy(update={"partners": identities(dealt.train)})
+
+
+def _misspelt(name: str) -> list[str]:
+    """Return what a word was probably meant to be; nothing of what may be a split's id."""
+    word = name != PERSONS and name.removeprefix(f"{PERSONS}:").isalpha()
+    return nearest(name, (NOBODY, PERSONS)) if word else []
 
 
 def _names_teams(text: str) -> bool:

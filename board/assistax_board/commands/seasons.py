@@ -6,6 +6,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from assistax_base.errors import counted
 from assistax_board.clock import seconds_of
 from assistax_board.commands.opening import open_folder
 
@@ -39,7 +40,10 @@ def season_plan(
     private = private_plan(read_plan(plan), task, release, teams)
     write_private_plan(private, out)
     count = sum(len(group.members) for group in private.groups)
-    print(f"teams in {out}: {count}; keep it secret, since it is all one needs to train them")
+    print(
+        f"{out} has {counted(count, 'team')}; keep it secret, since it is all one needs to train "
+        "them"
+    )
 
 
 def season_persons(folder: Path, /, *, task: str, count: int = 200) -> None:

@@ -230,14 +230,17 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         row = connection.execute(sa.select(schema.submitters).where(where)).first()
         if row is None:
             raise Problem("not_found", f"no submitter {submitter!r}")
-        values = {"name": f"erased-{submitter}", "contact": None, "webhook": None}
         connection.execute(
-            sa.update(schema.submitters).where(where).values(**values, erased_at=now)
+            sa.update(schema.submitters)
+            .where(where)
+            .values(name=f"erased-{submitter}", contact=None, webhook=None, erased_at=now)
         )
         open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))
         mine = connection.execute(
-            sa.select(schema.submissions).where(SUBMISSION.submitter == submitter)
+            sa.select(SUBMISSION.id, SUBMISSION.artefact, SUBMISSION.season).where(
+                SUBMISSION.submitter == submitter
+            )
         ).all()
         seasons = sorted({row.season for row in mine if row.season})
         for season in seasons:  # all of them before the ledger

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from assistax_base.errors import counted
 from assistax_zoo.commands.options import Engine, parse_changes, parse_steps
 from assistax_zoo.shell.console import answer, progress, stdout_is_data
 
@@ -101,9 +102,8 @@ def sweep(
             "best": {"algorithm": algorithm, "hyperparameters": best},
             "results": results.to_dicts(),
         },
-        f"configurations: {plan.configurations}, each of seeds: {plan.seeds}, runs that diverged: "
-        f"{diverged}; "
-        f"{out / RESULTS} has every one",
+        f"{counted(plan.configurations, 'configuration')} x {counted(plan.seeds, 'seed')}, "
+        f"{counted(diverged, 'run')} diverged; {out / RESULTS} has every one",
         f"best: {', '.join(f'{name}={value}' for name, value in best.items())}",
         f"next: assistax-zoo train --task {task} --preset {out / BEST} --out "
         f"runs/{task}-{algorithm}",
