@@ -54,6 +54,7 @@ def row(
     out: Path,
     split: str | None = None,
     seeds: str | None = None,
+    part: str | None = None,
     steps: str = "50M",
     episodes: int | None = None,
     seed: int = 0,
@@ -81,6 +82,8 @@ def row(
         out: Folder of the league.
         split: Split of three sides, or persons; default the release's own.
         seeds: How many, or which; default 32, and 64 in gentle_lift.
+        part: 2/4 trains the second quarter of the seeds, and chooses by the validation side. all/4
+            puts the four together, wherever each was made, and plays the test side.
         steps: Environment steps of each robot, such as 50M.
         episodes: Of each pair; default the task's.
         seed: Seed of the episodes.
@@ -104,6 +107,7 @@ def row(
     from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
     from evaluation.play.how import How
     from tools.league.making import Making, Sizes, make_row
+    from tools.league.parts import Part
     from tools.league.rows import named
     from zoo.registry import load_registry
 
@@ -124,7 +128,9 @@ def row(
     chosen, folder = loaded.split(task, split), out / task
     if split is None and not chosen.validation:
         chosen = loaded.split(task, "three-sides")
-    record = make_row(Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side))
+    parts = Part.parse(part) if part else None
+    making = Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side, parts)
+    record = make_row(making)
     print(json.dumps(record, indent=1))
 
 

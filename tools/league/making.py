@@ -1,4 +1,7 @@
-"""A row of the league from nothing: training, choice by validation, the test side, its record."""
+"""A row of the league from nothing: training, choice by validation, the test side, its record.
+
+Its seeds may be trained in parts, each on a card or a machine of its own, and put together after.
+"""
 
 import contextlib
 import dataclasses
@@ -7,8 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import polars as pl
+
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
+from assistax_base.errors import listing
 from assistax_base.files import write_json
 from assistax_envs.preferences import WISHES
 from assistax_workshop.gates.persons import recipe_with_persons
@@ -19,10 +25,12 @@ from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
 from evaluation.play.how import How
+from evaluation.record import tables
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
-from evaluation.validation import check_validation, choose
+from evaluation.validation import CHOICES, CURVE, check_validation, choose
 from population.runs.trained import TrainedRun
+from tools.league.parts import TRAINED, Part
 from tools.league.rows import Row, rows
 from zoo.ids import PERSONS
 from zoo.locations import cache_root
@@ -62,6 +70,7 @@ class Making:
     command: str
     contrasts: Path | None = None
     side: Side = "test"  # whose partners have best responses
+    part: Part | None = None  # of the seeds; None where all are trained at once
 
     @property
     def place(self) -> Path:
@@ -73,11 +82,40 @@ class Making:
         """The folder of the row's trainings, and of its record."""
         return self.place / RUNS / self.row.name
 
+    @property
+    def training(self) -> Path:
+        """The folder of the training that the row needs, which may be another row's."""
+        folder = self.folder / RUNS / self.row.of
+        return folder / (self.part.name if self.part else TRAINED)
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """Robots of a row, and what their training took."""
+
+    files: list[str]
+    seeds: list[int] = dataclasses.field(default_factory=list)
+    steps: int = 0  # of each robot
+    total_steps: int = 0
+    device: str | None = None
+
+    @classmethod
+    def of(cls, files: list[str], runs: Sequence[TrainedRun]) -> "Made":
+        """Return robots with what their trainings say."""
+        return cls(
+            files,
+            [member.seed for run in runs[:1] for member in run.config.members],
+            runs[0].training["steps"],
+            sum(run.training["steps"] * len(run.config.members) for run in runs),
+            runs[0].training["device"],
+        )
+
 
 def make_row(making: Making) -> dict[str, Any]:
     """Train, choose and play a row, and return its record, which lies beside its trainings.
 
-    What was interrupted goes on, and what is finished is not repeated.
+    What was interrupted goes on, and what is finished is not repeated. A part of a row is trained
+    and chosen alone; its record lies in its folder.
 
     Raises:
         ValueError: The split has no validation side, or what is there is of another row.
@@ -90,51 +128,60 @@ def make_row(making: Making) -> dict[str, Any]:
         )
     digest = read_contrasts(making.contrasts)[1] if making.contrasts else None
     seconds: dict[str, float] = {}
-    files, trainings = _robots(making, seconds)
-    _evaluate(making, files, making.place / making.row.name, seconds)
-    if making.side == "train":
-        _play_beside(making, seconds)
-    path = making.runs / RECORD
+    apart = making.part is not None and making.part.number is not None
+    made = _joined(making, seconds) if making.part and not apart else _robots(making, seconds)
+    played: dict[str, Any] = {}
+    if not apart:
+        _evaluate(making, made.files, making.place / making.row.name, seconds)
+        if making.side == "train":
+            _play_beside(making, seconds)
+        summary: Any = read_summary(making.place / making.row.name)
+        mean = getattr(summary, f"m_{making.side}")
+        # Of best responses with all partners, not with each one's own.
+        played[f"m_{making.side}"] = {"mean": mean.mean, "mean_ci": mean.mean_ci}
+    path = (making.training if apart else making.runs) / RECORD
     before = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
     # What was found finished took no time now: it took what it took before.
     old = before.get("device_minutes", {})
     minutes = {name: max(round(s / 60, 2), old.get(name, 0.0)) for name, s in seconds.items()}
-    summary: Any = read_summary(making.place / making.row.name)
-    played = getattr(summary, f"m_{making.side}")
     record = {
         "row": making.row.name,
         "task": making.how.task,
         "command": making.command,
         "split": making.split.id,
-        "seeds": [member.seed for run in trainings[:1] for member in run.config.members],
-        "robots": len(files),
-        "steps": trainings[0].training["steps"] if trainings else 0,
-        "total_steps": sum(t.training["steps"] * len(t.config.members) for t in trainings),
-        "device": trainings[0].training["device"] if trainings else None,
+        "seeds": made.seeds,
+        "robots": len(made.files),
+        "steps": made.steps,
+        "total_steps": made.total_steps,
+        "device": made.device,
         "device_minutes": minutes,
         "device_minutes_in_all": round(sum(minutes.values()), 2),
-        "robot_files": {Path(file).name: file for file in files},
+        "robot_files": {Path(file).name: file for file in made.files},
         "contrasts": digest,
-        # Of best responses with all partners, not with each one's own.
-        f"m_{making.side}": {"mean": played.mean, "mean_ci": played.mean_ci},
+        **played,
         "machine": describe_machine(),
     }
-    making.runs.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, record)
     return record
 
 
-def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[TrainedRun]]:
-    """Return the robots of a row as references, and the trainings that they are of."""
+def _robots(making: Making, seconds: dict[str, float]) -> Made:
+    """Train the robots of a row, or choose them where they are trained."""
     row, split = making.row, making.split
+    if making.part and row.source != "train":
+        raise ValueError(
+            f"part is {making.part.number}/{making.part.count} for row {row.name!r}; allowed are "
+            "parts of rows that learn with the training side: leave part out"
+        )
     if row.source == "published":
-        return [_best_published(making, seconds)], []
+        return Made([_best_published(making, seconds)])
     if row.source == "each":
         humans, place = sampled(making), making.runs
         if split.rule == PERSONS:  # one program for all: the first robot has the first person
             split = split.model_copy(update={"train": tuple(human.team for human in humans)})
-            run, files = _trained(making, split, place / "training", seconds)
-            return files, [run]
+            run, files = _trained(making, split, place / TRAINED, seconds)
+            return Made.of(files, [run])
         files, runs = [], []
         for human in humans:
             own = split.model_copy(update={"train": (human.team,)})
@@ -142,10 +189,64 @@ def _robots(making: Making, seconds: dict[str, float]) -> tuple[list[str], list[
             run, made = _trained(making, own, place / name, seconds)
             files += made
             runs.append(run)
-        return files, runs
+        return Made.of(files, runs)
     own = split.model_copy(update={"train": split.test}) if row.source == "test" else split
-    run, files = _trained(making, own, making.folder / RUNS / row.of / "training", seconds)
-    return files, [run]
+    run, files = _trained(making, own, making.training, seconds)
+    return Made.of(files, [run])
+
+
+def _joined(making: Making, seconds: dict[str, float]) -> Made:
+    """Put the parts of a row together as if its seeds had been trained at once.
+
+    Raises:
+        ValueError: The row has no parts, or these are not of its seeds.
+        FileNotFoundError: A part is not finished; says which.
+    """
+    row, part = making.row, making.part
+    assert part is not None
+    if "validation" not in row.stages or row.source == "published":
+        raise ValueError(f"row {row.name!r} is not trained in parts; leave part out")
+    folder = making.folder / RUNS / row.of
+    places = [folder / one.name for one in part.each]
+    if late := [place.name for place in places if not (place / RECORD).is_file()]:
+        raise FileNotFoundError(f"{folder} lacks {', '.join(late)}; make them with --part first")
+    records = [parse_json((place / RECORD).read_text(encoding="utf-8")) for place in places]
+    chosen = [parse_json((place / CHOICES).read_text(encoding="utf-8")) for place in places]
+    seeds = [seed for record in records for seed in record["seeds"]]
+    alike = {
+        (r["split"], r["steps"], c["partners"], c["best_of"])
+        for r, c in zip(records, chosen, strict=True)
+    }
+    if (
+        tuple(seeds) != making.sizes.seeds
+        or len(alike) > 1
+        or records[0]["split"] != making.split.id
+    ):
+        raise ValueError(
+            f"the parts in {folder} have seeds {listing(map(str, seeds))} and (split, steps, "
+            f"validators, best of) {sorted(alike)}; wanted are seeds "
+            f"{listing(map(str, making.sizes.seeds))} of {making.split.id}, all made alike"
+        )
+    for which in ("by_seed", "best"):
+        for place, choices in zip(places, chosen, strict=True):
+            for choice in choices[which]:
+                choice["file"] = f"../{place.name}/{choice['file']}"
+        chosen[0][which] = [choice for choices in chosen for choice in choices[which]]
+    curves = [tables.read_parquet(place / CURVE) for place in places]
+    making.training.mkdir(parents=True, exist_ok=True)
+    tables.write_parquet(pl.concat(curves), making.training / CURVE)
+    write_json(making.training / CHOICES, chosen[0])
+    for record in records:
+        for name, minutes in record["device_minutes"].items():
+            seconds[name] = seconds.get(name, 0.0) + 60 * minutes
+    picked = chosen[0]["best" if row.source == "best-of" else "by_seed"]
+    return Made(
+        [str((making.training / choice["file"]).resolve()) for choice in picked],
+        seeds,
+        records[0]["steps"],
+        sum(record["total_steps"] for record in records),
+        records[0]["device"],
+    )
 
 
 def sampled(making: Making) -> list[PolicyEntry]:
@@ -166,6 +267,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     """Return what is to be trained with a split's training side."""
     row, sizes = making.row, making.sizes
     alone = row.source == "each" and split.rule == PERSONS
+    seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
     if split.task in WISHES and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
@@ -176,7 +278,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
         split.task,
         split=split,
         algorithm=row.algorithm,
-        seeds=len(split.train) if alone else sizes.seeds,
+        seeds=len(split.train) if alone else seeds,
         steps=sizes.steps,
         hyperparameters={**recipe, **sizes.changes},
         told=row.told,
@@ -247,7 +349,7 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
 
 def _play_beside(making: Making, seconds: dict[str, float]) -> None:
     """Play the best robots of the league's methods with the partners that have best responses."""
-    for path in sorted((making.folder / RUNS).glob("*/training/choices.json")):
+    for path in sorted((making.folder / RUNS).glob(f"*/{TRAINED}/{CHOICES}")):
         row = rows().get(path.parent.parent.name)
         if row and row.source == "train" and not row.told:
             best = parse_json(path.read_text(encoding="utf-8"))["best"]

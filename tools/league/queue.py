@@ -1,6 +1,7 @@
 """Many rows of a league on the GPUs of one host, several side by side on each card."""
 
 import dataclasses
+import itertools
 import os
 import shlex
 import subprocess
@@ -10,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
+from tools.league.parts import Part
 from tools.league.rows import named
 
 ROW = (sys.executable, "-m", "tools.league", "row")
@@ -41,9 +43,21 @@ class Queued:
         return "--side train" in " ".join(self.words)
 
     @property
+    def part(self) -> Part | None:
+        """Which part of its seeds it trains."""
+        asked = dict(itertools.pairwise(self.words)).get("--part")
+        return Part.parse(asked) if asked else None
+
+    @property
+    def joins(self) -> bool:
+        """Whether it puts parts together."""
+        return self.part is not None and self.part.number is None
+
+    @property
     def name(self) -> str:
         """What its log is called."""
-        return f"{self.task}-{self.row}" + "-training-side" * self.of_training_side
+        side = "-training-side" * self.of_training_side
+        return f"{self.task}-{self.row}{side}" + (f"-{self.part.name}" if self.part else "")
 
     def needs(self, other: "Queued") -> bool:
         """Whether another row has to be finished before."""
@@ -51,7 +65,8 @@ class Queued:
             return False
         if self.of_training_side:
             return not other.of_training_side
-        return other.row == named(self.row).of != self.row
+        needed = other.row == named(self.row).of
+        return needed and (other.row != self.row or (self.joins and not other.joins))
 
 
 @dataclasses.dataclass

@@ -18,6 +18,7 @@ from evaluation.record.record import Record
 from evaluation.validation import CURVE
 from tools.league.figures import failures
 from tools.league.making import RECORD, RUNS, TRAINING_SIDE
+from tools.league.parts import TRAINED
 from tools.league.rows import rows
 
 # By what they hold; each task has a file of each, but of the last two all tasks have one.
@@ -183,7 +184,7 @@ def _curves(task: Path) -> pl.DataFrame | None:
     found = [
         tables.read_parquet(path).select(pl.lit(row).alias("row"), pl.all())
         for row in ordered(place.name for place in (task / RUNS).glob("*"))
-        if (path := task / RUNS / row / "training" / CURVE).is_file()
+        if (path := task / RUNS / row / TRAINED / CURVE).is_file()
     ]
     return pl.concat(found) if found else None
 
