@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
 from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
@@ -58,6 +59,19 @@ def test_a_stage_is_told_with_its_place() -> None:
         (["row", "dreamer", "scratch"], "row is 'dreamer'; allowed are best-fixed, ppo"),
         (["row", "ppo", "swim"], "task is 'swim'"),
         (["row", "ppo", "scratch", "--split", "half-s0-v0"], "has no validation side"),
+        (["row", "ppo", "scratch", "--part", "5/4"], "part is '5/4'; give its number and of how"),
+        (
+            ["row", "gru", "gentle_lift", "--split", "persons", "--part", "all/2"],
+            "lacks part-1-of-2, part-2-of-2; make",
+        ),
+        (
+            ["row", "mirror", "gentle_lift", "--split", "persons", "--part", "1/2"],
+            "part is 1/2 for row 'mirror'; allowed",
+        ),
+        (
+            ["row", "mirror", "gentle_lift", "--split", "persons", "--part", "all/2"],
+            "'mirror' is not trained in parts",
+        ),
         (
             ["row", "ppo", "gentle_scratch", "--split", "three-sides", "--side", "train"],
             "only best responses are of another side",
@@ -105,10 +119,10 @@ seeds = 4
 """
     )
 
-    def make(name: str, *more: str) -> dict:
+    def make(name: str, *more: str, seeds: str = "4") -> dict:
         words = ["row", name, "scratch", "--out", str(league), "--registry", str(registry), *more]
         capfd.readouterr()
-        code = run([*words, "--seeds", "4", "--contrasts", str(contrasts), *TINY])
+        code = run([*words, "--seeds", seeds, "--contrasts", str(contrasts), *TINY])
         printed = capfd.readouterr()
         assert code == 0, printed.err
         return json.loads(printed.out)
@@ -133,6 +147,25 @@ seeds = 4
     assert _partners(league / "scratch/runs/ppo/training/validation") == list(split.validation)
     [fixed] = made["best-fixed"]["robot_files"].values()
     assert fixed.rpartition("/")[0] in split.train
+    together, league = league, tmp_path / "parts"  # of two seeds each: the same robots
+    apart = [make("ppo", "--part", part) for part in ("1/2", "2/2")]
+    assert [part["seeds"] for part in apart] == [[0, 1], [2, 3]] and "m_test" not in apart[0]
+    joined = {name: make(name, "--part", "all/2") for name in ("ppo", "ppo-best-of-4")}
+    for name, record in joined.items():
+        alike = ("seeds", "robots", "steps", "total_steps", "split", "contrasts")
+        assert [record[key] for key in alike] == [made[name][key] for key in alike]
+        assert record["robot_files"].keys() == made[name]["robot_files"].keys()
+        assert record["m_test"]["mean"] == pytest.approx(made[name]["m_test"]["mean"], rel=0.01)
+    curves = [
+        pl.read_parquet(place / "scratch/runs/ppo/training/validation.parquet")
+        for place in (league, together)
+    ]
+    assert_frame_equal(*curves, rel_tol=0.01)
+    spent = sum(part["device_minutes"]["training"] for part in apart)
+    assert joined["ppo"]["device_minutes"]["training"] == pytest.approx(spent, abs=0.02)
+    with pytest.raises(AssertionError, match=r"have seeds 0, 1, 2, 3 .*; wanted are seeds 4, 5"):
+        make("ppo", "--part", "all/2", seeds="4-5")
+    league = together
     again = make("ppo")  # found finished: the same, and the minutes that it took
     assert again["m_test"] == ppo["m_test"]
     assert again["device_minutes"]["evaluation"] >= ppo["device_minutes"]["evaluation"]
@@ -341,6 +374,21 @@ if row == "liam" or row == "gru" and not place.with_suffix(".once").exists():
     sys.exit("a full card")
 place.write_text(json.dumps({"before": before, **own}))
 """
+
+
+def test_a_queue_puts_parts_together_when_all_are_made(tmp_path: Path) -> None:
+    file, out = tmp_path / "queue.txt", tmp_path / "league"
+    rows_of = ("ppo-best-of-4", "ppo")
+    lines = [f"2 {row} scratch --part all/2" for row in rows_of]
+    lines += [f"2 ppo scratch --seeds 4 --part {part}/2" for part in (1, 2)]
+    file.write_text("\n".join(lines))
+    waiting = read_queue(file)
+    names = [f"scratch-ppo-part-{part}-of-2" for part in (1, 2)]
+    assert [queued.name for queued in waiting[2:]] == names
+    program = (sys.executable, "-c", "print(1)")
+    events = list(run_queue(waiting, out, {"0": 80.0}, program, 0.02))
+    ends = [line.split()[0] for line in events if " ended with 0 " in line]
+    assert set(ends[:2]) == set(names) and len(ends) == 4
 
 
 def test_a_queue_shares_cards_and_waits_for_what_a_row_needs(tmp_path: Path) -> None:

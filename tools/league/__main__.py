@@ -111,6 +111,7 @@ def row(
     from tools.league.rows import named
     from zoo.registry import load_registry
 
+    parts = Part.parse(part) if part else None
     made, how = named(name), How(task, episodes, seed, backend, max_envs=max_envs)
     loaded = load_registry(registry)
     sizes = Sizes(
@@ -128,7 +129,6 @@ def row(
     chosen, folder = loaded.split(task, split), out / task
     if split is None and not chosen.validation:
         chosen = loaded.split(task, "three-sides")
-    parts = Part.parse(part) if part else None
     making = Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side, parts)
     record = make_row(making)
     print(json.dumps(record, indent=1))
