@@ -163,7 +163,7 @@ seeds = 4
     assert_frame_equal(*curves, rel_tol=0.01)
     spent = sum(part["device_minutes"]["training"] for part in apart)
     assert joined["ppo"]["device_minutes"]["training"] == pytest.approx(spent, abs=0.02)
-    with pytest.raises(AssertionError, match=r"have seeds 0, 1, 2, 3 .*; wanted are seeds 4, 5"):
+    with pytest.raises(AssertionError, match=r"of seeds 0, 1, 2, 3, .*; wanted are seeds 4, 5 "):
         make("ppo", "--part", "all/2", seeds="4-5")
     league = together
     again = make("ppo")  # found finished: the same, and the minutes that it took

@@ -10,11 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import polars as pl
-
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
-from assistax_base.errors import listing
 from assistax_base.files import write_json
 from assistax_envs.preferences import WISHES
 from assistax_workshop.gates.persons import recipe_with_persons
@@ -25,12 +22,11 @@ from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
 from evaluation.play.how import How
-from evaluation.record import tables
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
-from evaluation.validation import CHOICES, CURVE, check_validation, choose
+from evaluation.validation import CHOICES, check_validation, choose
 from population.runs.trained import TrainedRun
-from tools.league.parts import TRAINED, Part
+from tools.league.parts import RECORD, TRAINED, Part
 from tools.league.rows import Row, rows
 from zoo.ids import PERSONS
 from zoo.locations import cache_root
@@ -38,8 +34,7 @@ from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
 Side = Literal["test", "train"]
-# Of a task's folder: trainings, a row's record, and best responses to training partners.
-RUNS, RECORD, TRAINING_SIDE = "runs", "row.json", "training-side"
+RUNS, TRAINING_SIDE = "runs", "training-side"  # of a task's folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,10 +123,9 @@ def make_row(making: Making) -> dict[str, Any]:
         )
     digest = read_contrasts(making.contrasts)[1] if making.contrasts else None
     seconds: dict[str, float] = {}
-    apart = making.part is not None and making.part.number is not None
-    made = _joined(making, seconds) if making.part and not apart else _robots(making, seconds)
-    played: dict[str, Any] = {}
-    if not apart:
+    part, played = making.part, dict[str, Any]()
+    made = _joined(making, seconds) if part and part.joins else _robots(making, seconds)
+    if part is None or part.joins:
         _evaluate(making, made.files, making.place / making.row.name, seconds)
         if making.side == "train":
             _play_beside(making, seconds)
@@ -139,7 +133,7 @@ def make_row(making: Making) -> dict[str, Any]:
         mean = getattr(summary, f"m_{making.side}")
         # Of best responses with all partners, not with each one's own.
         played[f"m_{making.side}"] = {"mean": mean.mean, "mean_ci": mean.mean_ci}
-    path = (making.training if apart else making.runs) / RECORD
+    path = (making.runs if played else making.training) / RECORD
     before = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
     # What was found finished took no time now: it took what it took before.
     old = before.get("device_minutes", {})
@@ -196,57 +190,39 @@ def _robots(making: Making, seconds: dict[str, float]) -> Made:
 
 
 def _joined(making: Making, seconds: dict[str, float]) -> Made:
-    """Put the parts of a row together as if its seeds had been trained at once.
+    """Put the parts of a row together, as if its seeds had been trained at once.
 
     Raises:
         ValueError: The row has no parts, or these are not of its seeds.
         FileNotFoundError: A part is not finished; says which.
     """
-    row, part = making.row, making.part
+    row, sizes, part = making.row, making.sizes, making.part
     assert part is not None
-    if "validation" not in row.stages or row.source == "published":
+    if row.source not in ("train", "best-of"):
         raise ValueError(f"row {row.name!r} is not trained in parts; leave part out")
-    folder = making.folder / RUNS / row.of
-    places = [folder / one.name for one in part.each]
-    if late := [place.name for place in places if not (place / RECORD).is_file()]:
-        raise FileNotFoundError(f"{folder} lacks {', '.join(late)}; make them with --part first")
-    records = [parse_json((place / RECORD).read_text(encoding="utf-8")) for place in places]
-    chosen = [parse_json((place / CHOICES).read_text(encoding="utf-8")) for place in places]
-    seeds = [seed for record in records for seed in record["seeds"]]
-    alike = {
-        (r["split"], r["steps"], c["partners"], c["best_of"])
-        for r, c in zip(records, chosen, strict=True)
-    }
-    if (
-        tuple(seeds) != making.sizes.seeds
-        or len(alike) > 1
-        or records[0]["split"] != making.split.id
-    ):
-        raise ValueError(
-            f"the parts in {folder} have seeds {listing(map(str, seeds))} and (split, steps, "
-            f"validators, best of) {sorted(alike)}; wanted are seeds "
-            f"{listing(map(str, making.sizes.seeds))} of {making.split.id}, all made alike"
-        )
-    for which in ("by_seed", "best"):
-        for place, choices in zip(places, chosen, strict=True):
-            for choice in choices[which]:
-                choice["file"] = f"../{place.name}/{choice['file']}"
-        chosen[0][which] = [choice for choices in chosen for choice in choices[which]]
-    curves = [tables.read_parquet(place / CURVE) for place in places]
-    making.training.mkdir(parents=True, exist_ok=True)
-    tables.write_parquet(pl.concat(curves), making.training / CURVE)
-    write_json(making.training / CHOICES, chosen[0])
+    records = part.join(making.folder / RUNS / row.of, making.split.id, sizes.seeds, sizes.best_of)
     for record in records:
         for name, minutes in record["device_minutes"].items():
             seconds[name] = seconds.get(name, 0.0) + 60 * minutes
-    picked = chosen[0]["best" if row.source == "best-of" else "by_seed"]
-    return Made(
-        [str((making.training / choice["file"]).resolve()) for choice in picked],
-        seeds,
-        records[0]["steps"],
-        sum(record["total_steps"] for record in records),
-        records[0]["device"],
-    )
+    chosen = parse_json((making.training / CHOICES).read_text(encoding="utf-8"))
+    files = [str((making.training / choice["file"]).resolve()) for choice in _picked(row, chosen)]
+    total, first = sum(record["total_steps"] for record in records), records[0]
+    return Made(files, list(sizes.seeds), first["steps"], total, first["device"])
+
+
+def _picked(row: Row, chosen: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return which of the chosen robots a row plays.
+
+    Raises:
+        ValueError: There are too few seeds for a group.
+    """
+    picked = chosen["best" if row.source == "best-of" else "by_seed"]
+    if not picked:
+        raise ValueError(
+            f"seeds are {len(chosen['by_seed'])}, and the best of each {chosen['best_of']} is "
+            "wanted; give that many or more"
+        )
+    return list(picked)
 
 
 def sampled(making: Making) -> list[PolicyEntry]:
@@ -313,13 +289,8 @@ def _trained(
     with study_progress(row.stage("validation")) as line:
         chosen = choose(making.registry, learning, run, making.how, on_progress=line, **playing)
     seconds["validation"] = time.perf_counter() - start
-    picked = chosen.best if row.source == "best-of" else chosen.by_seed
-    if not picked:
-        raise ValueError(
-            f"seeds are {len(sizes.seeds)}, and the best of each {sizes.best_of} is wanted; give "
-            "that many or more"
-        )
-    return run, [str(run.folder / choice.file) for choice in picked]
+    picked = _picked(row, dataclasses.asdict(chosen))
+    return run, [str(run.folder / choice["file"]) for choice in picked]
 
 
 def _best_published(making: Making, seconds: dict[str, float]) -> str:

@@ -2,8 +2,18 @@
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
-TRAINED = "training"  # the folder of a row's training as a whole
+import polars as pl
+
+from assistax_base.bounded_reading import parse_json
+from assistax_base.errors import listing
+from assistax_base.files import write_json
+from evaluation.record import tables
+from evaluation.validation import CHOICES, CURVE
+
+TRAINED, RECORD = "training", "row.json"  # the folder of a row's training, and a record
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +33,7 @@ class Part:
         number, _, count = text.partition("/")
         if count.isdecimal() and (number == "all" or number.isdecimal()):
             part = cls(None if number == "all" else int(number), int(count))
-            if part.number is None or 1 <= part.number <= part.count:
+            if part.count and (part.number is None or 1 <= part.number <= part.count):
                 return part
         raise ValueError(
             f"part is {text!r}; give its number and of how many, such as 2/4, or all/4 to put "
@@ -31,9 +41,9 @@ class Part:
         )
 
     @property
-    def each(self) -> tuple["Part", ...]:
-        """All parts that it is one of, or that it puts together."""
-        return tuple(Part(number, self.count) for number in range(1, self.count + 1))
+    def joins(self) -> bool:
+        """Whether it is all parts put together."""
+        return self.number is None
 
     @property
     def name(self) -> str:
@@ -41,8 +51,55 @@ class Part:
         return TRAINED if self.number is None else f"part-{self.number}-of-{self.count}"
 
     def seeds(self, of: Sequence[int]) -> tuple[int, ...]:
-        """Return its seeds; equal counts for all parts, and the last has what is left."""
+        """Return its seeds: the same count for all parts, and for the last one what is left."""
         if self.number is None:
             return tuple(of)
         size = -(-len(of) // self.count)
         return tuple(of[(self.number - 1) * size : self.number * size])
+
+    def join(
+        self, folder: Path, split: str, seeds: Sequence[int], best_of: int
+    ) -> list[dict[str, Any]]:
+        """Write what was chosen of all parts beside them, and return their records.
+
+        Args:
+            folder: Has the parts.
+            split: With whose training side they are to have learned.
+            seeds: Which they are to have, in this order.
+            best_of: Seeds of a group, whose best is chosen too.
+
+        Raises:
+            ValueError: They have other seeds, or learned or were chosen otherwise.
+            FileNotFoundError: A part is not finished; says which.
+        """
+        places = [folder / Part(number, self.count).name for number in range(1, self.count + 1)]
+        if late := [place.name for place in places if not (place / RECORD).is_file()]:
+            raise FileNotFoundError(f"{folder} lacks {', '.join(late)}; make them with --part")
+        records, chosen = (
+            [parse_json((place / name).read_text(encoding="utf-8")) for place in places]
+            for name in (RECORD, CHOICES)
+        )
+        made = {
+            (record["row"], record["split"], record["steps"], each["partners"], each["episodes"])
+            for record, each in zip(records, chosen, strict=True)
+        }
+        found = [seed for record in records for seed in record["seeds"]]
+        if found != list(seeds) or len(made) > 1 or records[0]["split"] != split:
+            raise ValueError(
+                f"parts in {folder} are of seeds {listing(map(str, found))}, by row, split, steps, "
+                f"validators and episodes {sorted(made)}; wanted are seeds "
+                f"{listing(map(str, seeds))} of {split}, all made alike"
+            )
+        by_seed = [
+            {**choice, "file": f"../{place.name}/{choice['file']}"}
+            for place, each in zip(places, chosen, strict=True)
+            for choice in each["by_seed"]
+        ]
+        groups = [by_seed[i : i + best_of] for i in range(0, len(by_seed) - best_of + 1, best_of)]
+        best = [max(group, key=lambda choice: choice["mean"]) for group in groups]
+        whole = {**chosen[0], "by_seed": by_seed, "best_of": best_of, "best": best}
+        (folder / TRAINED).mkdir(exist_ok=True)
+        curves = [tables.read_parquet(place / CURVE) for place in places]
+        tables.write_parquet(pl.concat(curves), folder / TRAINED / CURVE)
+        write_json(folder / TRAINED / CHOICES, whole)
+        return records

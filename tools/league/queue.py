@@ -49,11 +49,6 @@ class Queued:
         return Part.parse(asked) if asked else None
 
     @property
-    def joins(self) -> bool:
-        """Whether it puts parts together."""
-        return self.part is not None and self.part.number is None
-
-    @property
     def name(self) -> str:
         """What its log is called."""
         side = "-training-side" * self.of_training_side
@@ -66,7 +61,9 @@ class Queued:
         if self.of_training_side:
             return not other.of_training_side
         needed = other.row == named(self.row).of
-        return needed and (other.row != self.row or (self.joins and not other.joins))
+        if self.part and self.part.joins and other.part and not other.part.joins:
+            return needed
+        return needed and other.row != self.row
 
 
 @dataclasses.dataclass

@@ -17,8 +17,8 @@ from evaluation.record import tables
 from evaluation.record.record import Record
 from evaluation.validation import CURVE
 from tools.league.figures import failures
-from tools.league.making import RECORD, RUNS, TRAINING_SIDE
-from tools.league.parts import TRAINED
+from tools.league.making import RUNS, TRAINING_SIDE
+from tools.league.parts import RECORD, TRAINED
 from tools.league.rows import rows
 
 # By what they hold; each task has a file of each, but of the last two all tasks have one.
