@@ -164,9 +164,13 @@ class PPO(Trainer):
             metrics |= losses
         statistics = member.statistics
         if self.config.normalise:
-            statistics = {
-                name: normaliser.update(statistics[name], batch.obs[name]) for name in self.inputs
-            }
+            # A network that learns no more goes on reading what it learned to read.
+            learns, seen = self.method.rate("actor", hyper) > 0.0, batch.obs
+            statistics = jax.tree.map(
+                lambda new, old: jnp.where(learns, new, old),
+                {name: normaliser.update(old, seen[name]) for name, old in statistics.items()},
+                statistics,
+            )
         return MemberState(learners, statistics, member.key), metrics
 
     def _learn_role(
@@ -224,8 +228,9 @@ class PPO(Trainer):
         """Return what the critic reads, acted on, at time limits and last, and latents if any."""
         everything = batch.obs, batch.tally.final_obs, batch.last_obs
         name, extra, stats = self.critic_obs[role], {}, self.normalisers(member)
-        own = (obs[name] for obs in everything)
-        parts: list[Any] = [tuple(normalise(stats[name], obs) if stats else obs for obs in own)]
+        parts: list[Any] = [
+            tuple(normalise(stats[name], obs[name]) if stats else obs[name] for obs in everything)
+        ]
         parts += [tuple(obs[name] for obs in everything) for name in self.method.critic_sees]
         if self.config.latent:
             params = self.actor(role, member, learner.networks)

@@ -99,6 +99,20 @@ def test_a_student_does_what_its_teacher_is_told():
     assert last(metrics, "student_latent_error_robot") < 0.2 < 1.0 < errors[0, 0]
 
 
+@pytest.mark.parametrize(("name", "seen"), [("ppo", 2), ("rma", 1)])
+def test_who_learns_no_more_reads_observations_as_before(name, seen):
+    """The policy stays as it is while the student acts, so what normalises observations does too.
+
+    Both are one update of two here. The variance of what was rarely seen but at the start of a
+    training would go on falling, and the policy would read ever larger numbers.
+    """
+    more = {"student_share": 0.5} if name == "rma" else {}
+    trainer, _, after, _ = learn(HiddenBit(), name, 2, **TINY, **more)
+    batch = trainer.config.num_envs * trainer.config.rollout_steps
+    counts = [float(s.count[0]) for s in after.members.statistics.values()]
+    assert set(counts) == {seen * batch}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("series", "earns"), [(3, True), (1, False)])
 def test_what_an_episode_shows_is_of_use_in_the_next_one(series, earns):

@@ -147,9 +147,11 @@ def results_page(
         for place, text in enumerate(sentences(tasks, contrasts, asked, alpha, trained), 1)
     )
     missing = [
-        f"`{task.task}`: {listing([f'`{name}`' for name in rows() if task.row(name) is None], 20)}"
+        f"`{task.task}`: {listing(names, 20)}"
         for task in tasks
+        if (names := [f"`{name}`" for name in rows() if task.row(name) is None])
     ]
+    unplayed = f"- Rows that were not played: {'; '.join(missing)}." if missing else ""
     # The best of each four seeds are another row's robots: its training is not counted twice.
     made = shown.records.filter(pl.col("row") != BEST_OF_FOUR)
     minutes = [taken for taken in made["device_minutes_in_all"] if taken is not None]
@@ -170,7 +172,7 @@ def results_page(
         f"As CSV, in `{tables}`: all rows, the return with each partner, learning curves, "
         f"contrasts, and what each row took ({cost}).",
         "## What the league cannot say",
-        f"{LIMITS}- Rows that were not played: {'; '.join(missing)}.",
+        f"{LIMITS}{unplayed}".rstrip(),
     ]
     return "\n\n".join(parts) + "\n"
 
