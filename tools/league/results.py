@@ -283,7 +283,7 @@ def _figure(row: ShownRow) -> str:
 
 def _ends(of: ShownRow | ShownContrast) -> str:
     """Return the ends of an interval after a space; nothing where few robots gave none."""
-    return "" if of.low is None else f" [{of.low:.0f}, {of.high:.0f}]"
+    return "" if of.low is None else f" [{of.low:z.0f}, {of.high:z.0f}]"
 
 
 def _contrast(contrast: ShownContrast) -> str:
@@ -355,7 +355,7 @@ def _contrast_lines(contrasts: Sequence[ShownContrast], named: Sequence[Contrast
         uncorrected = "1, too few seeds" if too_few else "not named"
         holms = uncorrected if c.p_holm is None else _chance(c.p_holm)
         names = f"`{c.method}` - `{c.baseline}`", f"`{c.task}`"
-        difference = f"{c.mean:.0f}{_ends(c)}"
+        difference = f"{c.mean:z.0f}{_ends(c)}"
         lines.append((*names, difference, _chance(c.p), holms, f"{c.detectable_holm:.0f}"))
     headings = "contrast, task, difference, p, p by Holm, detectable by Holm"
     return table(headings.split(", "), lines)
