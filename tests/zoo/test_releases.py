@@ -37,6 +37,7 @@ def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
     assert sorted(egos) == [
         "arm_assist/ppo-ego-s0-v1",
         "bed_bath/ppo-ego-s0-v1",
+        "gentle_bath/gru-ego-s100-v3",
         "gentle_bath/ppo-ego-s0-v2",
         "gentle_bath/ppo-ego-s3-v3",
         "gentle_brushing/gru-ego-s1-v4",
