@@ -18,13 +18,14 @@ from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put
 from tools.league.__main__ import run
 from tools.league.queue import read_queue, run_queue
-from tools.league.results import ShownContrast, sentences
+from tools.league.results import ShownContrast, results_page, sentences
 from tools.league.rows import named, rows
 from tools.league.tables import read_tables
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
+REPOSITORY = Path(__file__).parents[2]
 TINY = ["--set", "num_envs=60", "--set", "rollout_steps=4", "--set", "minibatches=1"]
 TINY += ["--set", "hidden=(8, 8)", "--steps", "480", "--episodes", "2", "--backend", "native"]
 TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
@@ -241,6 +242,17 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     assert "nan" not in page and "Above PPO at Holm's 5% over all named contrasts: `gru`" in page
     first_screen = page[: page.index("![")]
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
+
+
+def test_the_page_names_published_robots_of_the_methods_to_choose() -> None:
+    shown = read_tables(REPOSITORY / "docs/data/league")
+    page = results_page(shown, None, {"images": "images", "tables": "data"}, {}, load_registry())
+    [line] = [line for line in page.splitlines() if line.startswith("Robots of these methods")]
+    assert "`gentle_bath/gru-ego-s100-v3`" in line
+    assert "`gentle_scratch/asymmetric_gru-ego-s122-v3`" in line
+    assert "-s102-" not in line  # learned with teams
+    assert "`gentle_scratch/gru-" not in line  # another method
+    assert line in (REPOSITORY / "docs/results.md").read_text()
 
 
 def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(

@@ -15,6 +15,7 @@ from evaluation.plots.style import save_figure
 from tools.league.figures import failure_chart, failures, validation_curves
 from tools.league.results import results_page
 from tools.league.tables import beside, corrected, of_folders, read_tables
+from zoo.registry import load_registry
 
 FIGURES = {
     "league": "Mean return of each row with its 95% interval",
@@ -74,7 +75,7 @@ def write_page(
             name: what for name, what in FIGURES.items() if (images / f"{name}.png") in written
         }
         links = {what: os.path.relpath(path, text.parent) for what, path in near.items()}
-        atomic_write(text, results_page(shown, named, links, figures).encode())
+        atomic_write(text, results_page(shown, named, links, figures, load_registry()).encode())
         written.append(text)
     return written
 

@@ -21,8 +21,9 @@ from evaluation.figures.league import (
 from evaluation.figures.metrics.inference import holm
 from tools.league.figures import FAILED, failures
 from tools.league.rows import rows
-from tools.league.tables import Tables
+from tools.league.tables import Tables, splits_of
 from tools.release_page.markdown import table
+from zoo.registry import Registry
 
 Shown = TypeVar("Shown", "ShownRow", "ShownContrast")
 LIMITS = """- Persons are numbers and a program. Nothing here is about people. With partners that
@@ -119,6 +120,7 @@ def results_page(
     named: ContrastsFile | None,
     places: Mapping[str, str],
     figures: Mapping[str, str],
+    registry: Registry,
 ) -> str:
     """Return the page in Markdown.
 
@@ -127,6 +129,7 @@ def results_page(
         named: The file of contrasts.
         places: Links: "images" and "tables", relative to the page.
         figures: What they show, by name.
+        registry: Where published robots are.
     """
     validated = {task: _validated(table) for task, table in shown.validation.items()}
     tasks = [
@@ -165,6 +168,7 @@ def results_page(
         "persons of the test side. `told` is the better of the robots that are told the "
         "preference, with a memory or without. Fails: earns less than "
         f"{FAILED:.0%} of what the best row earns with that person.*",
+        *_published(tasks, splits_of(shown.records), registry),
         said,
         *(f"![{what}]({images}/{name}.png)" for name, what in figures.items()),
         "## Tables",
@@ -175,6 +179,23 @@ def results_page(
         f"{LIMITS}{unplayed}".rstrip(),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _published(
+    tasks: Sequence[Played], splits: Mapping[str, str], registry: Registry
+) -> Iterator[str]:
+    """Yield which published robots learned by the chosen methods with the league's split."""
+    wanted = {(task.task, task.best.row, splits.get(task.task)) for task in tasks if task.methods}
+    robots = [
+        f"`{robot.team}`"
+        for robot in registry.policies
+        if (met := robot.trained_against) and (robot.task, robot.algorithm, met.split) in wanted
+    ]
+    if robots:
+        yield (
+            f"Robots of these methods, to be used by their names: {listing(robots, 20)}. "
+            "[Releases](releases.md) says what each of them earns."
+        )
 
 
 def _of_table(kind: type[Shown], table: pl.DataFrame) -> list[Shown]:

@@ -112,9 +112,9 @@ def beside(new: Tables, old: Tables) -> Tables:
 
     A task that was played on another split since has its new rows alone.
     """
-    before = _splits(old.records)
+    before = splits_of(old.records)
     moved = {
-        task for task, split in _splits(new.records).items() if before.get(task, split) != split
+        task for task, split in splits_of(new.records).items() if before.get(task, split) != split
     }
     joined: dict[str, dict[str, pl.DataFrame]] = {}
     for what, tasks in new.by_task.items():
@@ -140,7 +140,7 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
         return None
     wanted = {_of(dict(contrast)): contrast for contrast in file.contrasts}
     places = {key: place for place, key in enumerate(wanted)}
-    splits, lines = _splits(shown.records), list(shown.contrasts.iter_rows(named=True))
+    splits, lines = splits_of(shown.records), list(shown.contrasts.iter_rows(named=True))
     for line in lines:
         contrast = wanted.get(_of(line))
         split = splits.get(line["task"])
@@ -158,7 +158,7 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
     return pl.DataFrame(lines, schema=shown.contrasts.schema)
 
 
-def _splits(records: pl.DataFrame) -> dict[str, str]:
+def splits_of(records: pl.DataFrame) -> dict[str, str]:
     """Return on which split each task was played, where a row of it says so."""
     return dict(records.select("task", "split").drop_nulls().iter_rows())
 
