@@ -167,6 +167,8 @@ seeds = 4
     with pytest.raises(AssertionError, match=r"of seeds 0, 1, 2, 3, .*; wanted are seeds 4, 5 "):
         make("ppo", "--part", "all/2", seeds="4-5")
     league = together
+    with pytest.raises(AssertionError, match="is a training of all seeds at once"):
+        make("ppo", "--part", "all/2")
     again = make("ppo")  # found finished: the same, and the minutes that it took
     assert again["m_test"] == ppo["m_test"]
     assert again["device_minutes"]["evaluation"] >= ppo["device_minutes"]["evaluation"]

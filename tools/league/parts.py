@@ -12,6 +12,7 @@ from assistax_base.errors import listing
 from assistax_base.files import write_json
 from evaluation.record import tables
 from evaluation.validation import CHOICES, CURVE
+from population.runs.folder import RunFolder
 
 TRAINED, RECORD = "training", "row.json"  # the folder of a row's training, and a record
 
@@ -69,9 +70,16 @@ class Part:
             best_of: Seeds of a group, whose best is chosen too.
 
         Raises:
-            ValueError: They have other seeds, or learned or were chosen otherwise.
+            ValueError: They have other seeds, or learned or were chosen otherwise; or the folder
+                has a training of all seeds at once.
             FileNotFoundError: A part is not finished; says which.
         """
+        whole_run = RunFolder(folder / TRAINED)
+        if whole_run.checkpoints.exists() or whole_run.teams.exists():
+            raise ValueError(
+                f"{folder / TRAINED} is a training of all seeds at once; parts would replace "
+                "it: make and join the parts in another --out"
+            )
         places = [folder / Part(number, self.count).name for number in range(1, self.count + 1)]
         if late := [place.name for place in places if not (place / RECORD).is_file()]:
             raise FileNotFoundError(f"{folder} lacks {', '.join(late)}; make them with --part")
