@@ -51,7 +51,7 @@ def zsc_dots(
                 _whisker(axes, i + shift, value, colour)
                 axes.plot([i + shift], [value["mean"]], "o", color=colour, markerfacecolor=fill)
                 axes.annotate(
-                    f"{value['mean']:.0f}",
+                    f"{value['mean']:z.0f}",
                     (i + shift, value["mean"]),
                     (-7 if shift < 0 else 7, 0),
                     textcoords="offset points",

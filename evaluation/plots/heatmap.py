@@ -224,7 +224,7 @@ def _write_values(axes: Axes, matrix: Matrix, image: AxesImage) -> None:
         axes.text(
             column,
             row,
-            f"{value:.0f}",
+            f"{value:z.0f}",
             ha="center",
             va="center",
             color=_contrast(image, value),

@@ -122,8 +122,8 @@ def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
 
 
 def _figure(value: Mapping[str, Any]) -> str:
-    interval = "" if value["mean_ci"] is None else " [{:.0f}, {:.0f}]".format(*value["mean_ci"])
-    return f"{value['mean']:.0f}{interval}"
+    interval = "" if value["mean_ci"] is None else " [{:z.0f}, {:z.0f}]".format(*value["mean_ci"])
+    return f"{value['mean']:z.0f}{interval}"
 
 
 def _meaning(name: str) -> str:

@@ -215,6 +215,15 @@ def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
     np.testing.assert_array_equal(bold, np.eye(4, dtype=bool))
 
 
+def test_a_number_that_is_rounded_to_zero_has_no_sign():
+    values = np.array([-0.3, 0.3, -12.4, 7.0])
+    table = episode_table(values.reshape(1, 4, 1), ["my robot"], teams(4))
+    pairs = derived.pair_table(recorded(table))
+    summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    shown = axes_by_label(crossplay_heatmap(arrange(pairs), summarised))["matrix"].texts
+    assert sorted(text.get_text() for text in shown) == ["-12", "0", "0", "7"]
+
+
 @pytest.mark.parametrize(
     ("least", "message"), [(0.0, None), (-5000.0, "5% of pairs, down to -5,000,")]
 )
