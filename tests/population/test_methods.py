@@ -99,6 +99,7 @@ def test_a_student_does_what_its_teacher_is_told():
     assert last(metrics, "student_latent_error_robot") < 0.2 < 1.0 < errors[0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seen"), [("ppo", 2), ("rma", 1)])
 def test_who_learns_no_more_reads_observations_as_before(name, seen):
     """The policy stays as it is while the student acts, so what normalises observations does too.
