@@ -164,11 +164,11 @@ class PPO(Trainer):
             metrics |= losses
         statistics = member.statistics
         if self.config.normalise:
-            # A network that learns no more goes on reading what it learned to read.
-            learns, seen = self.method.rate("actor", hyper) > 0.0, batch.obs
+            # A network that its method holds still goes on reading what it learned to read.
+            learns = self.method.rate("actor", hyper) >= hyper["learning_rate"]
             statistics = jax.tree.map(
                 lambda new, old: jnp.where(learns, new, old),
-                {name: normaliser.update(old, seen[name]) for name, old in statistics.items()},
+                {name: normaliser.update(old, batch.obs[name]) for name, old in statistics.items()},
                 statistics,
             )
         return MemberState(learners, statistics, member.key), metrics
