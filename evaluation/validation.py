@@ -6,7 +6,7 @@ seeds is a row that another method has to beat at equal steps in all. The test s
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -110,9 +110,6 @@ def choose(
     order = table.sort("return", "steps", descending=[True, False])
     best = order.unique("seed", keep="first", maintain_order=True).sort("seed")
     by_seed = [_write(training, run, files, row, CHOSEN) for row in best.iter_rows(named=True)]
-    groups = [by_seed[i : i + best_of] for i in range(0, len(by_seed) - best_of + 1, best_of)]
-    folder = f"best-of-{best_of}"
-    winners = [max(group, key=lambda choice: choice.mean) for group in groups]
     named = {row["seed"]: row for row in best.iter_rows(named=True)}
     chosen = Choices(
         split=training.split.id,
@@ -120,10 +117,19 @@ def choose(
         episodes=len(returns.episodes),
         by_seed=tuple(by_seed),
         best_of=best_of,
-        best=tuple(_write(training, run, files, named[won.seed], folder) for won in winners),
+        best=tuple(
+            _write(training, run, files, named[won.seed], f"best-of-{best_of}")
+            for won in best_of_each(by_seed, best_of)
+        ),
     )
     write_json(run.folder / CHOICES, dataclasses.asdict(chosen))
     return chosen
+
+
+def best_of_each(by_seed: Sequence[Choice], size: int) -> tuple[Choice, ...]:
+    """Return the best choice of each so many seeds, in their order; a rest of fewer is no group."""
+    starts = range(0, len(by_seed) - size + 1, size)
+    return tuple(max(by_seed[i : i + size], key=lambda choice: choice.mean) for i in starts)
 
 
 def _scored(files: Mapping[Path, tuple[int, int, TrainedTeam]], returns: Returns) -> pl.DataFrame:

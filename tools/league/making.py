@@ -24,7 +24,7 @@ from evaluation.figures.summary import read_summary
 from evaluation.play.how import How
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
-from evaluation.validation import CHOICES, check_validation, choose
+from evaluation.validation import CHOICES, Choice, Choices, check_validation, choose
 from population.runs.trained import TrainedRun
 from tools.league.parts import RECORD, TRAINED, Part
 from tools.league.rows import Row, rows
@@ -200,29 +200,29 @@ def _joined(making: Making, seconds: dict[str, float]) -> Made:
     assert part is not None
     if row.source not in ("train", "best-of"):
         raise ValueError(f"row {row.name!r} is not trained in parts; leave part out")
-    records = part.join(making.folder / RUNS / row.of, making.split.id, sizes.seeds, sizes.best_of)
+    folder = making.folder / RUNS / row.of
+    chosen, records = part.join(folder, making.split.id, sizes.seeds, sizes.best_of)
     for record in records:
         for name, minutes in record["device_minutes"].items():
             seconds[name] = seconds.get(name, 0.0) + 60 * minutes
-    chosen = parse_json((making.training / CHOICES).read_text(encoding="utf-8"))
-    files = [str((making.training / choice["file"]).resolve()) for choice in _picked(row, chosen)]
+    files = [str((making.training / choice.file).resolve()) for choice in _picked(row, chosen)]
     total, first = sum(record["total_steps"] for record in records), records[0]
     return Made(files, list(sizes.seeds), first["steps"], total, first["device"])
 
 
-def _picked(row: Row, chosen: dict[str, Any]) -> list[dict[str, Any]]:
+def _picked(row: Row, chosen: Choices) -> tuple[Choice, ...]:
     """Return which of the chosen robots a row plays.
 
     Raises:
         ValueError: There are too few seeds for a group.
     """
-    picked = chosen["best" if row.source == "best-of" else "by_seed"]
+    picked = chosen.best if row.source == "best-of" else chosen.by_seed
     if not picked:
         raise ValueError(
-            f"seeds are {len(chosen['by_seed'])}, and the best of each {chosen['best_of']} is "
-            "wanted; give that many or more"
+            f"seeds are {len(chosen.by_seed)}, and the best of each {chosen.best_of} is wanted; "
+            "give that many or more"
         )
-    return list(picked)
+    return picked
 
 
 def sampled(making: Making) -> list[PolicyEntry]:
@@ -289,8 +289,7 @@ def _trained(
     with study_progress(row.stage("validation")) as line:
         chosen = choose(making.registry, learning, run, making.how, on_progress=line, **playing)
     seconds["validation"] = time.perf_counter() - start
-    picked = _picked(row, dataclasses.asdict(chosen))
-    return run, [str(run.folder / choice["file"]) for choice in picked]
+    return run, [str(run.folder / choice.file) for choice in _picked(row, chosen)]
 
 
 def _best_published(making: Making, seconds: dict[str, float]) -> str:

@@ -11,7 +11,7 @@ from assistax_base.bounded_reading import parse_json
 from assistax_base.errors import listing
 from assistax_base.files import write_json
 from evaluation.record import tables
-from evaluation.validation import CHOICES, CURVE
+from evaluation.validation import CHOICES, CURVE, Choice, Choices, best_of_each
 from population.runs.folder import RunFolder
 
 TRAINED, RECORD = "training", "row.json"  # the folder of a row's training, and a record
@@ -60,8 +60,8 @@ class Part:
 
     def join(
         self, folder: Path, split: str, seeds: Sequence[int], best_of: int
-    ) -> list[dict[str, Any]]:
-        """Write what was chosen of all parts beside them, and return their records.
+    ) -> tuple[Choices, list[dict[str, Any]]]:
+        """Write what was chosen of all parts beside them; return that, and the parts' records.
 
         Args:
             folder: Has the parts.
@@ -98,16 +98,16 @@ class Part:
                 f"validators and episodes {sorted(made)}; wanted are seeds "
                 f"{listing(map(str, seeds))} of {split}, all made alike"
             )
-        by_seed = [
-            {**choice, "file": f"../{place.name}/{choice['file']}"}
+        by_seed = tuple(
+            dataclasses.replace(Choice(**choice), file=f"../{place.name}/{choice['file']}")
             for place, each in zip(places, chosen, strict=True)
             for choice in each["by_seed"]
-        ]
-        groups = [by_seed[i : i + best_of] for i in range(0, len(by_seed) - best_of + 1, best_of)]
-        best = [max(group, key=lambda choice: choice["mean"]) for group in groups]
-        whole = {**chosen[0], "by_seed": by_seed, "best_of": best_of, "best": best}
+        )
+        best = best_of_each(by_seed, best_of)
+        asked = chosen[0]["partners"], chosen[0]["episodes"]
+        whole = Choices(split, *asked, by_seed, best_of, best)
         (folder / TRAINED).mkdir(exist_ok=True)
         curves = [tables.read_parquet(place / CURVE) for place in places]
         tables.write_parquet(pl.concat(curves), folder / TRAINED / CURVE)
-        write_json(folder / TRAINED / CHOICES, whole)
-        return records
+        write_json(folder / TRAINED / CHOICES, dataclasses.asdict(whole))
+        return whole, records

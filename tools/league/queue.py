@@ -60,10 +60,12 @@ class Queued:
             return False
         if self.of_training_side:
             return not other.of_training_side
-        needed = other.row == named(self.row).of
-        if self.part and self.part.joins and other.part and not other.part.joins:
-            return needed
-        return needed and other.row != self.row
+        if other.row != named(self.row).of:
+            return False
+        if other.row != self.row:
+            return True
+        joins = self.part is not None and self.part.joins
+        return joins and other.part is not None and not other.part.joins
 
 
 @dataclasses.dataclass
