@@ -21,11 +21,7 @@ FOLDERS = {
     "assistax_workshop": "workshop/assistax_workshop",
     "assistax_board": "board/assistax_board",
 }
-APART = ("physics/fused", "tasks/gentle_")  # counted apart: the engine, and the gentle tasks
-# The plays hold drawing, reports and Ray too (some 1,000), which results and `engine` offer. A
-# partner may be a person: its program, with the tasks and scenes that it feels, is some 1,600.
-CLOSURES = {("open_zoo", "Partner"): 4540, ("evaluate",): 11620, ("cross_play",): 11620}
-MOST_STATEMENTS, MOST_DEPENDENCIES = 27360, 20  # of statements, what stood when rooms were made
+MOST_DEPENDENCIES = 20
 MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, MOST_PARAMETERS = 12, 350, 60, 12
 OPTION = re.compile(r"--[a-z][\w-]*")
 # What may stand once, and where: a pattern of source text, and the one file that may hold it.
@@ -48,25 +44,13 @@ class Module:
     tree: ast.Module
 
     @functools.cached_property
-    def statements(self) -> int:
-        """How many statements it has, docstrings not counted."""
-        nodes = list(ast.walk(self.tree))
-        texts = sum(isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant) for n in nodes)
-        return sum(isinstance(n, ast.stmt) for n in nodes) - texts
-
-    @functools.cached_property
     def functions(self) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
         """All its functions and methods."""
         kinds = ast.FunctionDef, ast.AsyncFunctionDef
         return [node for node in ast.walk(self.tree) if isinstance(node, kinds)]
 
-    def imports(self, modules: Mapping[str, "Module"], *, named: bool = False) -> set[str]:
-        """Return the modules of ours that it imports, inside functions too.
-
-        Args:
-            modules: All of ours, by name.
-            named: With those that it names as "module:function", to be loaded when they are used.
-        """
+    def imports(self, modules: Mapping[str, "Module"]) -> set[str]:
+        """Return those of our modules that it imports, inside functions too."""
         skipped = _type_checking(self.tree)
         names = set()
         for node in ast.walk(self.tree):
@@ -77,8 +61,6 @@ class Module:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 inside = {f"{node.module}.{alias.name}" for alias in node.names} & modules.keys()
                 names |= inside or {node.module}
-            elif named and isinstance(node, ast.Constant) and ":" in str(node.value):
-                names.add(str(node.value).partition(":")[0])
         return names & modules.keys() - {self.name}
 
 
@@ -94,43 +76,22 @@ def read_modules(root: Path = ROOT) -> dict[str, Module]:
     return modules
 
 
-def closure(modules: Mapping[str, Module], doors: tuple[str, ...]) -> set[str]:
-    """Return every module that names of the front door need, the imports of functions too."""
-    homes = _literal(modules["assistax_zoo"].tree, "_HOMES")
-    waiting = [home for home, names in homes.items() if {*names} & {*doors}]
-    reached: set[str] = set()
-    while waiting:
-        name = waiting.pop()
-        if name not in reached:
-            reached.add(name)
-            waiting += modules[name].imports(modules, named=True)
-    return reached
-
-
 def problems(root: Path = ROOT) -> Iterator[str]:
     """Yield what misses its bar, with the figure."""
     modules = read_modules(root)
     yield from _sizes(modules, root)
     yield from _raised_options(modules, root)
     yield from _second_copies(modules, root)
-    for name, figure, most in figures(modules, root):
-        if figure > most:
-            yield f"{name}: {figure}, at most {most}"
+    if (count := dependencies(root)) > MOST_DEPENDENCIES:
+        yield f"dependencies of the core: {count}, at most {MOST_DEPENDENCIES}"
     for package in FOLDERS:
         yield from floors(modules, package)[1]
 
 
-def figures(modules: Mapping[str, Module], root: Path = ROOT) -> Iterator[tuple[str, int, int]]:
-    """Yield what is counted over the whole: name, figure, and the most that is allowed."""
-    for doors, most in CLOSURES.items():
-        reached = closure(modules, doors)
-        name = f"statements behind {' and '.join(doors)}, {len(reached)} modules"
-        yield name, sum(modules[reached_name].statements for reached_name in reached), most
-    counted = [m for m in modules.values() if not any(part in str(m.path) for part in APART)]
-    name = "statements of core, workshop and board"
-    yield name, sum(module.statements for module in counted), MOST_STATEMENTS
+def dependencies(root: Path = ROOT) -> int:
+    """Return how many dependencies the core declares."""
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    yield "dependencies of the core", len(project["dependencies"]), MOST_DEPENDENCIES
+    return len(project["dependencies"])
 
 
 def floors(modules: Mapping[str, Module], package: str) -> tuple[list[list[str]], list[str]]:
@@ -249,12 +210,11 @@ def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the figures, then what misses its bar; or write the picture."""
+    """Print the count of dependencies, then what misses its bar; or write the picture."""
     if arguments == ["picture"]:
         write_picture()
         return 0
-    for name, figure, most in figures(read_modules()):
-        print(f"{name}: {figure} (at most {most})")
+    print(f"dependencies of the core: {dependencies()} (at most {MOST_DEPENDENCIES})")
     missed = list(problems())
     print("\n".join(missed))
     return bool(missed)
