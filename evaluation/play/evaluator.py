@@ -3,8 +3,8 @@
 Resumable, and the table does not depend on how it was cut.
 
 The folder holds `manifest.json` (see `evaluation.record.manifest`), one Parquet part for each
-finished chunk, and at the end `episodes.parquet` in their place. A part's name ends in the sha256
-of its bytes: what is damaged is simulated again, and so is a finished table.
+finished chunk (see `evaluation.play.parts`), and at the end `episodes.parquet` in their place. A
+damaged part is simulated again, and so is a finished table.
 """
 
 import dataclasses
@@ -19,11 +19,19 @@ from typing import Any
 import jax
 import polars as pl
 
-from assistax_base.digest import sha256
 from assistax_base.locks import locked
 from evaluation.cast.roster import check_seat
 from evaluation.play.devices import devices_for
 from evaluation.play.jobs import Job
+from evaluation.play.parts import (
+    PARTS_FOLDER,
+    check_parts,
+    find_part,
+    has_parts,
+    label,
+    merge_parts,
+    write_part,
+)
 from evaluation.play.progress import Meter, OnProgress
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk, plan, tile_envs
@@ -31,7 +39,6 @@ from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.manifest import MANIFEST_FILE
 
-PARTS_FOLDER = "parts"
 # Default bound of a chunk's simulations.
 MAX_ENVS = {"native": 2048, "fused": 32768, "mjx": 16384, "mjx-warp": 32768}
 
@@ -145,7 +152,8 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
             f"{folder} holds another job ({difference}); choose another folder, or replace it "
             "(replace)"
         )
-    if manifest and (is_finished(folder) or _has_parts(folder)):
+    check_parts(folder, job.digest())
+    if manifest and (is_finished(folder) or has_parts(folder)):
         return plan_of(job, manifest)
     manifest = {
         "job": job.digest(),
@@ -167,15 +175,6 @@ def is_finished(folder: Path) -> bool:
     return provenance.has_whole(folder, tables.EPISODES_FILE)
 
 
-def find_part(folder: Path, chunk: Chunk) -> Path | None:
-    """Return a chunk's part if it is there and whole; a damaged one is removed."""
-    for path in sorted((folder / PARTS_FOLDER).glob(f"{chunk.name}-*.parquet")):
-        if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
-            return path
-        path.unlink()
-    return None
-
-
 def simulate(
     env: Any,
     job: Job,
@@ -191,15 +190,9 @@ def simulate(
     meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
     meter.report()
     runner = Runner(env, job, devices)
-    runner.run(chunks, lambda chunk, rows: write_part(rows, folder, chunk), meter)
+    said = label(job.digest())
+    runner.run(chunks, lambda chunk, rows: write_part(rows, folder, chunk, said), meter)
     return meter.speed, runner.compile_seconds
-
-
-def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk) -> None:
-    """Write a chunk's episodes under a name that ends in their hash."""
-    data = tables.parquet_bytes(rows)
-    name = f"{chunk.name}-{sha256(data)}.parquet"
-    tables.write_bytes(data, folder / PARTS_FOLDER / name)
 
 
 def in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:
@@ -220,22 +213,22 @@ def _run_and_merge(
     on_progress: OnProgress,
 ) -> Evaluation:
     chunks, target = open_folder(folder, job, max_envs), folder / tables.EPISODES_FILE
-    finished = is_finished(folder)
-    missing = [] if finished else [chunk for chunk in chunks if not find_part(folder, chunk)]
+    finished, key = is_finished(folder), job.digest()
+    missing = [] if finished else [chunk for chunk in chunks if not find_part(folder, chunk, key)]
     speed, compile_seconds = simulate(env, job, folder, missing, devices, on_progress)
     if not finished:
-        parts = [path for chunk in chunks if (path := find_part(folder, chunk))]
-        merged = pl.concat([tables.read_parquet(path) for path in parts])
+        parts = [path for chunk in chunks if (path := find_part(folder, chunk, key))]
+        merged, machine = merge_parts(parts)
         tables.write_episodes(in_order(merged, job), target)
         tables.remove_derived(folder)  # of what was there before
-        provenance.seal(folder, made_with=provenance.describe_machine())
+        provenance.seal(folder, made_with=machine)
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
     return Evaluation(tables.read_episodes(target), speed, compile_seconds)
 
 
 def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
     """Refuse episodes of a robot of this name that may since be another one."""
-    began = (folder / tables.EPISODES_FILE).exists() or _has_parts(folder)
+    began = (folder / tables.EPISODES_FILE).exists() or has_parts(folder)
     if reuse or job.reusable or not began:
         return
     if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
@@ -245,10 +238,6 @@ def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
         f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
         "robot; take them as they are (reuse), replace them (replace), or choose another folder"
     )
-
-
-def _has_parts(folder: Path) -> bool:
-    return any((folder / PARTS_FOLDER).glob("part-*"))
 
 
 def _difference(identity: dict[str, Any], expected: dict[str, Any]) -> str:

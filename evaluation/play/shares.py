@@ -10,16 +10,15 @@ from assistax_base.cluster import NOT_SHARED, RayCluster, run_blocks
 from assistax_base.locks import LOCK_FILE, locked
 from evaluation.play.evaluator import (
     MAX_ENVS,
-    PARTS_FOLDER,
     check_folder,
     check_sizes,
-    find_part,
     is_finished,
     open_folder,
     plan_of,
     simulate,
 )
 from evaluation.play.jobs import Job
+from evaluation.play.parts import PARTS_FOLDER, find_part
 from evaluation.play.progress import OnProgress, Progress
 from evaluation.play.tiles import Chunk, plan
 from evaluation.record import manifest as provenance
@@ -59,11 +58,11 @@ def run_share(
     own_lock = f"{LOCK_FILE}-{number}-of-{count}"
     with locked(folder, shared=True), locked(folder / PARTS_FOLDER, own_lock):
         chunks = open_folder(folder, job, max_envs or MAX_ENVS[job.backend])
-        mine = chunks[number - 1 :: count]
+        mine, key = chunks[number - 1 :: count], job.digest()
         if not is_finished(folder):
-            left = [chunk for chunk in mine if not find_part(folder, chunk)]
+            left = [chunk for chunk in mine if not find_part(folder, chunk, key)]
             simulate(env, job, folder, left, on_progress=on_progress)
-        missing = sum(not find_part(folder, chunk) for chunk in chunks)
+        missing = sum(not find_part(folder, chunk, key) for chunk in chunks)
     done = f"{number}/{count}"
     return ShareDone(done, len(mine), sum(chunk.rows for chunk in mine), len(chunks), missing)
 
@@ -129,7 +128,7 @@ def _check_parts(job: Job, folder: Path, planned: list[Chunk]) -> None:
     """Check that what the workers wrote can be read here: it is not simulated a second time."""
     manifest = provenance.read_manifest(folder)
     chunks = plan_of(job, manifest) if manifest else planned
-    count = sum(find_part(folder, chunk) is not None for chunk in chunks)
+    count = sum(find_part(folder, chunk, job.digest()) is not None for chunk in chunks)
     if count < len(chunks):
         raise ValueError(
             f"the workers are done, but {folder} has {count} of {len(chunks)} parts here; "

@@ -75,9 +75,8 @@ class Chunk:
     @property
     def name(self) -> str:
         """Return what its part's name begins with: no part of another cut has it."""
-        # Slices are called by their first name, so that stopped runs find the parts that they have.
-        text = repr(self.tiles).replace(f"{StackSlice.__name__}(", "Share(")
-        return f"part-{self.index:05d}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+        cut = hashlib.sha256(repr(self.tiles).encode()).hexdigest()
+        return f"part-{self.index:05d}-{cut[:8]}"
 
     @property
     def rows(self) -> int:

@@ -53,10 +53,10 @@ def write_parquet(table: pl.DataFrame, path: Path) -> None:
     write_bytes(parquet_bytes(table), path)
 
 
-def parquet_bytes(table: pl.DataFrame) -> bytes:
+def parquet_bytes(table: pl.DataFrame, metadata: dict[str, str] | None = None) -> bytes:
     """Return a table as Parquet, made in memory: on a full disk Polars' own error misleads."""
     content = io.BytesIO()
-    table.write_parquet(content, compression="zstd")
+    table.write_parquet(content, compression="zstd", metadata=metadata)
     return content.getvalue()
 
 

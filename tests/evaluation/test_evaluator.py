@@ -16,8 +16,9 @@ from polars.testing import assert_frame_equal
 from evaluation.cast.egos import EgoError
 from evaluation.cast.roster import HostEgo, Member, Roster, joined
 from evaluation.play import tiles
-from evaluation.play.evaluator import PARTS_FOLDER, check_folder, make_way, plan_of, run_job
+from evaluation.play.evaluator import check_folder, make_way, plan_of, run_job
 from evaluation.play.jobs import Job
+from evaluation.play.parts import PARTS_FOLDER
 from evaluation.play.progress import Progress
 from evaluation.play.shares import run_share
 from evaluation.play.tiles import plan, tile_shape
@@ -223,13 +224,6 @@ def test_a_killed_run_resumes_to_the_same_file(tmp_path: Path):
         path.read_bytes() for path in (tmp_path / "whole").glob("*.parquet")
     ]
     assert not (tmp_path / "killed" / PARTS_FOLDER).exists()
-
-
-def test_parts_are_called_as_they_always_were():
-    """A run that an earlier version began finds its parts."""
-    names = [chunk.name for chunk in plan(mixed_job(), 7)]
-    assert names[:2] == ["part-00000-4c800097", "part-00001-8991803f"]
-    assert mixed_job().identity()["apart"] is False  # what it was called first
 
 
 def unfinished(folder: Path) -> list[Path]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from assistax_base.locks import locked
-from evaluation.play.evaluator import PARTS_FOLDER, run_job
+from evaluation.play.evaluator import run_job
+from evaluation.play.parts import PARTS_FOLDER
 from evaluation.play.shares import run_share
 from evaluation.record import tables
 from tests.evaluation.matrix_game import MatrixGame

@@ -1,0 +1,125 @@
+"""The parts of a job that is not finished: one Parquet file for each chunk, with the job's key.
+
+A part's name ends in the sha256 of its bytes, and its bytes hold the job's key: the digest of the
+identity, which has the digests of all parameters. So a part of another job is refused, wherever it
+lies and whatever it is called. A damaged part is simulated again.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from assistax_base.bounded_reading import parse_json
+from assistax_base.digest import sha256
+from assistax_base.errors import counted, printable, shorten
+from assistax_base.files import METADATA_KEY
+from assistax_base.parquet import check_readable, read_metadata
+from evaluation.play.tiles import Chunk
+from evaluation.record import manifest as provenance
+from evaluation.record import tables
+
+PARTS_FOLDER = "parts"
+
+
+def label(job: str) -> dict[str, str]:
+    """Return what parts of a job, made by this process, say of themselves in their metadata."""
+    about = {"job": job, "made_with": provenance.describe_machine()}
+    return {METADATA_KEY: json.dumps(about)}
+
+
+def write_part(rows: pl.DataFrame, folder: Path, chunk: Chunk, said: dict[str, str]) -> None:
+    """Write a chunk's episodes with their `label` under a name that ends in their hash."""
+    data = tables.parquet_bytes(rows, said)
+    tables.write_bytes(data, folder / PARTS_FOLDER / f"{chunk.name}-{sha256(data)}.parquet")
+
+
+def has_parts(folder: Path) -> bool:
+    """Return whether a folder holds a part, of whichever job."""
+    return next(_names(folder, "part-*"), None) is not None
+
+
+def check_parts(folder: Path, job: str) -> None:
+    """Refuse a folder that holds parts of another job; damaged ones are removed.
+
+    Args:
+        folder: The job's.
+        job: The job's digest.
+
+    Raises:
+        ValueError: A part has another key, or none; names it.
+    """
+    check_readable(paths := _whole(_names(folder, "part-*.parquet")))
+    keys = {path: _about(path).get("job") for path in paths}
+    strange = [path for path, key in keys.items() if key != job]
+    if strange:
+        raise ValueError(_refusal(strange, keys[strange[0]], job))
+
+
+def find_part(folder: Path, chunk: Chunk, job: str) -> Path | None:
+    """Return a chunk's part, None where it is not there; a damaged one is removed.
+
+    Args:
+        folder: The job's.
+        chunk: Which part.
+        job: The job's digest.
+
+    Raises:
+        ValueError: It is of another job, or there are two whose episodes differ.
+    """
+    found = _whole(_names(folder, f"{chunk.name}-*.parquet"))
+    for path in found:
+        if (key := _about(path).get("job")) != job:
+            raise ValueError(_refusal([path], key, job))
+    if len(found) > 1:
+        raise ValueError(
+            f"{found[0]} and {found[1].name} are the same part of the job with other episodes, as "
+            "of two processors; remove one of them, or both to simulate it again"
+        )
+    return found[0] if found else None
+
+
+def merge_parts(paths: Sequence[Path]) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Return the episodes of all parts, and the machine that made them, for the manifest.
+
+    Parts of several machines have the list of them as `machines`.
+    """
+    made = [_about(path).get("made_with") for path in paths]
+    machines = [machine for place, machine in enumerate(made) if machine not in made[:place]]
+    table = pl.concat([tables.read_parquet(path) for path in paths])
+    return table, machines[0] if len(machines) == 1 else {"machines": machines}
+
+
+def _names(folder: Path, pattern: str) -> Iterable[Path]:
+    return iter(sorted((folder / PARTS_FOLDER).glob(pattern)))
+
+
+def _whole(paths: Iterable[Path]) -> list[Path]:
+    """Return the files that are what was written; others are removed."""
+    whole = []
+    for path in paths:
+        if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
+            whole.append(path)
+        else:
+            path.unlink()
+    return whole
+
+
+def _about(path: Path) -> Mapping[str, Any]:
+    """Return what a part says of itself; nothing where it says nothing."""
+    try:
+        about = parse_json(read_metadata(path).get(METADATA_KEY, "{}"))
+    except (ValueError, RecursionError):
+        about = None
+    return about if isinstance(about, dict) else {}
+
+
+def _refusal(paths: Sequence[Path], key: Any, job: str) -> str:
+    of = f"of the job {printable(shorten(str(key)))[:12]}" if key else "without a job's key"
+    return (
+        f"{counted(len(paths), 'part')} {of}, this job is {job[:12]}, first {paths[0]}: other "
+        "policies, settings or versions played them; move them into a folder of their own job, or "
+        "remove them, and they are simulated again"
+    )
