@@ -168,6 +168,7 @@ def _who(name: str, seat: "Seated") -> dict[str, Any]:
 def _about(pair: "Pair", facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return who played what, on which machine."""
     from assistax_envs.disability import Disability
+    from assistax_envs.models.build import scene_sha256
     from evaluation.record.manifest import describe_machine
 
     env, setting = pair.env, pair.setting
@@ -178,6 +179,7 @@ def _about(pair: "Pair", facts: Mapping[str, Any]) -> dict[str, Any]:
         "environment_version": env.version,
         "backend": env.backend,
         "engine": env.engine,
+        "scene": scene_sha256(env.task),
         "disability": dataclasses.asdict(setting) if isinstance(setting, Disability) else setting,
         **facts,
         **{role: _who(name, pair.seats[role]) for role, name in pair.references.items()},

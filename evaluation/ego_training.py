@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.digest import json_sha256
 from assistax_base.errors import counted
 from assistax_base.files import atomic_write
 from assistax_envs.preferences import Told
@@ -36,6 +37,7 @@ class EgoTraining:
     split: Split
     met: Met  # the split's training side, which the robots' files say
     preset_envs: int  # simulations of a member in the preset, before they were shared out
+    key: Mapping[str, str]  # digests of the split and its partners: a run that goes on shares them
 
     @property
     def summary(self) -> str:
@@ -121,7 +123,8 @@ def prepare(
         env_version=older_version(registry, chosen),
     )
     config, met = dataclasses.replace(config, told=told), side_met(registry, chosen)
-    return EgoTraining(config, frozen, chosen, met, trainer.num_envs)
+    key = training_key(registry, chosen, met)
+    return EgoTraining(config, frozen, chosen, met, trainer.num_envs, key)
 
 
 def train_egos(
@@ -156,9 +159,23 @@ def train_egos(
         resume=resume,
         tensorboard=tensorboard,
         snapshots=snapshots,
+        key=training.key,
         progress=progress,
     )
     return write_egos(run, training)
+
+
+def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:
+    """Return the digests of a split and of all that decides how its training side acts.
+
+    Args:
+        registry: Has the partners' disability settings.
+        split: Whose training side it is.
+        met: Has the sha256 of each partner's parameters, or of a person's row and program.
+    """
+    teams = () if split.rule == PERSONS else registry.known(f"{team}/human" for team in split.train)
+    settings = [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
+    return {"split_sha256": split.sha256, "partners_sha256": json_sha256([met.partners, settings])}
 
 
 def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:

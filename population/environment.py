@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax_envs.models.build import scene_sha256
+
 EnvState = Any  # the environment's own state; axis N first in every leaf
 
 
@@ -23,6 +25,16 @@ class Environment(Protocol):
     def reset(self, keys: jax.Array, params: Any, /) -> EnvState: ...
     def step(self, state: EnvState, action: dict[str, jax.Array], /) -> EnvState: ...
     def joint_positions(self, state: EnvState, /) -> dict[str, jax.Array]: ...  # rad, by role
+
+
+def environment_facts(env: Environment) -> dict[str, Any]:
+    """Return the facts, JSON-ready, of an environment that a run which goes on must share."""
+    return {
+        "version": env.version,
+        "backend": env.backend,
+        "engine": getattr(env, "engine", {}),
+        "scene": scene_sha256(env.task),
+    }
 
 
 class ShowingMore:

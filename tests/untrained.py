@@ -1,5 +1,7 @@
 """Untrained teams, for tests that need a registry and no skill."""
 
+import dataclasses
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -63,6 +65,12 @@ def teams_of(
         for place, disability in enumerate(("d1", "d9"))
         for seed in range(seeds)
     ]
+
+
+def halved(teams: Iterable[TrainedTeam]) -> list[TrainedTeam]:
+    """Return teams of the same ids with other parameters."""
+    half = functools.partial(jax.tree.map, lambda leaf: leaf / 2)
+    return [dataclasses.replace(team, params=half(team.params)) for team in teams]
 
 
 def published(teams: Iterable[TrainedTeam], folder: Path) -> Path:

@@ -6,11 +6,14 @@ hand. Edit the MJCF files to change a scene; bump the task's version in `assista
 when you do.
 """
 
+import functools
+import re
 from importlib import resources
 
 import mujoco
 import numpy as np
 
+from assistax_base.digest import sha256
 from assistax_envs.models.care_scenes import give_mouth, touch_mouth
 from assistax_envs.models.gentle_scenes import SCENES, soften
 from assistax_envs.models.looks import dress
@@ -29,6 +32,19 @@ WEAKNESS: dict[str, float] = {
 def build_model(task: str) -> mujoco.MjModel:
     """Compile the scene of `task` with its tool bolted to the robot's hand."""
     return _scene(task).compile()
+
+
+@functools.cache
+def scene_sha256(task: str) -> str | None:
+    """Return the sha256 of a task's scene as MJCF, without colours; None if it has no scene here.
+
+    MJCF has six digits of a number: a last bit of another processor does not show.
+    """
+    if task not in REGISTERED:
+        return None
+    scene = _scene(task)
+    scene.compile()
+    return sha256(re.sub(r' rgba="[^"]*"', "", scene.to_xml()).encode())
 
 
 def build_dressed(task: str) -> mujoco.MjModel:

@@ -38,6 +38,7 @@ class Job:
     series: int = 1  # episodes in which a robot remembers a partner, one after the other
     own_episodes: bool = False  # each partner's are its own, not those of all: see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
+    scene: str | None = None  # sha256 of the task's scene; None of an environment from outside
     # Of the gentle tasks: what the partners like, in turns, see `preferences_of`; empty where it is
     # drawn.
     preferences: tuple[str, ...] = ()
@@ -96,14 +97,15 @@ class Job:
 
     def identity(self) -> dict[str, Any]:
         """Return what decides the values of the episode table, JSON-ready."""
-        newer = {  # only where used, so that folders of before there were any stay the answer
+        optional = {  # only where used
             "preferences": list(self.preferences),
             "side_preferences": {
                 side: list(names) for side, names in self.side_preferences.items()
             },
             "series": self.series if self.series > 1 else None,
+            "scene": self.scene,
         }
-        return {name: value for name, value in newer.items() if value} | {
+        return {name: value for name, value in optional.items() if value} | {
             "evaluator_version": EVALUATOR_VERSION,
             "task": self.task,
             "env_version": self.env_version,

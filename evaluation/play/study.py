@@ -33,6 +33,7 @@ def make_job(
     play in one that tells them, and the job says so.
     """
     from assistax_envs import make
+    from assistax_envs.models.build import scene_sha256
 
     told: dict[str, Any] = {"told": ("robot", "human")} if robots.told else {}
     env: Any = make(how.task, backend=how.backend, version=version, **told)
@@ -49,6 +50,7 @@ def make_job(
         env_version=env.version,
         backend=env.backend,
         engine={**getattr(env, "engine", {}), **condition},
+        scene=scene_sha256(how.task),
         egos=robots,
         partners=humans,
         episodes=episodes,

@@ -1,21 +1,32 @@
-"""Which pair of a finished folder is worth a look first: the one that earns least."""
+"""The pair of a finished folder that earns least: worth a look first."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from assistax_base.errors import shorten
+from evaluation.cast.cast import env_version
 from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
 from evaluation.record.verification import check_whole
+from evaluation.replay.received import received_robots, source_of
 from evaluation.report.page import film_of, first_preferences
+from zoo.registry import Registry
 
 
-def worst_pair(folder: Path) -> dict[str, Any]:
+def worst_pair(folder: Path, registry: Registry, *, run_code: bool = False) -> dict[str, Any]:
     """Return the pair of a folder that earns least, as arguments of `trajectories`.
 
+    Args:
+        folder: Received from anybody.
+        registry: Has its humans, and the robots that are published.
+        run_code: See `evaluation.replay.received.received_robots`.
+
     Raises:
-        ValueError: The folder is damaged, or its manifest does not name the episodes.
+        ValueError: The folder is damaged, or its manifest does not name the episodes; or the pair
+            cannot be played here, or is not the one that played.
     """
     check_whole(folder)
     manifest = read_manifest(folder)
@@ -24,6 +35,23 @@ def worst_pair(folder: Path) -> dict[str, Any]:
     identity, table = manifest["identity"], tables.read_episodes(folder / tables.EPISODES_FILE)
     means = table.group_by("ego", "partner").agg(pl.col("return").mean())
     robot, human, _ = means.sort("return", "ego", "partner").row(0)
+    task = str(identity["task"])
+    played = [row for row in identity["egos"] if row[0] == robot]
+    received_robots(folder, played, registry, task, run_code=run_code)
+    _check_human(folder, identity, human, registry)
     liked = first_preferences(folder).get(human) if "preferences" in identity else None
-    seats = {"robot": robot, "human": human, "task": str(identity["task"])}
-    return seats | {"seed": int(identity["seed"]), "preference": liked}
+    seats = {"robot": source_of(robot, folder, registry, run_code=run_code), "human": human}
+    return seats | {"task": task, "seed": int(identity["seed"]), "preference": liked}
+
+
+def _check_human(folder: Path, identity: Mapping[str, Any], name: str, registry: Registry) -> None:
+    """Refuse a human that is another one in this registry than in the folder."""
+    entry = registry.policy(name)
+    version = env_version(registry, entry.task, [entry])
+    here = [entry.task, version, [name, entry.sha256]]
+    digests = [[row[0], row[3]] for row in identity["partners"] if row[0] == name]
+    if here != [identity["task"], identity["env_version"], *digests]:
+        raise ValueError(
+            f"human {shorten(name)} is not the one that played in {folder}: another sha256 or "
+            "environment; give the registry that it was evaluated with"
+        )

@@ -8,22 +8,21 @@ import dataclasses
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from assistax_base.errors import SplitError
+from assistax_envs.models.build import scene_sha256
 from evaluation.cast.cast import entries_of, env_version, in_release, roots_of, sides_of
-from evaluation.cast.egos import read_egos
 from evaluation.cast.met_partners import DECLARED, MetPartners, declare, met_partners
-from evaluation.cast.robot_names import parse_reference
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.jobs import Job
 from evaluation.play.study import context_of
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
-from evaluation.record.manifest import describe_sources, received_sha256
+from evaluation.record.manifest import describe_sources
 from evaluation.record.record import Record
+from evaluation.replay.received import received_robots
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -58,7 +57,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     task = identity["task"]
     partners = [registry.policy(row[0]) for row in identity["partners"]]
     split = _split_of(summary, registry, task)
-    egos = _robots([row[0] for row in identity["egos"]], registry, task, run_code)
+    egos = received_robots(folder, identity["egos"], registry, task, run_code=run_code)
     declared = manifest.get("met", {}).get("declared")
     egos = declare(egos, registry, task, declared)
     played = [*partners, *(entry for entry in registry.policies if entry.id in egos.members)]
@@ -145,26 +144,6 @@ def _release(
     return ", ".join(sorted({entry.release for entry in played}))
 
 
-def _robots(names: Sequence[str], registry: Registry, task: str, run_code: bool) -> Roster:
-    """Return the robots that a manifest names; nothing but robots' own files is opened."""
-    for name in names:
-        if name.startswith("object:"):
-            raise ValueError(f"robot {name} was a Python object, which no file holds")
-        reference = parse_reference(name)
-        if reference.kind == "python" and not run_code:
-            raise ValueError(
-                f"robot {name} is code, and the folder names it; read it, then allow run_code"
-            )
-        if reference.kind in ("file", "onnx"):
-            try:
-                received_sha256(Path(reference.source))
-            except OSError as error:
-                raise ValueError(
-                    f"robot {name} is not here ({error.strerror or error}); put its file there"
-                ) from None
-    return read_egos(names, registry, task)
-
-
 def _job_of(
     identity: Mapping[str, Any], env: Any, egos: Roster, partners: Roster, sides: Mapping[str, str]
 ) -> Job:
@@ -175,6 +154,7 @@ def _job_of(
         env_version=env.version,
         backend=env.backend,
         engine=getattr(env, "engine", {}),
+        scene=scene_sha256(env.task),
         egos=egos,
         partners=partners,
         episodes=identity["episodes"],

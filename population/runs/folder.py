@@ -35,6 +35,11 @@ _MAY_CHANGE = (
     "checkpoint_every",
     "self_play_episodes",
 )  # when a run goes on; so may "steps", with `extends`
+_DIGESTS = {  # how a difference is told
+    "environment.partners_sha256": "its partners have other parameters or settings",
+    "environment.split_sha256": "its split has other content",
+    "environment.scene": "the task has another scene",
+}
 _SCHEMA = {
     "update": pl.Int64,
     "steps": pl.Int64,
@@ -248,6 +253,8 @@ def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, pat
         return "; ".join(part for part in parts if part)
     if json.dumps(there) == json.dumps(here):
         return ""
+    if path in _DIGESTS:
+        return f"{_DIGESTS[path]} ({_short(there)} there, {_short(here)} here)"
     return f"{path.removeprefix('config.')} is {_short(there)} there and {_short(here)} here"
 
 

@@ -20,7 +20,7 @@ from assistax_envs import disability_params
 from assistax_envs.interrupts import StoppedError, interruptible
 from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
-from population.environment import Environment
+from population.environment import Environment, environment_facts
 from population.hyperparameters import PPOConfig
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
@@ -59,6 +59,7 @@ def train(
     snapshots: int = 0,
     progress: Callable[[Progress], None] | None = None,
     devices: Sequence[jax.Device] | None = None,
+    key: Mapping[str, str] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder.
 
@@ -75,6 +76,7 @@ def train(
         snapshots: At how many equal steps of the run the policies are kept, to choose among them.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; see `DeviceShares` if not given.
+        key: Digests, by name, that a run which goes on must share too, such as its partners'.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -83,7 +85,7 @@ def train(
     """
     _check(config, env, partners)
     trainer, run = make_trainer(config, env, partners), RunFolder(folder)
-    run.open(config, {"version": env.version, "backend": env.backend}, resume)
+    run.open(config, {**environment_facts(env), **(key or {})}, resume)
     if run.finished(config):
         return run.folder
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,15 +10,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import polars as pl
 import pytest
 
 import assistax_zoo as az
 from assistax_zoo.shell.main import run
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.record import tables
-from evaluation.record.manifest import write_manifest
+from evaluation.record.manifest import file_sha256, identity_digest, seal, write_manifest
 from evaluation.record.record import Record
 from tests.evaluation.episode_tables import CONTEXT, episode_table, team_id, teams
+from tests.untrained import halved, published, teams_of
+from zoo.registry import Registry, load_registry
 
 STEPS = ("--steps", "4")
 
@@ -107,31 +111,138 @@ def test_a_display_that_is_named_and_not_there_gives_a_page(
     assert (tmp_path / "watch.html").is_file()
 
 
-def test_a_report_records_and_plays_the_pair_that_earns_least(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, asked = tmp_path / "xp", []
+@pytest.fixture(scope="module")
+def zoo(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    return load_registry(published(teams_of(2), tmp_path_factory.mktemp("zoo")))
+
+
+def finished(folder: Path, zoo: Registry, robot: str = "", digest: str = "") -> Path:
+    """Return a sealed cross-play of two teams, of which the first robot may be called otherwise."""
     returns = np.array([[[5.0], [1.0]], [[4.0], [3.0]]])
-    save_crossplay(Record(episode_table(returns, teams(2), teams(2)), folder), CONTEXT)
-    tables.write_episodes(episode_table(returns, teams(2), teams(2)), folder / tables.EPISODES_FILE)
-    identity = {"task": "scratch", "seed": 7, "apart": True, "egos": [], "partners": []}
-    write_manifest(folder, {"identity": identity})
+    table = episode_table(returns, teams(2), teams(2))
+    worst = table["ego"][0]
+    table = table.with_columns(pl.col("ego").replace(worst, robot or worst))
+    save_crossplay(Record(table, folder), CONTEXT)
+    tables.write_episodes(table, folder / tables.EPISODES_FILE)
+    egos = [f"{team_id(team)}/robot" for team in teams(2)]
+    digests = {name: zoo.policy(name).sha256 for name in egos}
+    identity = {
+        "task": "scratch",
+        "env_version": zoo.env_version(zoo.policies[0]),
+        "seed": 7,
+        "apart": True,
+        "egos": [
+            [robot or worst, digest or digests[worst]],
+            *([name, of] for name, of in digests.items() if name != worst),
+        ],
+        "partners": [
+            [name, "d1", None, zoo.policy(name).sha256, None]
+            for name in (f"{team_id(team)}/human" for team in teams(2))
+        ],
+    }
+    write_manifest(folder, {"identity": identity, "job": identity_digest(identity)})
+    seal(folder)
+    return folder
+
+
+@pytest.fixture
+def asked(recording: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Stands for the simulation: notes which pair is played, and gives another's recording."""
+    pairs: list[Any] = []
 
     def recorded(robot: str, human: str, *, out: Path, **options: Any) -> None:
-        asked.append((robot, human, options["seed"], options["task"]))
+        pairs.append((robot, human, options["seed"], options["task"]))
         shutil.copy(recording, out)
 
     monkeypatch.setattr("assistax_zoo.recording.trajectories", recorded)
-    for words, episodes in (((), 0), (("--watch",), 1), ((), 1)):  # once recorded, it stays
-        assert run(["report", str(folder), "--out", "page.html", *words]) == 0
+    return pairs
+
+
+def exported(zoo: Registry, out: Path) -> Path:
+    return az.open_zoo(zoo.path).export("scratch/ippo-d1-s0-v0/robot", out)
+
+
+def report(folder: Path, zoo: Registry, *words: str) -> int:
+    return run(["report", str(folder), "--out", "page.html", "--registry", str(zoo.path), *words])
+
+
+def test_a_report_plays_the_pair_that_earns_least(
+    zoo: Registry, tmp_path: Path, asked: list[Any]
+) -> None:
+    folder = finished(tmp_path / "xp", zoo)
+    before = {path.name for path in folder.iterdir()}
+    for words, episodes in (((), 0), (("--watch",), 1)):
+        assert report(folder, zoo, *words) == 0
         text = (tmp_path / "page.html").read_text(encoding="utf-8")
         assert text.count("data-episode=") == episodes
     names = [
         f"{team_id(team)}/{role}" for team, role in zip(teams(2), ("robot", "human"), strict=True)
     ]
     assert asked == [(*names, 7, "scratch")]
+    assert {path.name for path in folder.iterdir()} == before
+
+
+def test_a_page_plays_no_recording_that_it_was_given(zoo: Registry, tmp_path: Path) -> None:
+    """Any file may call itself an episode of any pair."""
+    folder = finished(tmp_path / "xp", zoo)
     (folder / "worst.trajectory").write_bytes(b"no recording")
-    assert run(["report", str(folder), "--out", "page.html"]) == 1
+    assert report(folder, zoo) == 0
+    assert "data-episode=" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        ("python:os:getcwd", "is code, and the folder names it; read it, then allow run_code"),
+        ("python:robot.py:make", "is code, and the folder names it"),
+        ("object:Net-0", "was a Python object, which no file holds"),
+        ("{elsewhere}", "is not here"),
+        ("robot.safetensors", "is not here"),
+        ("../robot.safetensors", "is not here"),
+        ("scratch/*/robot", "scratch/.*/robot"),
+    ],
+)
+def test_a_received_name_runs_and_reads_nothing_outside(
+    zoo: Registry,
+    tmp_path: Path,
+    asked: list[Any],
+    capsys: pytest.CaptureFixture[str],
+    robot: str,
+    message: str,
+) -> None:
+    """A policy file of that name lies in the reader's folder, and is not taken."""
+    place = exported(zoo, tmp_path / "robot.safetensors")
+    (tmp_path / "robot.py").write_text("raise SystemExit('it runs')")
+    name = robot.format(elsewhere=place)
+    digest = file_sha256(place)
+    folder = finished(tmp_path / "xp", zoo, name, digest)
+    assert report(folder, zoo, "--watch") == 1
+    assert re.search(message, " ".join(capsys.readouterr().err.split()))
+    assert asked == []
+    if name.endswith("robot.safetensors"):  # a copy within the folder is
+        shutil.copy(place, folder)
+        assert report(folder, zoo, "--watch") == 0
+        assert asked[0][0] == str(folder / "robot.safetensors")
+
+
+def test_a_reader_may_trust_the_names_of_a_folder(
+    zoo: Registry, tmp_path: Path, asked: list[Any]
+) -> None:
+    place = exported(zoo, tmp_path / "robot.safetensors")
+    folder = finished(tmp_path / "xp", zoo, str(place), file_sha256(place))
+    assert report(folder, zoo, "--watch", "--run-code") == 0
+    assert asked[0][0] == str(place)
+
+
+def test_a_pair_of_another_registry_is_not_played(
+    zoo: Registry, tmp_path: Path, asked: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the same ids and other parameters."""
+    folder = finished(tmp_path / "xp", zoo)
+    other = load_registry(published(halved(teams_of(2)), tmp_path / "other"))
+    assert report(folder, other, "--watch") == 1
+    assert "is not the one that played" in " ".join(capsys.readouterr().err.split())
+    assert asked == []
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,19 @@
 """Robots that train with a split's training side."""
 
 import dataclasses
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from evaluation.ego_training import load_partners, prepare, shared_out
+from evaluation.ego_training import load_partners, prepare, shared_out, train_egos
 from population.hyperparameters import preset
+from population.runs.folder import RunFolder
+from tests.untrained import halved, published, teams_of
 from zoo.parameters import storage
-from zoo.registry import load_registry
+from zoo.registry import Registry, load_registry
 
 
 def unreadable(test, loaded):
@@ -83,3 +87,64 @@ def test_a_training_is_prepared_and_says_how_simulations_are_shared():
 def test_what_does_not_fit_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         prepare(load_registry(), **{"task": "scratch", **changes})
+
+
+@pytest.fixture(scope="module")
+def registries(tmp_path_factory: pytest.TempPathFactory) -> tuple[Registry, Registry]:
+    """Two of equal ids: the other's parameters are halved."""
+    home = tmp_path_factory.mktemp("zoos")
+    teams = teams_of(2)
+    places = published(teams, home / "mine"), published(halved(teams), home / "other")
+    mine, other = map(load_registry, places)
+    return mine, other
+
+
+TINY: dict[str, Any] = {
+    "seeds": 1,
+    "steps": 1,
+    "hyperparameters": {"rollout_steps": 2, "minibatches": 1, "hidden": (8, 8)},
+}
+
+
+def test_partners_of_equal_ids_have_another_key(registries: tuple[Registry, Registry]) -> None:
+    mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
+    assert mine.config == other.config
+    assert mine.key["partners_sha256"] != other.key["partners_sha256"]
+    assert mine.key == prepare(registries[0], "scratch", **TINY).key
+
+
+def test_a_persons_run_has_the_key_of_its_rows() -> None:
+    persons = prepare(load_registry(), "gentle_scratch", partners="persons", **TINY)
+    assert set(persons.key) == {"split_sha256", "partners_sha256"}
+
+
+def test_a_run_of_other_partners_is_not_continued(
+    registries: tuple[Registry, Registry], tmp_path: Path
+) -> None:
+    """Neither begun nor finished; its files stay as they are."""
+    mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
+    facts = {"version": 1, "backend": "native"}
+    run = RunFolder(tmp_path / "run")
+    run.open(mine.config, {**facts, **mine.key}, resume=True)
+    before = (run.folder / "config.json").read_bytes()
+    run.open(mine.config, {**facts, **mine.key}, resume=True)
+    with pytest.raises(ValueError, match="its partners have other parameters or settings"):
+        run.open(other.config, {**facts, **other.key}, resume=True)
+    assert (run.folder / "config.json").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_finished_run_keeps_its_claims(
+    registries: tuple[Registry, Registry], tmp_path: Path
+) -> None:
+    """Asked again under another registry it would claim partners that it never met."""
+    mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
+    trained = train_egos(mine, tmp_path / "run", backend="native")
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["environment"]["scene"] and config["environment"]["engine"]["name"] == "native"
+    with pytest.raises(ValueError, match="its partners have other parameters or settings"):
+        train_egos(other, tmp_path / "run", backend="native")
+    assert train_egos(mine, tmp_path / "run", backend="native").files == trained.files
+    after = {path: path.read_bytes() for path in before}
+    assert after == before

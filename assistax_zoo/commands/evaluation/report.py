@@ -1,5 +1,6 @@
 """What finished folders show: differences of methods, strategies of partners, and a page."""
 
+import tempfile
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +16,6 @@ from assistax_zoo.shell.console import (
     progress,
     stdout_is_data,
 )
-
-RECORDED, MOST_RECORDED = ".trajectory", 4  # recordings in a folder that its page plays
 
 if TYPE_CHECKING:
     from evaluation.figures.metrics import Difference
@@ -121,7 +120,14 @@ def strategies(folder: Path, /, *, json: bool = False) -> None:
 
 
 def report(
-    folder: Path, /, *, out: Path, contrasts: Path | None = None, watch: bool = False
+    folder: Path,
+    /,
+    *,
+    out: Path,
+    contrasts: Path | None = None,
+    watch: bool = False,
+    run_code: bool = False,
+    registry: str | None = None,
 ) -> None:
     """Write one page about a finished evaluation or cross-play, or a league, for a browser.
 
@@ -133,8 +139,11 @@ def report(
             such evaluations, in folders of their rows' names: a league on one task.
         out: Page to write, .html.
         contrasts: File of named contrasts, whose figures a league's page has.
-        watch: Record the first episode of the pair that earns least, and play it in the page. Other
-            files of `trajectories` in the folder that end in .trajectory are played too.
+        watch: Play the pair that earns least again, and show its first episode in the page. The
+            robot is one of the registry, or its file lies in the folder.
+        run_code: Play a robot from Python code, or a file elsewhere, that the folder names; read it
+            first.
+        registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:
         assistax-zoo report xp --out report.html
@@ -147,30 +156,29 @@ def report(
 
         figures = compare_named(contrasts, [folder])
     with stdout_is_data():
-        if watch:
-            _record_worst(folder)
-        recordings = sorted(folder.glob(f"*{RECORDED}"))[:MOST_RECORDED]
-        episodes = [_recorded(path) for path in recordings]
+        episodes = [_worst_episode(folder, registry, run_code=run_code)] if watch else []
         write_report(folder, out, episodes, contrasts=figures)
     print(out)
 
 
-def _record_worst(folder: Path) -> None:
-    """Record the pair of a folder that earns least, beside its tables."""
+def _worst_episode(folder: Path, registry: str | None, *, run_code: bool) -> bytes:
+    """Play the first episode of the pair of a folder that earns least, as its page takes it."""
     from assistax_zoo.recording import trajectories
-    from evaluation.player.worst_pair import worst_pair
-
-    pair = worst_pair(folder)
-    with progress(f"play {pair['task']}", EPISODE) as advance:
-        pair |= {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
-        trajectories(**pair, out=folder / f"worst{RECORDED}")
-
-
-def _recorded(path: Path) -> bytes:
+    from assistax_zoo.zoos import open_zoo
     from evaluation.player.episode import episode_content, read_episode
     from evaluation.player.page import pack
+    from evaluation.player.worst_pair import worst_pair
 
-    return pack(episode_content(read_episode(path)))
+    opened = open_zoo(registry)
+    pair = worst_pair(folder, opened.registry, run_code=run_code)
+    with (
+        tempfile.TemporaryDirectory(prefix="report-") as place,
+        progress(f"play {pair['task']}", EPISODE) as advance,
+    ):
+        out = Path(place) / "worst.trajectory"
+        pair |= {"episodes": 1, "backend": "native", "on_step": lambda: advance(1)}
+        trajectories(**pair, zoo=opened, out=out)
+        return pack(episode_content(read_episode(out)))
 
 
 def _difference_line(side: str, difference: "Difference") -> str:

@@ -1,0 +1,123 @@
+"""The robots of a received folder: its names never run code, nor leave the folder or the zoo.
+
+A sender may write any name into a folder's tables and seal them. So a name is looked up as an id of
+the registry, or as a policy file that lies in the folder itself, and has the digest that the folder
+says. A reader who trusts the folder may allow its names as they are: paths, and code that is run.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import shorten
+from evaluation.cast.egos import read_egos
+from evaluation.cast.robot_names import parse_reference
+from evaluation.cast.roster import Roster
+from evaluation.record.manifest import received_sha256
+from zoo.registry import Registry
+
+
+def received_robots(
+    folder: Path,
+    named: Sequence[Sequence[Any]],
+    registry: Registry,
+    task: str,
+    *,
+    run_code: bool = False,
+) -> Roster:
+    """Return the robots that a folder names.
+
+    Args:
+        folder: Received from anybody.
+        named: Name and digest of each robot, as the identity of the folder's job has them.
+        registry: Has the published robots.
+        task: What they play.
+        run_code: Take names as they are: files anywhere, and Python code, which is run.
+
+    Raises:
+        ValueError: A robot is code or lies outside the folder, and that is not allowed; or it is
+            not the one that played.
+        ZooError: The registry has no such robot.
+    """
+    names = [str(row[0]) for row in named]
+    sources = {name: source_of(name, folder, registry, run_code=run_code) for name in names}
+    if not names:
+        raise ValueError(f"{folder} names no robot that played; run again")
+    if len(set(sources.values())) < len(names):
+        raise ValueError(f"two robots of {folder} have files of one name; allow run_code")
+    for name in names:
+        _check_there(name, sources[name])
+    found = read_egos([_exactly(source) for source in sources.values()], registry, task)
+    robots = _renamed(found, {source: name for name, source in sources.items()})
+    for name, digest in zip(names, (row[1] for row in named), strict=True):
+        if robots.members[name].digest != digest:
+            raise ValueError(
+                f"robot {shorten(name)} is not the one that played in {folder}: another sha256; "
+                "give the registry or the file that it was evaluated with"
+            )
+    return robots
+
+
+def source_of(name: str, folder: Path, registry: Registry, *, run_code: bool = False) -> str:
+    """Return what is read in place of a name: an id of the registry, or a file of the folder.
+
+    Args:
+        name: Of a robot, as the folder has it.
+        folder: Received from anybody.
+        registry: Has the published robots.
+        run_code: Return the name as it is.
+
+    Raises:
+        ValueError: It names code or a Python object.
+        ZooError: The registry has no such robot.
+    """
+    if run_code:
+        return name
+    if name.startswith("object:"):
+        raise ValueError(f"robot {shorten(name)} was a Python object, which no file holds")
+    reference = parse_reference(name)
+    if reference.kind == "python":
+        raise ValueError(
+            f"robot {shorten(name)} is code, and the folder names it; read it, then allow run_code"
+        )
+    if reference.kind in ("file", "onnx"):
+        return str(folder.absolute() / Path(reference.source).name)
+    return registry.policy(reference.source).id
+
+
+def _check_there(name: str, source: str) -> None:
+    """Refuse a robot's file that is not there, or no regular file."""
+    reference = parse_reference(source)
+    if reference.kind not in ("file", "onnx"):
+        return
+    try:
+        received_sha256(Path(reference.source))
+    except OSError as error:
+        raise ValueError(
+            f"robot {shorten(name)} is not here ({reference.source}: {error.strerror or error}); "
+            "put a copy of its file into the folder, or allow run_code to read it where the "
+            "folder says"
+        ) from None
+
+
+def _exactly(source: str) -> str | Path:
+    """Return a source of which no part is taken for a pattern."""
+    return Path(source) if parse_reference(source).kind in ("file", "onnx") else source
+
+
+def _renamed(robots: Roster, names: Mapping[str, str]) -> Roster:
+    """Return robots under other ids, where `names` has one."""
+
+    def name_of(old: str) -> str:
+        return names.get(old, old)
+
+    stacks = []
+    for stack in robots.stacks:
+        ids = {"ids": tuple(map(name_of, stack.ids))} if hasattr(stack, "spec") else {}
+        stacks.append(dataclasses.replace(stack, **(ids or {"id": name_of(stack.id)})))
+    members = {
+        name_of(old): dataclasses.replace(member, id=name_of(old))
+        for old, member in robots.members.items()
+    }
+    return Roster(tuple(stacks), members)
