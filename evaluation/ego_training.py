@@ -12,6 +12,7 @@ from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
 from population.hyperparameters import TrainerConfig, robot_preset
+from population.runs.folder import RunFolder
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
 from zoo.ids import PERSONS
@@ -293,7 +294,7 @@ def ego_metadata(
         "algorithm": training.config.algorithm,
         "seed": seed,
         "split": training.split.id,
-        "training": {"run": folder.resolve().name, **trained},
+        "training": {"run": folder.resolve().name, "key": RunFolder(folder).key, **trained},
         **training.met.claim,
         **({"told": training.config.told} if training.config.told else {}),
     }

@@ -31,6 +31,7 @@ class StackedFile(NamedTuple):
     spec: PolicySpec
     leaves: Leaves
     rows: list[Any]
+    run: str | None = None  # key of the run that wrote it
 
 
 def flatten(params: Mapping[str, Any]) -> Leaves:
@@ -110,7 +111,7 @@ def parse_stacked(data: bytes, source: str) -> StackedFile:
     ]
     if wrong:
         raise FormatError(source, f"leaves with a first axis of {len(rows)}", wrong[0])
-    return StackedFile(spec, leaves, rows)
+    return StackedFile(spec, leaves, rows, metadata.get("run"))
 
 
 def take_row(stacked: StackedFile, row: int) -> Leaves:

@@ -15,14 +15,24 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 KEEP = 2  # newest checkpoints that stay on disk: one to go on from, one if that is damaged
-_DIGEST = "sha256"
+_DIGEST, _RUN = "sha256", "run"
+
+
+class OtherRunError(ValueError):
+    """A checkpoint is whole, and of another run."""
 
 
 class Checkpoints:
-    """The checkpoints of a run, by number of updates done."""
+    """The checkpoints of a run, by number of updates done.
 
-    def __init__(self, folder: Path) -> None:
+    Args:
+        folder: Where they lie.
+        key: The digest of what the run trains; those of another run are refused.
+    """
+
+    def __init__(self, folder: Path, key: str | None = None) -> None:
         self.folder = folder.resolve()
+        self._key = np.frombuffer(bytes.fromhex(key or "00" * 32), np.uint8)
         options = ocp.CheckpointManagerOptions(
             max_to_keep=KEEP, enable_async_checkpointing=False, cleanup_tmp_directories=True
         )
@@ -38,7 +48,7 @@ class Checkpoints:
         Raises:
             OSError: It cannot be written; those that exist are untouched.
         """
-        last, arrays = self.latest(), _to_arrays(state)
+        last, arrays = self.latest(), {**_to_arrays(state), _RUN: self._key}
         arrays[_DIGEST] = _digest(arrays)
         try:
             self._manager.save(update, args=ocp.args.StandardSave(arrays))
@@ -64,12 +74,15 @@ class Checkpoints:
             like: A state of the same structure, on the devices that the result is to lie on.
 
         Raises:
+            OtherRunError: A checkpoint is of another run.
             ValueError: There are checkpoints, and none can be read.
         """
         updates, reason = sorted(self._manager.all_steps(), reverse=True), ""
         for update in updates:
             try:
                 state = self._restore(update, like)
+            except OtherRunError:
+                raise
             except Exception as error:
                 reason = reason or str(error).strip().partition("\n")[0]
                 continue
@@ -89,12 +102,17 @@ class Checkpoints:
         return None
 
     def _restore(self, update: int, like: Any) -> Any:
-        like_arrays = _to_arrays(like)
+        like_arrays = {**_to_arrays(like), _RUN: self._key}
         like_arrays[_DIGEST] = _digest({})
         saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(like_arrays))
         digest = saved.pop(_DIGEST, None)
         if digest is None or not np.array_equal(digest, _digest(saved)):
             raise ValueError("its bytes are not those that were written")
+        if not np.array_equal(saved.pop(_RUN), self._key):
+            raise OtherRunError(
+                f"the checkpoint of update {update} in {self.folder} is of another run than the "
+                "folder's configuration; take it away, or start a new run in another folder"
+            )
         return _from_arrays(saved, like)
 
     def close(self) -> None:

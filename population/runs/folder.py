@@ -1,5 +1,8 @@
 """The folder of a run: its configuration, its metrics, and the teams it made.
 
+Metrics, checkpoints and teams hold the run's key, the digest of its configuration: those of another
+run are refused.
+
 - `config.json`: what was trained, on what
 - `checkpoints/`: training state by number of updates
 - `metrics.parquet`: one row for each update and member
@@ -19,9 +22,10 @@ import polars as pl
 import safetensors.numpy
 
 from assistax_base.bounded_reading import parse_json, read_text
+from assistax_base.digest import json_sha256
 from assistax_base.errors import FormatError, shorten
 from assistax_base.files import METADATA_KEY, atomic_write, write_json
-from assistax_base.parquet import check_readable, read_parquet, write_parquet
+from assistax_base.parquet import check_readable, read_metadata, read_parquet, write_parquet
 from population.config import Member, TrainConfig
 from population.hyperparameters import PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
@@ -53,8 +57,14 @@ _SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
 class RunFolder:
     """Reads and writes a run's folder; every file is seen whole or not at all."""
 
-    def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+    def __init__(self, folder: Path | str, key: str | None = None) -> None:
+        """Name the files of a folder.
+
+        Args:
+            folder: The folder.
+            key: The run's, where the folder has no configuration of its own.
+        """
+        self.folder, self._key = Path(folder), key
         self.checkpoints = self.folder / "checkpoints"
         self.teams = self.folder / "teams.json"
         self.snapshots = self.folder / "snapshots"
@@ -98,7 +108,20 @@ class RunFolder:
 
     def snapshot(self, update: int) -> "RunFolder":
         """Return the folder of the teams after so many updates."""
-        return RunFolder(self.snapshots / f"{update:09d}")
+        return RunFolder(self.snapshots / f"{update:09d}", self.key)
+
+    @property
+    def key(self) -> str | None:
+        """The digest of what the folder trains, on what, with whom; None without configuration.
+
+        What may change when a run goes on is left out.
+        """
+        if self._key is not None or not self._config.exists():
+            return self._key
+        config = self.config()
+        content = {**self._read_config(), "config": config.to_json()}
+        may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
+        return json_sha256(_without(content, may_change))
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -140,16 +163,32 @@ class RunFolder:
             ) from None
 
     def read_metrics(self, until: int) -> pl.DataFrame:
-        """Return the metrics of the first `until` updates."""
+        """Return the metrics of the first `until` updates.
+
+        Raises:
+            ValueError: The file is damaged, or of another run.
+        """
         check_readable([self._metrics])
         table = read_parquet(self._metrics)
+        said = parse_json(read_metadata(self._metrics).get(METADATA_KEY, "{}"))
+        if (said.get("run") if isinstance(said, dict) else None) != self.key:
+            raise ValueError(
+                f"{self._metrics} is of another run than {self._config.name} beside it; take the "
+                "folder from where it was made, or start a new run in another folder"
+            )
         if not isinstance(table.schema.get("update"), pl.Int64):
             raise ValueError(f"{self._metrics} is damaged; start a new run in another folder")
         return table.filter(pl.col("update") <= until)
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""
-        write_parquet(metrics, self._metrics)
+        said = {METADATA_KEY: json.dumps({"run": self.key})}
+        write_parquet(metrics, self._metrics, metadata=said)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a run that goes on shares beside its configuration; empty of old folders."""
+        found = self._read_config().get("environment") if self._config.exists() else None
+        return found if isinstance(found, dict) else {}
 
     def write_teams(
         self,
@@ -161,7 +200,7 @@ class RunFolder:
     ) -> None:
         """Write the parameters [M, ...] by role, then `teams.json`: the run is finished."""
         for role, spec in specs.items():
-            metadata = {"spec": spec.to_json(), "rows": list(config.names)}
+            metadata = {"spec": spec.to_json(), "rows": list(config.names), "run": self.key}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
             leaves = dict(sorted(flatten(params[role]).items()))
             atomic_write(
@@ -182,6 +221,7 @@ class RunFolder:
                 },
                 "training": dict(training),
                 "self_play": result,
+                "run": self.key,
             }
             for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
         ]
@@ -256,6 +296,13 @@ def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, pat
     if path in _DIGESTS:
         return f"{_DIGESTS[path]} ({_short(there)} there, {_short(here)} here)"
     return f"{path.removeprefix('config.')} is {_short(there)} there and {_short(here)} here"
+
+
+def _without(value: Any, names: Sequence[str]) -> Any:
+    """Return JSON without the fields of these names, at any depth."""
+    if isinstance(value, Mapping):
+        return {name: _without(part, names) for name, part in value.items() if name not in names}
+    return [_without(part, names) for part in value] if isinstance(value, list) else value
 
 
 def _short(value: Any) -> str:

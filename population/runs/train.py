@@ -100,7 +100,7 @@ def train(
         # The threads of the devices end before this does, whatever happens.
         with (
             DeviceShares(apart, devices) as shares,
-            contextlib.closing(Checkpoints(run.checkpoints)) as checkpoints,
+            contextlib.closing(Checkpoints(run.checkpoints, run.key)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints, snapshots)
             training.finish(*training.loop(*training.load(), report, stop_on_divergence))

@@ -133,6 +133,8 @@ def _team(
                 f"spec {specs[role].digest} for {role}",
                 f"{stacked.spec.digest} in {place['file']}",
             )
+        if stacked.run != item.get("run"):
+            raise _error(where, "parameters of its own run", f"another run's in {place['file']}")
         if type(place["row"]) is not int or not 0 <= place["row"] < len(stacked.rows):
             raise _error(where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(place["row"]))
         params[role] = unflatten(take_row(stacked, place["row"]))

@@ -174,7 +174,7 @@ def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None
 DECIDES = {
     **{name: name for name in ("task", "env_version", "engine", "episodes", "seed", "preferences")},
     **{"evaluator_version": "evaluator", "backend": "engine", "software": "jax"},
-    **{"partners": "panel", "apart": "starts"},
+    **{"partners": "panel", "apart": "starts", "scene": "env_version"},
     **dict.fromkeys(("egos", "stochastic", "paired", "series", "side_preferences")),
 }
 

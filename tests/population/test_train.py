@@ -1,3 +1,4 @@
+import contextlib
 import dataclasses
 import errno
 import json
@@ -17,6 +18,7 @@ import pytest
 import safetensors
 import safetensors.numpy
 
+from assistax_base.errors import FormatError
 from assistax_envs.interrupts import StoppedError
 from population.config import Member, TrainConfig, make_members
 from population.hyperparameters import preset
@@ -26,7 +28,8 @@ from population.networks.stack import flatten
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.folder import RunFolder
-from population.runs.train import DivergedError, train
+from population.runs.train import DivergedError, initial_state, make_trainer, train
+from population.runs.trained import read_teams
 from tests.population.toy_env import ToyEnv, match
 
 PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)
@@ -389,3 +392,34 @@ def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_p
     assert (tmp_path / "run" / "robot.safetensors").read_bytes() == (
         finished / "robot.safetensors"
     ).read_bytes()
+
+
+@pytest.mark.parametrize("part", ["checkpoints", "metrics.parquet", "robot.safetensors"])
+def test_parts_of_another_run_are_refused(finished, tmp_path, part):
+    """Its seed is another, and all shapes are the same."""
+    mine = tmp_path / "mine"
+    shutil.copytree(finished, mine)
+    other = RunFolder(tmp_path / "other")
+    config = RunFolder(mine).config()
+    members = tuple(dataclasses.replace(m, seed=m.seed + 10) for m in config.members)
+    other.open(dataclasses.replace(config, members=members), RunFolder(mine).facts(), resume=True)
+    assert other.key != RunFolder(mine).key
+    shutil.copy(other.folder / "config.json", mine / "config.json")
+    if part == "checkpoints":
+        like = initial_state(config, make_trainer(config, ToyEnv(match)))
+        with (
+            contextlib.closing(Checkpoints(mine / part, other.key)) as checkpoints,
+            pytest.raises(ValueError, match="is of another run"),
+        ):
+            checkpoints.restore_latest(like)
+        with contextlib.closing(Checkpoints(mine / part, RunFolder(finished).key)) as checkpoints:
+            assert checkpoints.restore_latest(like) is not None  # nothing was removed
+    elif part == "metrics.parquet":
+        with pytest.raises(ValueError, match=r"metrics\.parquet is of another run"):
+            RunFolder(mine).read_metrics(99)
+    else:
+        items = json.loads((mine / "teams.json").read_text())
+        text = json.dumps([{**item, "run": other.key} for item in items])
+        (mine / "teams.json").write_text(text)
+        with pytest.raises(FormatError, match=r"another run's in robot\.safetensors"):
+            read_teams(mine)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from assistax_base.bounded_reading import read_text
 from assistax_base.errors import FormatError
 from assistax_base.validated import first_problem
-from population.runs.folder import DONE, MAX_TEAMS_BYTES, REMEDY
+from population.runs.folder import DONE, MAX_TEAMS_BYTES, REMEDY, RunFolder
 from population.runs.trained import TrainedTeam, read_teams, teams_folder
 from zoo.schema import Split
 from zoo.splits import check_split
@@ -26,6 +26,11 @@ def read_run(folder: Path | str) -> list[TrainedTeam]:
     """
     teams, home, run = read_teams(folder), teams_folder(folder), Path(folder).resolve().name
     split = _trained_against(home / "split.json", home.parent / "split.json")
+    known = RunFolder(folder).facts().get("split_sha256")
+    if split and known and split["sha256"] != known:
+        raise FormatError(
+            f"split of the run {folder}", f"sha256 {known}", split["sha256"], REMEDY, DONE
+        )
     return [
         dataclasses.replace(
             team,
