@@ -118,10 +118,13 @@ class RunFolder:
         """
         if self._key is not None or not self._config.exists():
             return self._key
-        config = self.config()
-        content = {**self._read_config(), "config": config.to_json()}
-        may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
-        return json_sha256(_without(content, may_change))
+        extended = ("steps",) if extends(self.config().trainer) else ()
+        return self._digest_without(*_MAY_CHANGE, *extended)
+
+    @property
+    def recipe(self) -> str | None:
+        """The key without the members: runs of other seeds have the same; None as for the key."""
+        return self._digest_without(*_MAY_CHANGE, "members") if self._config.exists() else None
 
     def finished(self, config: TrainConfig) -> bool:
         """Return whether the folder holds the teams of this run, trained to its end."""
@@ -226,6 +229,11 @@ class RunFolder:
             for row, (member, result) in enumerate(zip(config.members, self_play, strict=True))
         ]
         write_json(self.teams, teams)
+
+    def _digest_without(self, *names: str) -> str:
+        """Return the digest of the configuration without the fields of these names."""
+        content = {**self._read_config(), "config": self.config().to_json()}
+        return json_sha256(_without(content, names))
 
     def _read_config(self) -> dict[str, Any]:
         try:

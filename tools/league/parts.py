@@ -91,6 +91,11 @@ class Part:
             (record["row"], record["split"], record["steps"], each["partners"], each["episodes"])
             for record, each in zip(records, chosen, strict=True)
         }
+        if len({RunFolder(place).recipe for place in places}) > 1:
+            raise ValueError(
+                f"parts in {folder} were trained otherwise: their config.json differ in more than "
+                "the seeds, such as partners' parameters; make them again alike"
+            )
         found = [seed for record in records for seed in record["seeds"]]
         if found != list(seeds) or len(made) > 1 or records[0]["split"] != split:
             raise ValueError(

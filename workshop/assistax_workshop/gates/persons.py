@@ -25,6 +25,7 @@ from population.config import MIXED, Member, make_run
 from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.stack import PolicyStack
+from population.networks.tensors import row_sha256
 from population.play.rollout import Rollout
 from population.runs.train import train
 from population.runs.trained import read_trained_run
@@ -194,7 +195,8 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
     )
     folder = plan.folder / name
     with contextlib.closing(TrainingLine(str(folder))) as line:
-        return train(config, env, folder, partners=partners, progress=line)
+        key = {"partners_sha256": row_sha256({"rows": np.asarray(partners.rows)})}
+        return train(config, env, folder, partners=partners, progress=line, key=key)
 
 
 def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
