@@ -1,0 +1,121 @@
+"""Whether jobs were played alike, by their identities in the folders' manifests.
+
+Every reader that brings folders together asks here: their figures belong together only where the
+same partners played under the same conditions.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from assistax_base.errors import printable, shorten
+from evaluation.record.manifest import MANIFEST_FILE, identity_digest, read_manifest
+
+SOFTWARE = "software"
+# The columns of an identity's rows of policies, after the id.
+SEATS = {"egos": ("digest",), "partners": ("disability", "side", "digest", "setting")}
+ADVICE = "play both alike"
+
+Described = Mapping[str, Mapping[str, Any]]  # by the folder's name
+
+
+def read_identity(folder: Path) -> dict[str, Any] | None:
+    """Return the identity of a folder's job, or None where no manifest names it.
+
+    Raises:
+        ValueError: The manifest is not what was written, or it names another job than it holds.
+    """
+    manifest = read_manifest(folder) or {}
+    identity = manifest.get("identity")
+    if identity is None:
+        return None
+    if not isinstance(identity, dict) or manifest.get("job") != identity_digest(identity):
+        raise ValueError(
+            f"{folder / MANIFEST_FILE} names another job than the identity it holds; take the "
+            "folder from where it was made"
+        )
+    return identity
+
+
+def conditions(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how a job's pairs play, whichever they are: all fields but policies and software."""
+    return {name: value for name, value in identity.items() if name not in (*SEATS, SOFTWARE)}
+
+
+def check_alike(
+    described: Described, fields: Iterable[str] | None = None, *, advice: str = ADVICE
+) -> None:
+    """Refuse folders that differ in a field; one that a folder lacks differs from any value.
+
+    Args:
+        described: JSON-ready fields of each folder, by the folder's name, such as `conditions`.
+        fields: Those that must be equal; all if not given.
+        advice: What to do next.
+
+    Raises:
+        ValueError: Names the first field that differs, both values and both folders.
+    """
+    names = list(described)
+    if fields is None:
+        fields = dict.fromkeys(field for about in described.values() for field in about)
+    for field in fields:
+        values = [(name, described[name].get(field)) for name in names]
+        for value in values[1:]:
+            _check_equal(field, [values[0], value], advice)
+
+
+def check_members(identities: Described, seat: str, *, advice: str = ADVICE) -> None:
+    """Refuse jobs in which one id stands for different policies, settings or sides.
+
+    Args:
+        identities: By the folder's name.
+        seat: "egos" or "partners".
+        advice: What to do next.
+
+    Raises:
+        ValueError: Names the policy, what differs, both values and both folders.
+    """
+    known: dict[str, tuple[str, list[Any]]] = {}
+    for name, identity in identities.items():
+        for who, row in _members(name, identity, seat).items():
+            first, expected = known.setdefault(who, (name, row))
+            for column, *values in zip(SEATS[seat], expected, row, strict=True):
+                what = f"{column} of {seat.removesuffix('s')} {who}"
+                _check_equal(what, list(zip((first, name), values, strict=True)), advice)
+
+
+def software_notes(identities: Described) -> list[str]:
+    """Say which versions of packages differ, by which returns may differ too."""
+    notes = []
+    described = {name: identity.get(SOFTWARE) or {} for name, identity in identities.items()}
+    for package in dict.fromkeys(package for about in described.values() for package in about):
+        versions = {name: _shown(about.get(package)) for name, about in described.items()}
+        if len(set(versions.values())) > 1:
+            listed = ", ".join(f"{version} in {name}" for name, version in versions.items())
+            notes.append(printable(f"{package} is {listed}: returns may differ for that alone"))
+    return notes
+
+
+def _members(name: str, identity: Mapping[str, Any], seat: str) -> dict[str, list[Any]]:
+    rows, width = identity.get(seat), 1 + len(SEATS[seat])
+    if not isinstance(rows, list) or not all(
+        isinstance(row, list) and len(row) == width and isinstance(row[0], str) for row in rows
+    ):
+        raise ValueError(f"the manifest of {name} names no {seat}; run again")
+    return {row[0]: row[1:] for row in rows}
+
+
+def _check_equal(what: str, values: list[tuple[str, Any]], advice: str) -> None:
+    (first, expected), (second, found) = values
+    if expected != found:
+        text = f"{what} is {_shown(expected)} in {first} and {_shown(found)} in {second}; {advice}"
+        raise ValueError(printable(text))
+
+
+def _shown(value: Any) -> str:
+    """Return a value in few characters: "none" where there is none, else as JSON has it."""
+    if value is None or value == []:
+        return "none"
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 80 else shorten(text)
