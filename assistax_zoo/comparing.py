@@ -6,7 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from assistax_zoo.results import EvaluationResult, brief, load_result
-from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
+from evaluation.figures.comparable import (
+    ComparisonSummary,
+    Evaluated,
+    comparable,
+    summarise_comparison,
+)
 from evaluation.figures.contrasts import (
     ContrastFigures,
     Pair,
@@ -15,10 +20,8 @@ from evaluation.figures.contrasts import (
     read_contrasts,
 )
 from evaluation.figures.league import row_folders
-from evaluation.figures.summary import ComparisonSummary, summarise_comparison
 from evaluation.record import tables
 from evaluation.record.record import Record
-from evaluation.record.verification import unchecked
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -59,47 +62,20 @@ def compare(
         >>> compare(result, result.folder).test.mean
         0.0
     """
-    first, second = evaluation_of(a), evaluation_of(b)
-    played, met = paired_records(first, second)
-    summary = summarise_comparison(*played, seed=seed)
-    notes = [*summary.notes, *comparison_notes(met)]
-    notes += [*unchecked(first.folder), *unchecked(second.folder)]
-    summary = dataclasses.replace(summary, notes=tuple(dict.fromkeys(notes)), met=met)
-    return Comparison(**vars(summary), task=first.summary.task)
+    compared = comparable([_evaluation_of(a), _evaluation_of(b)])
+    summary = summarise_comparison(*compared.records, seed=seed)
+    notes = tuple(dict.fromkeys((*summary.notes, *compared.notes)))
+    summary = dataclasses.replace(summary, notes=notes, met=compared.met)
+    return Comparison(**vars(summary), task=compared.methods[0].summary.task)
 
 
-def paired_records(
-    first: EvaluationResult, second: EvaluationResult
-) -> tuple[list[Record], MetSummary]:
-    """Return the episodes of two methods that were evaluated alike, and whom robots of them met.
-
-    Left out are partners that a robot of either met in training.
-
-    Raises:
-        ValueError: They were not evaluated alike, or no partner is left.
-    """
-    methods = first, second
-    for name in ("task", "env_version", "backend", "engine"):
-        values = [getattr(method.summary, name) for method in methods]
-        if values[0] != values[1]:
-            raise ValueError(
-                f"{name} is {values[0]} in {first.folder} and {values[1]} in {second.folder}; "
-                "evaluate both methods alike"
-            )
-    records = [Record(method.episodes, method.folder) for method in methods]
-    met = both_met((first.summary.met, records[0].table), (second.summary.met, records[1].table))
-    played = [record.without(met.left_out) for record in records]
-    if any(record.table.is_empty() for record in played):
-        raise ValueError("every partner was trained with a robot of either method; choose others")
-    return played, met
-
-
-def evaluation_of(result: "EvaluationResult | Path | str") -> EvaluationResult:
+def _evaluation_of(result: "EvaluationResult | Path | str") -> Evaluated:
     """Return a result, or that of a folder, which must be an evaluation's."""
     loaded = load_result(result) if isinstance(result, Path | str) else result
     if not isinstance(loaded, EvaluationResult):
         raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
-    return loaded
+    record = Record(loaded.episodes, loaded.folder)
+    return Evaluated(str(loaded.folder), loaded.summary, record)
 
 
 def compare_named(
@@ -132,22 +108,22 @@ def compare_named(
     """
     path = Path(contrasts)
     file, digest = read_contrasts(path)
-    results = {}
+    results: dict[tuple[str, str], Evaluated] = {}
     for folder in (row for f in map(Path, folders) for row in row_folders(f).values() or [f]):
-        result = evaluation_of(folder)
+        result = _evaluation_of(folder)
         key = result.summary.task, folder.resolve().name
         if key in results:
             raise ValueError(
-                f"{folder} and {results[key].folder} are both {key[1]} on {key[0]}; a folder is "
+                f"{folder} and {results[key].name} are both {key[1]} on {key[0]}; a folder is "
                 "named for its method, so give one for each method and task"
             )
         results[key] = result
-    pairs, notes = {}, []
+    pairs: dict[tuple[str, str, str], Pair] = {}
+    notes: list[str] = []
     for task, method, baseline in named_pairs(file, list(results)):
-        first, second = results[task, method], results[task, baseline]
-        records, met = paired_records(first, second)
-        split = first.summary.split.id if first.summary.split else None
-        pairs[task, method, baseline] = Pair(*records, split)
-        notes += comparison_notes(met)
+        compared = comparable([results[task, method], results[task, baseline]])
+        split = compared.methods[0].summary.split
+        pairs[task, method, baseline] = Pair(*compared.records, split.id if split else None)
+        notes += compared.notes
     figures = contrast_figures(file, digest, path.name, pairs, seed=seed)
     return dataclasses.replace(figures, notes=tuple(dict.fromkeys((*figures.notes, *notes))))

@@ -205,12 +205,13 @@ def both_met(*results: tuple[MetSummary | None, pl.DataFrame]) -> MetSummary:
     return MetSummary(all(method.known for method in methods), ", ".join(sources), tuple(names))
 
 
-def comparison_notes(met: MetSummary) -> list[str]:
-    """Say whom a comparison leaves out, and where it is not known whom robots met."""
+def comparison_notes(met: MetSummary, methods: int) -> list[str]:
+    """Say whom a comparison of so many methods leaves out, and where that is not known."""
     notes = []
     if met.left_out:
         names = listing(met.left_out, 3)
-        notes.append(f"trained with a robot of either method, hence left out of both: {names}")
+        either, both = ("either", "both") if methods == 2 else ("one", "all")
+        notes.append(f"trained with a robot of {either} method, hence left out of {both}: {names}")
     if not met.known:
         notes.append(f"{UNKNOWN} of one of the methods at least; differences may count some")
     return notes

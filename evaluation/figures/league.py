@@ -13,12 +13,14 @@ import numpy as np
 import polars as pl
 
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
+from evaluation.figures.comparable import ADVICE, Evaluated, comparable
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
 from evaluation.figures.metrics.variance import variance_components
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.notes import ENOUGH
-from evaluation.figures.summary import Context, EvaluationSummary, read_summary
+from evaluation.figures.summary import Context
 from evaluation.record import tables
+from evaluation.record.alike import check_alike
 from evaluation.record.record import Record, Returns
 
 FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
@@ -94,24 +96,27 @@ def read_league(folder: Path) -> League:
             f"{folder} has no finished evaluation in a folder of its own; a league has one for "
             "each row"
         )
-    summaries = {name: _evaluation(place) for name, place in folders.items()}
-    first = next(iter(summaries))
-    for name, summary in summaries.items():
-        _check_alike(first, summaries[first], name, summary)
-    returns = {name: _counted(folders[name], summary) for name, summary in summaries.items()}
-    _check_starts(returns)
+    read = [Evaluated.read(place, name) for name, place in folders.items()]
+    compared = comparable(read, parts=(RESPONSE, TOLD_RESPONSE), told=True)
+    returns = {
+        row.name: record.returns.evaluated_side
+        for row, record in zip(read, compared.records, strict=True)
+    }
+    sides = {name: {"side": part.partners["side"][0]} for name, part in returns.items()}
+    check_alike(sides, advice=ADVICE)
     shown = {**_references(folders, returns), **returns}
     means = {name: _means(name, part) for name, part in shown.items()}
     rows = tuple(_row(name, shown[name], means) for name in ordered(shown))
+    first = read[0]
     return League(
-        context=Context(**{f.name: getattr(summaries[first], f.name) for f in _CONTEXT}),
-        side=summaries[first].side,
+        context=Context(**{f.name: getattr(first.summary, f.name) for f in _CONTEXT}),
+        side=sides[first.name]["side"],
         episodes=sum(part.values.size for part in shown.values()),
-        episodes_per_pair=summaries[first].episodes_per_pair,
+        episodes_per_pair=first.summary.episodes_per_pair,
         nonfinite=sum(int(part.nonfinite.sum()) for part in shown.values()),
         rows=rows,
         by_partner=pl.concat([_by_partner(name, means[name]) for name in ordered(shown)]),
-        notes=tuple(_notes(rows)),
+        notes=(*_notes(rows), *compared.notes),
     )
 
 
@@ -148,31 +153,6 @@ def league_table(league: League) -> pl.DataFrame:
 _CONTEXT = dataclasses.fields(Context)
 
 
-def _evaluation(folder: Path) -> EvaluationSummary:
-    summary = read_summary(folder)
-    if not isinstance(summary, EvaluationSummary):
-        raise ValueError(f"{folder} holds a cross-play; a league has evaluations")
-    return summary
-
-
-def _check_alike(
-    first: str, summary: EvaluationSummary, name: str, other: EvaluationSummary
-) -> None:
-    for what in ("task", "env_version", "backend", "release", "side", "split"):
-        values = [getattr(one, what) for one in (summary, other)]
-        if values[0] != values[1]:
-            raise ValueError(
-                f"{what} is {values[0]} in {first} and {values[1]} in {name}; the rows of a league "
-                "are evaluated alike"
-            )
-
-
-def _counted(folder: Path, summary: EvaluationSummary) -> Returns:
-    """Return the episodes of a row that its figures count."""
-    record = Record.read(folder).without(summary.met.left_out if summary.met else ())
-    return record.returns.evaluated_side
-
-
 def _references(folders: Mapping[str, Path], rows: Mapping[str, Returns]) -> dict[str, Returns]:
     """Return the episodes of reference robots, of the row that has most partners."""
     having = [n for n, place in folders.items() if (place / tables.REFERENCES_FILE).is_file()]
@@ -187,21 +167,6 @@ def _references(folders: Mapping[str, Path], rows: Mapping[str, Returns]) -> dic
         if own.height:
             found[name] = Record(own.drop(COLUMN), folders[widest]).returns
     return found
-
-
-def _check_starts(rows: Mapping[str, Returns]) -> None:
-    """Refuse rows whose robots met a partner in other episodes."""
-    known: dict[str, tuple[str, np.ndarray]] = {}
-    for name, returns in rows.items():
-        if returns.keys is None:
-            raise ValueError(f"robots of {name} played different episodes; evaluate them together")
-        for partner, keys in zip(returns.partners["partner"], returns.keys, strict=True):
-            other, expected = known.setdefault(partner, (name, keys))
-            if not np.array_equal(expected, keys):
-                raise ValueError(
-                    f"{name} and {other} met {partner} in different episodes; evaluate all rows "
-                    "with the same seed and episodes"
-                )
 
 
 @dataclasses.dataclass(frozen=True)

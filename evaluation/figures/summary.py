@@ -13,7 +13,6 @@ from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
     CrossPlay,
-    Difference,
     Fairness,
     Stability,
     Traits,
@@ -22,7 +21,6 @@ from evaluation.figures.metrics import (
     cvar_crossfit,
     fairness,
     group_draws,
-    paired_difference,
     rank_stability,
     same_teams,
     worst_partner,
@@ -148,17 +146,6 @@ class CrossPlaySummary(MatrixFigures, Summary, CrossPlay):
     partners: int
 
 
-@dataclasses.dataclass(frozen=True)
-class ComparisonSummary:
-    """Method a minus method b with the partners of each side that both met."""
-
-    test: Difference | None
-    train: Difference | None
-    notes: tuple[str, ...]
-    met: MetSummary | None = None  # of both methods: no side counts whom either met
-    validation: Difference | None = None
-
-
 def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
     """Return the summary of a folder, which somebody else may have written: every field checked.
 
@@ -245,50 +232,6 @@ def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
         partners=returns.partners.height,
         notes=(*team_notes(returns), *episode_notes(returns)),
     )
-
-
-def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSummary:
-    """Summarise method a minus method b, two records of the same partners and episode keys.
-
-    Raises:
-        ValueError: they have other partners, keys or preferences, or no partner on a side.
-    """
-    first, second = a.returns, b.returns
-    check_alike(first, second)
-
-    def difference(side: str) -> Difference | None:
-        mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
-        if not mask.any():
-            return None
-        values = first.values[:, mask], second.values[:, mask]
-        return paired_difference(*values, common_starts=first.common_starts, seed=seed)
-
-    sides = {side: difference(side) for side in SIDES}
-    if not any(sides.values()):
-        raise ValueError("no partner is on a side; evaluate both methods against a split")
-    egos = min(first.egos.height, second.egos.height)
-    notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
-    return ComparisonSummary(sides["test"], sides["train"], notes, validation=sides["validation"])
-
-
-def check_alike(first: Returns, second: Returns) -> None:
-    """Refuse methods that met other partners, or the same ones otherwise."""
-    if not first.partners.equals(second.partners):
-        raise ValueError(
-            "the two tables have different partners; evaluate both methods against the same split"
-        )
-    if first.keys is None or second.keys is None or not np.array_equal(first.keys, second.keys):
-        raise ValueError(
-            "the two tables have different episode keys; evaluate both with the same seed and "
-            "episodes"
-        )
-    preferences = (first.preferences, second.preferences)
-    liked = [names[0] for names in preferences if names is not None]
-    if len(liked) == 2 and not np.array_equal(*liked):
-        raise ValueError(
-            "the partners of the two tables liked different things; evaluate both methods with the "
-            "same split and preferences"
-        )
 
 
 def _common(returns: Returns, context: Context) -> dict:

@@ -12,16 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, StrMethodFormatter
 
-from assistax_base.errors import counted
-from evaluation.cast.met_partners import UNKNOWN
 from evaluation.figures.bootstrap import scope
 from evaluation.plots import style
+from evaluation.plots.captions import Summaries, provenance
 
 _DASHES = ("--", ":", "-.", (0, (5, 1)), (0, (1, 3)), (0, (3, 1, 1, 1)), (0, (8, 3)), (0, (2, 2)))
 
 _LEFT, _NARROWEST = 0.75, 1.2  # inches: left of axes, and their least width
 
-Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the method's name
 References = Mapping[str, Mapping[int, float]]  # name -> place of a method -> height of its line
 
 
@@ -30,6 +28,7 @@ def zsc_dots(
     lines: Mapping[str, float] = types.MappingProxyType({}),
     *,
     width: float | None = None,
+    note: str = "",
 ) -> Figure:
     """Draw M_train beside M_test of each method, mean and 95% interval (paper, Figures 6, 14).
 
@@ -39,10 +38,12 @@ def zsc_dots(
         summaries: of `evaluate`.
         lines: other returns to draw as lines, by name, beside those of the reference egos.
         width: of the figure, in inches.
+        note: the caption's end.
     """
     references = _references(summaries, lines)
-    size = width or max(2.6 + 0.9 * len(summaries), 6.2) + style.room_for(references) - 0.15
-    figure, axes = _returns(summaries, "Zero-shot coordination", size, style.room_for(references))
+    room = style.room_for(references)
+    size = width or max(2.6 + 0.9 * len(summaries), 6.2) + room - 0.15
+    figure, axes = _returns(summaries, "Zero-shot coordination", size, note, room)
     colours = style.algorithm_colours(summaries)
     for i, (name, summary) in enumerate(summaries.items()):
         colour = colours[name]
@@ -104,12 +105,12 @@ def _references(summaries: Summaries, lines: Mapping[str, float]) -> References:
 
 
 def trait_points(
-    summaries: Summaries, trait: str = "disability", *, width: float | None = None
+    summaries: Summaries, trait: str = "disability", *, width: float | None = None, note: str = ""
 ) -> Figure:
     """Draw each method's return by a trait of the partners: mean with its 95% interval.
 
     The trait is their "disability" setting or, of a gentle task, their "preference"; the width that
-    of the figure, in inches.
+    of the figure, in inches; the note the caption's end.
     """
     settings = sorted({n for summary in summaries.values() for n in summary.get(f"by_{trait}", ())})
     if summaries and not settings:
@@ -117,7 +118,7 @@ def trait_points(
     what = {"disability": "disability setting", "preference": "preference"}[trait]
     title = f"Return by the partner's {what}"
     size = width or max(2.4 + 0.55 * len(settings), 6.2)
-    figure, axes = _returns(summaries, title, size, marks=len(summaries))
+    figure, axes = _returns(summaries, title, size, note, marks=len(summaries))
     axes.set_xlabel(what, fontsize=9, color=style.INK)
     colours = style.algorithm_colours(summaries)
     for i, (label, summary) in enumerate(summaries.items()):
@@ -245,30 +246,8 @@ def _whole_decades(axes: Axes, values: pl.Series) -> None:
         axes.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
 
 
-def provenance(summaries: Summaries) -> str:
-    """Say how many robots, partners and episodes are behind a figure, of which release.
-
-    Also where it is not known which partners the robots met in training.
-    """
-    lines = []
-    for name, summary in summaries.items():
-        partners = ", ".join(
-            counted(n, f"{side} partner") for side, n in summary["partners"].items() if n
-        )
-        split = f", split {summary['split']['id']}" if summary["split"] else ""
-        broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
-        known = (summary.get("met") or {}).get("known")
-        lines.append(
-            f"{style.spelled(name)}: {counted(len(summary['egos']), 'seed')} × {partners} "
-            f"× {counted(summary['episodes_per_pair'], 'episode')}"
-            f"{broken}; {summary['task']}, release {summary['release']}{split}, "
-            f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
-        )
-    return "\n".join(lines)
-
-
 def _returns(
-    summaries: Summaries, title: str, width: float, right: float = 0.2, marks: int = 2
+    summaries: Summaries, title: str, width: float, note: str, right: float = 0.2, marks: int = 2
 ) -> tuple[Figure, Axes]:
     """Return axes for the returns of evaluations, which are of one task.
 
@@ -283,7 +262,7 @@ def _returns(
         )
     figures = [summary.get(key) for summary in summaries.values() for key in _MEANS]
     scopes = sorted({scope(figure["generalises_to"]) for figure in figures if figure})
-    caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}"
+    caption = f"Mean; {'; '.join(scopes)} (bootstrap).\n{provenance(summaries)}{note}"
     rows = -(-marks // _columns(width - _LEFT - right))
     size, span = (width, 3.4 + 0.17 * rows, 0.42), (0.35, 2.5, right)
     figure, axes = _axes(f"{title}: {tasks.pop()}", caption, size, span, "returns")

@@ -8,9 +8,11 @@ from typing import Any
 import polars as pl
 from matplotlib.figure import Figure
 
-from evaluation.figures import curves
+from evaluation.figures.comparable import method_figures
+from evaluation.figures.metrics import curves
 from evaluation.figures.summary import read_summary
 from evaluation.plots import charts
+from evaluation.plots.captions import provenance
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.matrix import Order, arrange
 from evaluation.plots.persons import described_panels
@@ -44,33 +46,30 @@ def evaluation_figure(
     check_path(path)
     if not folders:
         raise ValueError("there is no folder to draw; name at least one evaluation's")
-    summaries: dict[str, Any] = {}
-    profiles: dict[str, pl.DataFrame] = {}
+    methods: dict[str, Path] = {}
     for folder in folders:
         name = folder.resolve().name
-        if name in summaries:
+        if name in methods:
             raise ValueError(
                 f"two folders are named {name}; rename one, because the figure labels methods by it"
             )
         _require(folder, "evaluate", tables.SUMMARY_FILE, tables.PROFILE_FILE)
-        with strange_tables_refused(folder):
-            summaries[name] = tables.to_json(read_summary(folder))
-            if kind == "profile":
-                profiles[name] = tables.read_parquet(folder / tables.PROFILE_FILE).select(
-                    pl.col("threshold", "share", "low", "high").cast(pl.Float64)
-                )
+        methods[name] = folder
+    figures = method_figures(methods, profiles=kind == "profile")
+    shown = {name: tables.to_json(summary) for name, summary in figures.summaries.items()}
+    note = "".join(f"\n{text}" for text in figures.about)
     if kind == "profile":
         drawn = charts.performance_profile(
-            profiles,
-            task=" and ".join(sorted({summary["task"] for summary in summaries.values()})),
-            caption=f"Bands: pointwise 95% bootstrap.\n{charts.provenance(summaries)}",
+            figures.profiles,
+            task=" and ".join(sorted({summary["task"] for summary in shown.values()})),
+            caption=f"Bands: pointwise 95% bootstrap.\n{provenance(shown)}{note}",
             width=width,
         )
     else:
         drawn = (
-            charts.zsc_dots(summaries, width=width)
+            charts.zsc_dots(shown, width=width, note=note)
             if kind == "zsc"
-            else charts.trait_points(summaries, kind, width=width)
+            else charts.trait_points(shown, kind, width=width, note=note)
         )
     return save_figure(drawn, path, bare=bare)
 

@@ -85,14 +85,18 @@ def check_members(identities: Described, seat: str, *, advice: str = ADVICE) -> 
                 _check_equal(what, list(zip((first, name), values, strict=True)), advice)
 
 
-def software_notes(identities: Described) -> list[str]:
-    """Say which versions of packages differ, by which returns may differ too."""
+def software_notes(made_with: Described) -> list[str]:
+    """Say which versions or processors differ, by which returns may differ too.
+
+    Args:
+        made_with: Versions by the package's name, of each folder that names some.
+    """
+    known = {name: versions for name, versions in made_with.items() if versions}
     notes = []
-    described = {name: identity.get(SOFTWARE) or {} for name, identity in identities.items()}
-    for package in dict.fromkeys(package for about in described.values() for package in about):
-        versions = {name: _shown(about.get(package)) for name, about in described.items()}
-        if len(set(versions.values())) > 1:
-            listed = ", ".join(f"{version} in {name}" for name, version in versions.items())
+    for package in dict.fromkeys(package for versions in known.values() for package in versions):
+        found = {name: v[package] for name, v in known.items() if package in v}
+        if len({_shown(version) for version in found.values()}) > 1:
+            listed = ", ".join(f"{_shown(version)} in {name}" for name, version in found.items())
             notes.append(printable(f"{package} is {listed}: returns may differ for that alone"))
     return notes
 

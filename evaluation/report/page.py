@@ -23,7 +23,8 @@ from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import league_table, read_league, row_folders
 from evaluation.figures.normalised import REFERENCE_ORDER
 from evaluation.figures.summary import EvaluationSummary, read_summary
-from evaluation.plots.charts import performance_profile, provenance, trait_points, zsc_dots
+from evaluation.plots.captions import provenance
+from evaluation.plots.charts import performance_profile, trait_points, zsc_dots
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.league import league_chart
 from evaluation.plots.matrix import arrange, short_names
@@ -137,10 +138,8 @@ def _page(folder: Path, episodes: Sequence[bytes]) -> str:
 def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
     """Return the page about a league's rows."""
     league = read_league(folder)
-    table, unread = league_table(league), []
-    for name, place in row_folders(folder).items():
-        unread += [f"{name}: {note}" for note in unchecked(place)]
-    notes = (*league.notes, *(contrasts.notes if contrasts else ()), *unread)
+    table = league_table(league)
+    notes = dict.fromkeys((*league.notes, *(contrasts.notes if contrasts else ())))
     counts = ("side", "episodes", "episodes_per_pair", "nonfinite")
     files = {
         f"{name}/{file}": file_sha256(place / file)
@@ -153,7 +152,7 @@ def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
         .get_template("league.html")
         .render(
             summary={**vars(league.context), **{name: getattr(league, name) for name in counts}},
-            notes=notes,
+            notes=[*notes],
             image=_embedded(league_chart({league.context.task: table})),
             rows=table.rows(named=True),
             contrasts=contrasts,

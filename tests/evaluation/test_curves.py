@@ -3,7 +3,7 @@ import polars as pl
 import pytest
 import scipy.stats
 
-from evaluation.figures.curves import learning_curves
+from evaluation.figures.metrics.curves import learning_curves
 
 
 def metrics(seeds: int = 8) -> pl.DataFrame:

@@ -18,7 +18,8 @@ from matplotlib.text import Text
 
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
-from evaluation.plots import charts, style
+from evaluation.plots import style
+from evaluation.plots.captions import provenance
 from evaluation.plots.charts import (
     learning_curves,
     performance_profile,
@@ -405,7 +406,7 @@ def test_a_side_that_was_not_evaluated_has_no_dot():
 def test_a_caption_counts_one_partner_as_one():
     summaries = evaluations()
     summaries["fcp"] |= {"partners": {"train": 0, "test": 1}, "episodes_per_pair": 1}
-    assert "1 seed × 1 test partner × 1 episode;" in charts.provenance(summaries)
+    assert "1 seed × 1 test partner × 1 episode;" in provenance(summaries)
 
 
 def test_disability_points_and_mixed_tasks():

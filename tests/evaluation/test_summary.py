@@ -8,6 +8,7 @@ import pytest
 
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
+from evaluation.figures.comparable import summarise_comparison
 from evaluation.record import tables
 from evaluation.record.record import Record
 from tests.evaluation.episode_tables import (
@@ -175,18 +176,19 @@ def test_other_teams_on_the_axes_share_no_order():
 def test_comparison_is_paired_and_refuses_other_partners_or_keys():
     table = evaluation_table()
     better = table.with_columns(pl.col("return") + 10.0)
-    comparison = summary.summarise_comparison(recorded(better), recorded(table))
+    comparison = summarise_comparison(recorded(better), recorded(table))
     assert comparison.test is not None and comparison.train is not None
     assert comparison.test.mean == pytest.approx(10.0)
     assert (comparison.test.partners_better, comparison.train.partners_better) == (1.0, 1.0)
+    counts = table.filter(side="test").select("ego", "partner").n_unique()
+    assert comparison.test.seeds == (table["ego"].n_unique(),) * 2
+    assert comparison.test.partners * table["ego"].n_unique() == counts
+    means = [t.filter(side="test")["return"].mean() for t in (better, table)]
+    assert comparison.test.means == pytest.approx(means)
     with pytest.raises(ValueError, match="different partners"):
-        summary.summarise_comparison(
-            recorded(better.filter(pl.col("partner_seed") > 0)), recorded(table)
-        )
-    with pytest.raises(ValueError, match="different episode keys"):
-        summary.summarise_comparison(
-            recorded(better.with_columns(pl.col("key") + 1)), recorded(table)
-        )
+        summarise_comparison(recorded(better.filter(pl.col("partner_seed") > 0)), recorded(table))
+    with pytest.raises(ValueError, match="in different episodes"):
+        summarise_comparison(recorded(better.with_columns(pl.col("key") + 1)), recorded(table))
 
 
 def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled():

@@ -82,7 +82,8 @@ def _compare_named(file: Path, folders: Sequence[Path], seed: int, json: bool) -
         mean, ends = figure.difference.mean, figure.difference.mean_ci
         named = figure.p_holm is not None
         table.add_row(
-            printable(f"{figure.method} - {figure.baseline}, {figure.task}, {figure.metric}"),
+            printable(f"{figure.method} - {figure.baseline}, {figure.task}, {figure.metric}: ")
+            + _common_means(figure.difference, digits),
             f"{mean:+.{digits}f}",
             " ".join(f"{end:+.{digits}f}" for end in ends or ()) or "-",
             f"{figure.p:.4f}",
@@ -181,6 +182,16 @@ def _worst_episode(folder: Path, registry: str | None, *, run_code: bool) -> byt
         return pack(episode_content(read_episode(out)))
 
 
+def _common_means(difference: "Difference", digits: int) -> str:
+    """Say which means the difference is of, and of how much each of them is."""
+    first, second = difference.means
+    seeds = " and ".join(map(str, difference.seeds))
+    return (
+        f"{first:.{digits}f} and {second:.{digits}f}, {seeds} seeds, "
+        f"{counted(difference.partners, 'partner')}"
+    )
+
+
 def _difference_line(side: str, difference: "Difference") -> str:
     from evaluation.figures.bootstrap import scope
 
@@ -190,7 +201,8 @@ def _difference_line(side: str, difference: "Difference") -> str:
     return (
         f"  {side:5} partners: mean {difference.mean:+.1f}{interval}, "
         f"{scope(difference.generalises_to)}{certainty}; "
-        f"better with {difference.partners_better:.0%} of partners"
+        f"better with {difference.partners_better:.0%} of partners; means "
+        f"{_common_means(difference, 1)}"
     )
 
 

@@ -22,6 +22,9 @@ from evaluation.figures.bootstrap import (
 class Difference(Estimate):
     """Method a minus method b with the same partners and episode keys: paired differences."""
 
+    means: tuple[float, float]  # of either method over these partners
+    seeds: tuple[int, int]  # of either method
+    partners: int
     # Share of replicates in which a's mean is above b's; None if nothing was resampled.
     p_positive: float | None
     # Share of partners with which a's mean is above b's, ties counting one half.
@@ -64,6 +67,9 @@ def paired_difference(
     difference = (a.mean(axis=0) - b.mean(axis=0)).reshape(a.shape[1], -1).mean(axis=1)
     return Difference(
         **vars(draws.estimate()),
+        means=(float(a.mean()), float(b.mean())),
+        seeds=(len(a), len(b)),
+        partners=a.shape[1],
         p_positive=_share_positive(draws.means) if to != NOTHING else None,
         partners_better=_share_positive(difference),
     )

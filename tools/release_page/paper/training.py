@@ -3,7 +3,7 @@
 import polars as pl
 
 from assistax_envs.versions import PAPER_TASKS
-from evaluation.figures.curves import learning_curves
+from evaluation.figures.metrics.curves import learning_curves
 from tools.release_page.paper.data import Results
 
 POINTS = 50  # half of what is stored of a member, so that every bin holds a point of each

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 
 from assistax_envs.versions import GENTLE_TASKS
-from evaluation.figures.curves import learning_curves
+from evaluation.figures.metrics.curves import learning_curves
 from evaluation.plots import style
 from evaluation.record import tables
 

@@ -1,0 +1,300 @@
+"""On which partners, seeds and starts finished evaluations are compared.
+
+Comparisons, contrasts, leagues and figures of several folders ask `comparable`, and nothing else
+decides: figures that stand side by side are then of the same partners in the same episodes.
+"""
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from assistax_base.errors import counted, listing
+from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
+from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.normalised import summarise_references
+from evaluation.figures.notes import episode_notes, seed_notes
+from evaluation.figures.saved_tables import profile_table
+from evaluation.figures.summary import (
+    Context,
+    EvaluationSummary,
+    read_summary,
+    summarise_evaluation,
+)
+from evaluation.record import tables
+from evaluation.record.alike import (
+    SOFTWARE,
+    check_alike,
+    check_members,
+    conditions,
+    read_identity,
+    software_notes,
+)
+from evaluation.record.columns import SIDES
+from evaluation.record.record import Record, Returns
+from evaluation.record.verification import strange_tables_refused, unchecked
+
+ADVICE = "evaluate all methods alike"
+_CONTEXT = ("task", "env_version", "backend", "engine", "release", "episodes_per_pair")
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluated:
+    """A finished evaluation."""
+
+    name: str  # for readers
+    summary: EvaluationSummary
+    record: Record
+
+    @classmethod
+    def read(cls, folder: Path, name: str | None = None) -> "Evaluated":
+        """Return the evaluation of a folder, which is its name if none is given.
+
+        Raises:
+            FileNotFoundError: It holds none.
+            ValueError: A file of it is damaged, or it holds a cross-play.
+        """
+        with strange_tables_refused(folder):
+            return cls(name or str(folder), _read_summary(folder), Record.read(folder))
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparable:
+    """Evaluations on the partners that are common to all of them."""
+
+    methods: tuple[Evaluated, ...]
+    records: tuple[Record, ...]  # of the methods, with the common partners alone
+    met: MetSummary  # of all methods: no record has a partner that a robot of one of them met
+    about: tuple[str, ...]  # which partners these are, and what is not known of the folders
+    notes: tuple[str, ...]  # that, and what else a reader has to know
+
+
+@dataclasses.dataclass(frozen=True)
+class MethodFigures:
+    """What figures of several methods draw, each by the method's name."""
+
+    summaries: dict[str, EvaluationSummary]
+    profiles: dict[str, pl.DataFrame]  # empty where they were not asked for
+    about: tuple[str, ...] = ()  # see `Comparable`
+
+
+@dataclasses.dataclass(frozen=True)
+class ComparisonSummary:
+    """Method a minus method b with the partners of each side that are common to both."""
+
+    test: Difference | None
+    train: Difference | None
+    notes: tuple[str, ...]
+    met: MetSummary | None = None  # of both methods: no side counts whom either met
+    validation: Difference | None = None
+
+
+def comparable(
+    methods: Sequence[Evaluated], *, parts: Collection[str] = (), told: bool = False
+) -> Comparable:
+    """Return evaluations on their common partners, which no robot of any of them met in training.
+
+    Args:
+        methods: Evaluated alike: the same conditions, split and release, and one id is one partner
+            in the same episodes.
+        parts: Names of methods that played with a part of the partners only; they keep what they
+            have of the common ones, and take no partner from the others.
+        told: Whether robots that are told what humans like may stand beside others.
+
+    Raises:
+        ValueError: They were not evaluated alike, or no common partner is left.
+    """
+    identities = _check_played_alike(methods, told)
+    met = both_met(*((method.summary.met, method.record.table) for method in methods))
+    played = [_partners(method.record) for method in methods]
+    whole = [who for who, m in zip(played, methods, strict=True) if m.name not in parts] or [
+        set[str]().union(*played)
+    ]
+    common = set.intersection(*whole)
+    if not common:
+        raise ValueError(
+            f"{listing(m.name for m in methods)} have no partner in common; evaluate all methods "
+            "against the same split"
+        )
+    common.difference_update(met.left_out)
+    records = tuple(m.record.without(_partners(m.record) - common) for m in methods)
+    if any(record.table.is_empty() for record in records):
+        raise ValueError(
+            "every common partner was trained with a robot of one of the methods; choose others"
+        )
+    check_starts({m.name: r.returns for m, r in zip(methods, records, strict=True)})
+    about = []
+    if any(_own_partners(m) - common for m in methods if m.name not in parts):
+        about.append(
+            f"{listing((m.name for m in methods), 3)}: compared on the "
+            f"{counted(len(common), 'partner')} that all of them have in common"
+        )
+    about += comparison_notes(met, len(methods))
+    if unknown := [method.name for method in methods if method.name not in identities]:
+        about.append(
+            f"no manifest says how {listing(unknown)} played: whether actions were drawn, and with "
+            "which parameters of the partners, is not checked"
+        )
+    notes = [*about, *(note for method in methods for note in unchecked(method.record.folder))]
+    notes += software_notes({m.name: _made_with(m, identities.get(m.name)) for m in methods})
+    return Comparable(tuple(methods), records, met, tuple(about), tuple(dict.fromkeys(notes)))
+
+
+def method_figures(folders: Mapping[str, Path], *, profiles: bool = False) -> MethodFigures:
+    """Return the figures of methods on their common partners; those of one method as it saved them.
+
+    Args:
+        folders: Of finished evaluations, by the method's name.
+        profiles: Whether performance profiles are wanted.
+
+    Raises:
+        ValueError: See `comparable`.
+    """
+    if len(folders) == 1:
+        [(name, folder)] = folders.items()
+        with strange_tables_refused(folder):
+            found = {name: _read_profile(folder)} if profiles else {}
+            return MethodFigures({name: _read_summary(folder)}, found)
+    compared = comparable([Evaluated.read(folder, name) for name, folder in folders.items()])
+    figures = MethodFigures({}, {}, compared.about)
+    for method, record in zip(compared.methods, compared.records, strict=True):
+        own = _own_partners(method) == _partners(record)
+        with strange_tables_refused(record.folder):
+            figures.summaries[method.name] = (
+                method.summary if own else _summarise(method, record, compared.met)
+            )
+            if profiles:
+                figures.profiles[method.name] = (
+                    _read_profile(record.folder) if own else profile_table(record)
+                )
+    return figures
+
+
+def check_starts(played: Mapping[str, Returns]) -> None:
+    """Refuse methods that met a partner in other episodes, or under another description or wish.
+
+    Args:
+        played: By the method's name.
+
+    Raises:
+        ValueError: Names the partner and both methods.
+    """
+    known: dict[str, tuple[str, dict[str, Any], np.ndarray, np.ndarray | None]] = {}
+    for name, returns in played.items():
+        if returns.keys is None:
+            raise ValueError(f"robots of {name} played different episodes; evaluate them together")
+        for place, row in enumerate(returns.partners.iter_rows(named=True)):
+            who, keys = row["partner"], returns.keys[place]
+            about = {f"{column} of {who}": value for column, value in row.items()}
+            liked = None if returns.preferences is None else returns.preferences[0, place]
+            other, *expected = known.setdefault(who, (name, about, keys, liked))
+            check_alike({other: expected[0], name: about}, advice=ADVICE)
+            if not np.array_equal(keys, expected[1]):
+                raise ValueError(
+                    f"{name} and {other} met {who} in different episodes; evaluate all methods "
+                    "with the same seed and episodes"
+                )
+            if not np.array_equal(liked, expected[2]):
+                raise ValueError(
+                    f"{who} liked different things with {name} and {other}; evaluate all methods "
+                    "with the same split and preferences"
+                )
+
+
+def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSummary:
+    """Summarise method a minus method b, two records of the same partners and episode keys.
+
+    Raises:
+        ValueError: they have other partners, keys or preferences, or no partner on a side.
+    """
+    first, second = a.returns, b.returns
+    if not first.partners.equals(second.partners):
+        raise ValueError(
+            "the two tables have different partners; evaluate both methods against the same split"
+        )
+    check_starts({"the first method": first, "the second": second})
+
+    def difference(side: str) -> Difference | None:
+        mask = (first.partners["side"] == side).fill_null(value=False).to_numpy()
+        if not mask.any():
+            return None
+        values = first.values[:, mask], second.values[:, mask]
+        return paired_difference(*values, common_starts=first.common_starts, seed=seed)
+
+    sides = {side: difference(side) for side in SIDES}
+    if not any(sides.values()):
+        raise ValueError("no partner is on a side; evaluate both methods against a split")
+    egos = min(first.egos.height, second.egos.height)
+    notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
+    return ComparisonSummary(sides["test"], sides["train"], notes, validation=sides["validation"])
+
+
+def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, dict[str, Any]]:
+    """Refuse methods that were evaluated otherwise; return the identities that manifests name."""
+    described, identities = {}, {}
+    for method in methods:
+        summary = method.summary
+        about = {name: getattr(summary, name) for name in _CONTEXT}
+        if summary.split is not None:
+            about |= {"split": summary.split.id, "sha256 of the split": summary.split.sha256}
+        described[method.name] = _untold(about) if told else about
+        if (identity := read_identity(method.record.folder)) is not None:
+            identities[method.name] = _untold(identity) if told else identity
+    check_alike(described, advice=ADVICE)
+    check_alike({name: conditions(job) for name, job in identities.items()}, advice=ADVICE)
+    check_members(identities, "partners", advice=ADVICE)
+    return identities
+
+
+def _untold(about: dict[str, Any]) -> dict[str, Any]:
+    """Return fields as of an engine whose robots are told nothing."""
+    engine = dict(about.get("engine") or {})
+    engine.pop("condition", None)
+    return {**about, "engine": engine}
+
+
+def _partners(record: Record) -> set[str]:
+    return set(record.table["partner"].unique())
+
+
+def _own_partners(method: Evaluated) -> set[str]:
+    """Return the partners that the method's own figures count."""
+    met = both_met((method.summary.met, method.record.table))
+    return _partners(method.record).difference(met.left_out)
+
+
+def _read_summary(folder: Path) -> EvaluationSummary:
+    summary = read_summary(folder)
+    if not isinstance(summary, EvaluationSummary):
+        raise ValueError(f"{folder} holds a cross-play; give evaluations")
+    return summary
+
+
+def _read_profile(folder: Path) -> pl.DataFrame:
+    columns = pl.col("threshold", "share", "low", "high").cast(pl.Float64)
+    return tables.read_parquet(folder / tables.PROFILE_FILE).select(columns)
+
+
+def _summarise(method: Evaluated, record: Record, met: MetSummary) -> EvaluationSummary:
+    """Return a method's summary with the partners of a record alone."""
+    said = method.summary
+    context = Context(**{f.name: getattr(said, f.name) for f in dataclasses.fields(Context)})
+    known = said.met and dataclasses.replace(said.met, left_out=met.left_out)
+    summary = dataclasses.replace(summarise_evaluation(record, context), met=known)
+    if said.references is None:
+        return summary
+    files = (tables.REFERENCES_FILE, tables.BOUNDS_FILE)
+    played, bounds = (tables.read_parquet(record.folder / name) for name in files)
+    earned, relative = summarise_references(record, played, bounds)
+    return dataclasses.replace(summary, references=earned, relative=relative)
+
+
+def _made_with(method: Evaluated, identity: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return which versions played, and on which processor, where the folder says so."""
+    path = method.record.folder / tables.RUN_FILE
+    run = tables.read_json(path) if path.is_file() else {}
+    processor = {"processor": run["processor"]} if "processor" in run else {}
+    return {**((identity or {}).get(SOFTWARE) or {}), **processor}

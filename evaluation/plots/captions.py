@@ -1,0 +1,32 @@
+"""What a caption says of the evaluations that a figure shows."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from assistax_base.errors import counted
+from evaluation.cast.met_partners import UNKNOWN
+from evaluation.plots import style
+
+Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the method's name
+
+
+def provenance(summaries: Summaries) -> str:
+    """Say how many robots, partners and episodes are behind a figure, of which release.
+
+    Also where it is not known which partners the robots met in training.
+    """
+    lines = []
+    for name, summary in summaries.items():
+        partners = ", ".join(
+            counted(n, f"{side} partner") for side, n in summary["partners"].items() if n
+        )
+        split = f", split {summary['split']['id']}" if summary["split"] else ""
+        broken = f", {summary['nonfinite']} episodes non-finite" if summary["nonfinite"] else ""
+        known = (summary.get("met") or {}).get("known")
+        lines.append(
+            f"{style.spelled(name)}: {counted(len(summary['egos']), 'seed')} × {partners} "
+            f"× {counted(summary['episodes_per_pair'], 'episode')}"
+            f"{broken}; {summary['task']}, release {summary['release']}{split}, "
+            f"{summary['backend']}{'' if known else f'; {UNKNOWN}'}"
+        )
+    return "\n".join(lines)
