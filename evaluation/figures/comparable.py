@@ -294,7 +294,6 @@ def _summarise(method: Evaluated, record: Record, met: MetSummary) -> Evaluation
 
 def _made_with(method: Evaluated, identity: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return which versions played, and on which processor, where the folder says so."""
-    path = method.record.folder / tables.RUN_FILE
-    run = tables.read_json(path) if path.is_file() else {}
-    processor = {"processor": run["processor"]} if "processor" in run else {}
-    return {**((identity or {}).get(SOFTWARE) or {}), **processor}
+    processor = (method.record.manifest.get("made_with") or {}).get("processor")
+    versions = dict((identity or {}).get(SOFTWARE) or {})
+    return versions | ({"processor": processor} if processor else {})

@@ -95,7 +95,7 @@ def test_a_saved_result_is_loaded_and_compared(
     )
     assert repr(comparison).startswith("Comparison(scratch: test partners ")
     other = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, episodes=1)
-    with pytest.raises(ValueError, match="different"):
+    with pytest.raises(ValueError, match="episodes_per_pair is 1"):
         az.compare(other, saved)
 
 

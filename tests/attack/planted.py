@@ -54,14 +54,14 @@ DEFECTS = {
         "tests/zoo/test_merkle.py::test_what_was_published_cannot_be_saved_away",
     ),
     "the hashes of a folder's files are not checked": Defect(
-        "evaluation/record/manifest.py",
-        r"return None if found == digest else",
-        "return None if True else",
+        "evaluation/record/verification.py",
+        r"elif leaf\.actual != leaf\.expected:",
+        "elif False:",
         "tests/evaluation/test_manifest.py::test_one_bit_of_any_file_is_found",
     ),
     "a manifest's own hash is not checked": Defect(
         "evaluation/record/manifest.py",
-        r'if found\.get\("sha256"\) != identity_digest\(bare\):',
+        r'if manifest\.get\("sha256"\) != identity_digest\(bare\):',
         "if False:",
         "tests/evaluation/test_manifest.py::test_one_bit_of_any_file_is_found",
     ),
@@ -74,7 +74,7 @@ DEFECTS = {
     ),
     "another job is not refused": Defect(
         "evaluation/play/evaluator.py",
-        r'elif found\.get\("job"\) != job\.digest\(\):',
+        r'elif manifest\.get\("job"\) != job\.digest\(\):',
         "elif False:",
         "tests/evaluation/test_evaluator.py::test_a_folder_of_another_job_is_refused",
     ),
@@ -116,11 +116,41 @@ DEFECTS = {
         "tests/evaluation/test_manifest.py::test_every_figure_is_drawn_again",
     ),
     "starts that all partners share are not resampled": Defect(
-        "evaluation/record/tables.py",
+        "evaluation/record/record.py",
         r"return self\.keys is not None and len\(self\.keys\) > 1",
         "return False",
         "tests/evaluation/test_summary.py"
         "::test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled",
+    ),
+    "the method with more seeds decides whether a contrast is the named one": Defect(
+        "evaluation/figures/contrasts.py",
+        r"min\(len\(a\), len\(b\)\) >= contrast\.seeds",
+        "max(len(a), len(b)) >= contrast.seeds",
+        "tests/evaluation/test_contrasts.py::test_the_method_with_fewer_seeds_decides",
+    ),
+    "partners met in training count on the validation side": Defect(
+        "evaluation/cast/met_partners.py",
+        r'name in self\.frozen and side != "train"',
+        'name in self.frozen and side == "test"',
+        "tests/evaluation/test_met_partners.py::test_met_partners_count_on_the_training_side_alone",
+    ),
+    "a league of two releases": Defect(
+        "evaluation/figures/comparable.py",
+        r' "release",',
+        "",
+        "tests/evaluation/test_league.py::test_a_league_of_two_releases_is_refused",
+    ),
+    "each method leaves out its own partners": Defect(
+        "evaluation/figures/comparable.py",
+        r"    common\.difference_update\(met\.left_out\)\n",
+        "",
+        "tests/evaluation/test_comparable.py::test_all_readers_show_the_same_means",
+    ),
+    "folders of other conditions are compared": Defect(
+        "evaluation/record/alike.py",
+        r"if expected != found:",
+        "if False:",
+        "tests/evaluation/test_comparable.py::test_folders_played_otherwise_are_refused",
     ),
 }
 

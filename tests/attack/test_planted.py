@@ -1,13 +1,22 @@
 """Each planted defect is caught by the test that guards against it."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from tests.attack.ledger import attack
-from tests.attack.planted import DEFECTS, copy_project, plant, run_tests
+from tests.attack.planted import DEFECTS, ROOT, copy_project, plant, run_tests
 
 FAILED, FINISHED = 1, 0  # pytest's exit codes; others are errors of its own
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_the_line_and_the_test_are_there(name: str) -> None:
+    defect = DEFECTS[name]
+    file, _, test = defect.test.partition("::")
+    assert re.search(defect.line, (ROOT / defect.file).read_text(encoding="utf-8"))
+    assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8")
 
 
 @pytest.mark.attack

@@ -47,8 +47,13 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
     for side in ("test", "train"):
         assert figures[side]["mean"] == pytest.approx(10.0, abs=1e-3)
         assert (figures[side]["p_positive"], figures[side]["partners_better"]) == (1.0, 1.0)
+        assert (figures[side]["seeds"], figures[side]["partners"]) == ([1, 1], 4)
+        first, second = figures[side]["means"]
+        assert first - second == pytest.approx(10.0, abs=1e-3)
     assert call("compare", b, a) == 0
-    assert "test  partners: mean -10.0" in capfd.readouterr().out
+    printed = capfd.readouterr().out
+    assert "test  partners: mean -10.0" in printed
+    assert f"means {second:.1f} and {first:.1f}, 1 and 1 seeds, 4 partners" in printed
 
 
 def test_what_nobody_checked_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]):

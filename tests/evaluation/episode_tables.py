@@ -1,12 +1,14 @@
 """Episode tables made of given returns."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
+from assistax_base.digest import sha256
 from evaluation.figures.summary import Context, SplitName
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
@@ -40,17 +42,27 @@ def recorded(table: pl.DataFrame, folder: Path = Path("nowhere")) -> Record:
     return Record(table, folder)
 
 
-def sealed(folder: Path) -> Path:
-    """Write the manifest that fits a folder's episodes and files, and return the folder."""
+def sealed(folder: Path, made_with: Mapping[str, str] | None = None, **changed: Any) -> Path:
+    """Write the manifest that fits a folder's episodes and files, and return the folder.
+
+    Its identity has these fields otherwise, or not at all where they are None.
+    """
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    partners = table.select("partner", "partner_disability", "side").unique().sort("partner")
     identity = {
-        "egos": [[name] for name in table["ego"].unique()],
-        "partners": [[name] for name in table["partner"].unique()],
+        "task": CONTEXT.task,
+        "stochastic": False,
+        "egos": [[name, sha256(name.encode())] for name in table["ego"].unique().sort()],
+        "partners": [[*row, sha256(row[0].encode()), None] for row in partners.iter_rows()],
         "episodes": table["episode"].n_unique(),
         "paired": False,
+        "software": {"jax": "0.7.0"},
+        **changed,
     }
+    identity = {name: value for name, value in identity.items() if value is not None}
     job = provenance.identity_digest(identity)
-    provenance.write_manifest(folder, {"identity": identity, "job": job})
+    content = {"identity": identity, "job": job, "made_with": made_with or {}}
+    provenance.write_manifest(folder, content)
     provenance.seal(folder)
     return folder
 

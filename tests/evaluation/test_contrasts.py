@@ -103,10 +103,22 @@ def test_fewer_seeds_than_named_are_another_contrast(rows: dict[str, Path], file
     )
 
 
+def test_the_method_with_fewer_seeds_decides(
+    rows: dict[str, Path], file: Path, tmp_path: Path
+) -> None:
+    """Eight seeds of PPO do not make up for four of the method, though eight were named."""
+    file.write_text(NAMED.replace("seeds = 4", "seeds = 8", 1))
+    ppo = method(tmp_path / "ppo", 0.0, 1, seeds=8)
+    [gru] = compare_named(file, [ppo, rows["gru"]]).contrasts
+    assert (gru.seeds, gru.difference.seeds, gru.named) == ((4, 8), (4, 8), False)
+
+
 def test_the_figures_are_those_of_the_test_side(rows: dict[str, Path], file: Path) -> None:
     gru = compare_named(file, [rows["ppo"], rows["gru"]]).contrasts[0]
     sides = [Record.read(rows[name]).returns.evaluated_side for name in ("gru", "ppo")]
     assert gru.p == mean_test(*(side.scores for side in sides)).p
+    assert gru.difference.means == pytest.approx([side.values.mean() for side in sides])
+    assert gru.difference.partners == gru.partners == 8
 
 
 def test_methods_of_a_task_that_the_file_does_not_name_are_pairs_too(file: Path) -> None:
@@ -187,6 +199,7 @@ def test_the_command_prints_hash_and_verdicts(
     assert run(words) == 0
     printed = capfd.readouterr().out
     assert f"sha256 {sha256(file.read_bytes())}" in printed and "not named" in printed
+    assert "4 and 4 seeds, 8 partners" in " ".join(printed.split())
     assert run([*words, "--json"]) == 0
     answer = json.loads(capfd.readouterr().out)
     assert [c["found"] for c in answer["contrasts"]] == [True, False, None]

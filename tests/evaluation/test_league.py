@@ -1,5 +1,6 @@
 """A league: its rows in order, the share of the range, the page and the figures."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -97,8 +98,6 @@ def test_a_league_reads_rows_references_and_shares(league: Path) -> None:
 
 
 def test_rows_that_were_played_otherwise_are_refused(league: Path, tmp_path: Path) -> None:
-    import shutil
-
     shutil.copytree(league, tmp_path / "other")
     place = tmp_path / "other" / "gru"
     table = tables.read_episodes(place / tables.EPISODES_FILE).with_columns(pl.col("key") + 1)
@@ -107,6 +106,15 @@ def test_rows_that_were_played_otherwise_are_refused(league: Path, tmp_path: Pat
         read_league(tmp_path / "other")
     with pytest.raises(FileNotFoundError, match="no finished evaluation in a folder"):
         read_league(tmp_path)
+
+
+def test_a_league_of_two_releases_is_refused(league: Path, tmp_path: Path) -> None:
+    shutil.copytree(league, tmp_path / "other")
+    place = tmp_path / "other" / "gru"
+    summary = tables.read_json(place / tables.SUMMARY_FILE)
+    tables.write_json({**summary, "release": "v1"}, place / tables.SUMMARY_FILE)
+    with pytest.raises(ValueError, match="release is v0 in ppo and v1 in gru"):
+        read_league(tmp_path / "other")
 
 
 def test_share_of_a_range_by_hand() -> None:

@@ -14,7 +14,7 @@ from assistax_base.errors import SplitError, UnknownIdError
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_workshop.press.publish import publish
 from evaluation.cast.egos import EgoError, read_egos
-from evaluation.cast.met_partners import MetSummary, declare, met_partners
+from evaluation.cast.met_partners import MetPartners, MetSummary, declare, met_partners
 from evaluation.crossplay import cast_population
 from evaluation.record import tables
 from evaluation.record.manifest import read_manifest
@@ -115,6 +115,12 @@ def test_m_test_leaves_out_whom_an_ego_was_trained_with(
     assert "not known" not in repr(result)
     manifest = read_manifest(result.folder)
     assert manifest is not None and manifest["met"]["robots"][EGO]["split"]["split"] == half.id
+
+
+def test_met_partners_count_on_the_training_side_alone() -> None:
+    sides = {"a": "train", "b": "validation", "c": "test", "d": None, "e": "train", "f": "test"}
+    met = MetPartners(("registry",), own=frozenset("e"), frozen=frozenset("abcd"))
+    assert met.left_out(sides) == ["b", "c", "d", "e"]
 
 
 def test_on_its_own_split_an_ego_is_measured_as_before(registry: Registry) -> None:

@@ -256,9 +256,7 @@ def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
 def test_methods_whose_partners_liked_different_things_are_not_compared(tmp_path: Path) -> None:
     first, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
     assert summarise_comparison(recorded(first), recorded(first)).test is not None
-    with pytest.raises(
-        ValueError, match="liked different things with the second"
-    ):
+    with pytest.raises(ValueError, match="liked different things with the second"):
         summarise_comparison(recorded(first), recorded(other))
 
 
