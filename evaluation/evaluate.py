@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import polars as pl
-
 from evaluation.cast.cast import Cast
 from evaluation.cast.egos import probe_egos, read_egos
 from evaluation.cast.met_partners import check_new
@@ -18,10 +16,9 @@ from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
-from evaluation.play.study import context_of, make_job, seal, still_of
+from evaluation.play.study import context_of, make_job, read_best_responses, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record
-from evaluation.record.verification import check_whole
 from zoo.locations import CACHE_VARIABLE
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -103,9 +100,9 @@ def evaluate(
     if references is not None:
         advice = f"choose another cache with ${CACHE_VARIABLE}, or leave reference egos out"
         check_folder(references, advice)
-    pairs = None if crossplay is None else _crossplay_pairs(crossplay, cast.task, cast.version)
     check_new(cast.sides, cast.met.left_out(cast.sides), include_own)
     env, job, split = _job(cast, how, references is not None)
+    pairs = None if crossplay is None else read_best_responses(crossplay, job)
     playing: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
         make_way(env, job, folder)
@@ -144,16 +141,3 @@ def _own_files(cast: Cast, crossplay: Path | None) -> list[Path]:
     if crossplay is not None:
         files += [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]
     return files
-
-
-def _crossplay_pairs(folder: Path, task: str, env_version: int) -> pl.DataFrame:
-    """Read the pairs of a finished cross-play of this task and environment version."""
-    check_whole(folder)
-    summary = tables.read_json(folder / tables.SUMMARY_FILE)
-    its_task, version = summary.get("task"), summary.get("env_version")
-    if (its_task, version) != (task, env_version):
-        raise ValueError(
-            f"{folder} is of task {its_task}, environment version {version}; best responses are of "
-            f"a cross-play of {task}, version {env_version}"
-        )
-    return tables.read_parquet(folder / tables.PAIRS_FILE)

@@ -95,6 +95,8 @@ def run_job(
     with locked(folder, wait=kept):
         if kept and not (job.reusable and provenance.is_readable(folder)):
             forget(folder)
+        if kept:
+            _check_kept(folder, job)
         _check_reusable(folder, job, reuse)
         return _run_and_merge(env, job, folder, max_envs, devices, on_progress)
 
@@ -238,6 +240,16 @@ def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
         f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
         "robot; take them as they are (reuse), replace them (replace), or choose another folder"
     )
+
+
+def _check_kept(folder: Path, job: Job) -> None:
+    """Refuse a cache's folder that holds another job than its name says."""
+    there = (provenance.read_manifest(folder) or {}).get("job", job.digest())
+    if there != job.digest():
+        raise ValueError(
+            f"the kept episodes in {folder} are of another job; remove that folder, and they are "
+            "played again"
+        )
 
 
 def _difference(identity: dict[str, Any], expected: dict[str, Any]) -> str:

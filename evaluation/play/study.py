@@ -6,6 +6,8 @@ from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import polars as pl
+
 from assistax_base.locks import locked
 from evaluation.cast.cast import Cast
 from evaluation.cast.roster import Roster
@@ -13,7 +15,9 @@ from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.how import PERSON_EPISODES, How
 from evaluation.play.jobs import TOLD_PARTNER, Job, brings_wishes
-from evaluation.record import manifest
+from evaluation.record import manifest, tables
+from evaluation.record.alike import check_alike, check_members, conditions, read_identity
+from evaluation.record.verification import check_whole, strange_tables_refused
 from zoo.schema import Split
 
 if TYPE_CHECKING:
@@ -86,6 +90,41 @@ def context_of(
         lock=lock,
         env_steps_per_second=result.env_steps_per_second,
     )
+
+
+def read_best_responses(crossplay: Path, job: Job) -> pl.DataFrame:
+    """Return the pairs of a finished cross-play, whose best robots are partners' best responses.
+
+    Its partners must be those of the job wherever they have the same ids, and have played alike.
+    Seed and number of episodes may be others.
+
+    Raises:
+        ValueError: The folder is damaged, or was played otherwise or with other partners.
+    """
+    check_whole(crossplay)
+    if (identity := read_identity(crossplay)) is None:
+        raise ValueError(f"{crossplay} does not name the job that it is of; run it again")
+    both = {str(crossplay): identity, "this evaluation": job.identity()}
+    advice = "best responses are of a cross-play that was played alike"
+    with strange_tables_refused(crossplay):
+        check_alike({name: _how(of) for name, of in both.items()}, advice=advice)
+        members = {name: _without_sides(of) for name, of in both.items()}
+        check_members(members, "partners", advice=advice)
+    pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
+    if not set(pairs["partner"]) & set(job.partners.ids):
+        raise ValueError(f"{crossplay} has none of the partners that play here; give another")
+    return pairs
+
+
+def _how(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how pairs play, whichever episodes."""
+    of_episodes = ("seed", "episodes", "apart", "paired")
+    return {name: of for name, of in conditions(identity).items() if name not in of_episodes}
+
+
+def _without_sides(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an identity without its partners' sides, which another split deals otherwise."""
+    return {**identity, "partners": [[*row[:2], None, *row[3:]] for row in identity["partners"]]}
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from assistax_base.errors import ZooError, counted
+from assistax_base.errors import ZooError, counted, listing
 from assistax_envs.versions import TASKS
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
@@ -124,8 +124,8 @@ def create(
         default=default,
         train_preferences=parse_names(train_preferences),
         test_preferences=parse_names(test_preferences),
-        earned=_earned(best_responses),
-        groups=_groups(conventions),
+        earned=_earned(best_responses, loaded, task),
+        groups=_groups(conventions, loaded, task),
     )
     answer(json, split.model_dump(mode="json"), *_created(split, loaded))
 
@@ -180,30 +180,50 @@ _LEFT_OUT = {
 }
 
 
-def _earned(folders: tuple[Path, ...]) -> dict[str, float]:
+def _earned(folders: tuple[Path, ...], registry: Registry, task: str) -> dict[str, float]:
     """Return what the best robot of finished folders earns with each team's human."""
     from evaluation.record.record import Record
-    from evaluation.record.verification import check_whole
 
     earned: dict[str, float] = {}
     for folder in folders:
-        check_whole(folder)
+        _check_partners(folder, registry, task)
         returns = Record.read(folder).returns
         best = zip(returns.partners["partner_team"], returns.scores.max(axis=0), strict=True)
         earned |= {t: max(float(value), earned.get(t, float("-inf"))) for t, value in best if t}
     return earned
 
 
-def _groups(folder: Path | None) -> dict[str, str]:
+def _groups(folder: Path | None, registry: Registry, task: str) -> dict[str, str]:
     """Return the convention groups of a finished cross-play."""
     if folder is None:
         return {}
     from evaluation.figures.clustering import convention_groups
     from evaluation.record import tables
+
+    _check_partners(folder, registry, task)
+    return convention_groups(tables.read_parquet(folder / tables.PAIRS_FILE))
+
+
+def _check_partners(folder: Path, registry: Registry, task: str) -> None:
+    """Refuse a finished folder whose partners are other ones than the registry's."""
+    from evaluation.record.alike import read_identity
     from evaluation.record.verification import check_whole
 
     check_whole(folder)
-    return convention_groups(tables.read_parquet(folder / tables.PAIRS_FILE))
+    identity = read_identity(folder)
+    if identity is None or identity["task"] != task:
+        raise ValueError(
+            f"{folder} is of {'no job that it names' if identity is None else identity['task']}; "
+            f"give a finished folder of {task}"
+        )
+    played = {row[0]: row[3] for row in identity["partners"]}
+    here = {entry.id: entry.sha256 for entry in registry.known(played)}
+    if other := [name for name, digest in here.items() if played[name] != digest]:
+        raise ValueError(
+            f"{folder} was played with other partners than this registry's: "
+            f"{listing(other, 3)} {'has' if len(other) == 1 else 'have'} another sha256; give a "
+            "folder of this registry"
+        )
 
 
 def _teams(registry: Registry, patterns: tuple[str, ...]) -> list[str]:
