@@ -32,4 +32,5 @@ if [ ! -e "$lerobot/.installed" ]; then
     touch "$lerobot/.installed"
 fi
 export LEROBOT_PYTHON="$PWD/$lerobot/bin/python"
-"$folder/bin/python" -m pytest -q tests/frameworks tests/envs/test_adapters.py tests/evaluation/test_robot_forms.py -k "not missing_package"
+"$folder/bin/python" -m pytest -q tests/frameworks tests/envs/test_adapters.py \
+    tests/evaluation/test_robot_forms.py tests/evaluation/test_evaluation_mode.py -k "not missing_package"

@@ -14,7 +14,6 @@ from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
 from evaluation.cast.policy_worker import error_text
-from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.robot_names import PolicyReference, parse_reference
 from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
@@ -81,7 +80,7 @@ def call_ego(
 
     `partners` and `episodes` say who stands in each row: N is partner by partner, K episodes each.
     """
-    robot = as_robot(ego.act)
+    robot = ego.act
 
     def act(obs: np.ndarray, step: int) -> np.ndarray:
         place = f"{ego.id} with {_span(partners)}, step {step}"
@@ -140,11 +139,12 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
         EgoError: It failed, or answered with another number of actions.
     """
     for ego in roster.hosts:
-        robot, obs = as_robot(ego.act), np.zeros((2, observation_size), np.float32)
+        robot, obs = ego.act, np.zeros((2, observation_size), np.float32)
         try:
-            robot.reset(len(obs))
-            problem = _problem(robot(obs), (len(obs), action_size))
-            robot.reset(len(obs))
+            with robot.playing():
+                robot.reset(len(obs))
+                problem = _problem(robot(obs), (len(obs), action_size))
+                robot.reset(len(obs))
         except PolicyError as error:
             problem = f"failed: {error}"
         except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
@@ -214,7 +214,7 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     card = getattr(robot, "card", None)  # of a `Partner`
     met = met_in_training(registry, card) if isinstance(card, PolicyEntry) else NOT_KNOWN
     member = Member(name, identity_digest([name]), reusable=False, met=met)
-    return member, HostEgo(name, as_robot(robot))
+    return member, HostEgo(name, robot)
 
 
 def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Seat, Any] | None:

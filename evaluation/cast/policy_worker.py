@@ -28,6 +28,7 @@ import numpy as np
 _LENGTHS = struct.Struct("<IQ")  # bytes of the JSON object, bytes of the array
 
 
+_HERE = Path(__file__).resolve().parent
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 LONGEST_MESSAGE = 1000  # characters
 LARGEST_ANSWER = 64 << 20  # bytes: the actions of a million simulations
@@ -67,7 +68,8 @@ def receive(stream: BinaryIO, most: int | None = None) -> tuple[dict[str, Any], 
 def error_text(error: BaseException) -> str:
     """Say an exception in one printable line, with the place in the user's code."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    theirs = frames and Path(frames[-1].filename).parent != _HERE  # ours says what was wrong
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if theirs else ""
     message = one_line(str(error))
     return f"{type(error).__name__}{': ' if message else ''}{message}{place}"
 
@@ -87,6 +89,7 @@ def serve() -> None:
     _die_with_parent()
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     robot: Any = None
+    play = contextlib.ExitStack()  # as long as the process: nothing has to be given back
     while True:
         try:
             header, obs = receive(inbox)
@@ -96,6 +99,7 @@ def serve() -> None:
         try:
             if header["do"] == "load":
                 robot, reply = _load(header)
+                play.enter_context(robot.playing())
             elif header["do"] == "reset":
                 robot.reset(header["rows"])
             else:
@@ -111,7 +115,7 @@ def serve() -> None:
 
 def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Make the robot; return with it the files that its code is in, and those that it declares."""
-    forms = _import(str(Path(__file__).with_name("robot_forms.py")), "assistax_zoo_robot_forms")
+    forms = _import_ours("evaluation_mode", "robot_forms")
     sys.path[:] = header["path"]
     name, factory = header["module"], header["factory"]
     try:
@@ -154,6 +158,15 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         "trained_with": trained_with,
         "metadata": metadata,
     }
+
+
+def _import_ours(*names: str) -> ModuleType:
+    """Return the last of these files of ours, which import each other; the robot meets no name."""
+    modules = {f"evaluation.cast.{name}": f"{_HERE / name}.py" for name in names}
+    made = [_import(path, name) for name, path in modules.items()]
+    for name in modules:
+        del sys.modules[name]
+    return made[-1]
 
 
 def _import(path: str, name: str) -> ModuleType:

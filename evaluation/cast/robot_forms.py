@@ -1,33 +1,70 @@
 """Everything that counts as a robot in Python, brought to one form: a callable with `reset`.
 
-Imports nothing of this project: it also runs in a robot's own process, where `zoo` and `evaluation`
-may be somebody else's modules.
+Imports of this project `evaluation_mode` alone: it also runs in a robot's own process, where `zoo`
+and `evaluation` may be somebody else's modules.
 """
 
 import contextlib
+import functools
+import inspect
 import os
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Collection, Generator
 from typing import Any
 
 import numpy as np
+
+from evaluation.cast.evaluation_mode import as_used, is_module, is_torch_module
 
 FORMS = (
     "a callable from observations [N, O] to actions [N, A], an object with act(obs) and "
     "reset(n), one with predict(obs, state=, episode_start=, deterministic=), a PyTorch module, or "
     "a Flax module with its parameters: (module, params)"
 )
+# Arguments by which a call is told that it does not train.
+_ARGUMENTS = {
+    "train": False,
+    "training": False,
+    "is_training": False,
+    "deterministic": True,
+    "use_running_average": True,
+    "inference": True,
+}
+_PREDICTING = ("state", "episode_start", "deterministic")
 
 
 class Robot:
-    """A callable from float32 observations [N, O] to whatever the robot answers, [N, A]."""
+    """A callable from float32 observations [N, O] to whatever the robot answers, [N, A].
+
+    While it answers, the networks that it is made of are in evaluation mode; see `playing`.
+    """
 
     def __init__(
         self,
         act: Callable[[np.ndarray], Any],
         reset: Callable[[int], Any] | None = None,
+        made_of: Any = None,
     ) -> None:
         self._act, self._reset = act, reset
+        self._made_of = act if made_of is None else made_of
+        self._plays = False
+
+    @contextlib.contextmanager
+    def playing(self) -> Generator[None]:
+        """Hold the robot as it will be used, in evaluation mode, and give it back as it came.
+
+        That is the mode of every module, buffers and other statistics, and the state of random
+        generators. A call outside such a block is one of its own.
+        """
+        if self._plays:
+            yield
+            return
+        self._plays = True
+        try:
+            with as_used(self._made_of):
+                yield
+        finally:
+            self._plays = False
 
     def reset(self, rows: int) -> None:
         """Tell the robot, if it wants to know, that `rows` episodes begin."""
@@ -35,10 +72,13 @@ class Robot:
             self._reset(rows)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return the answer as NumPy sees it."""
-        with _one_torch_thread():
-            answer = self._act(obs)
-        return np.asarray(answer.detach().cpu() if hasattr(answer, "detach") else answer)
+        """Return the answer as NumPy sees it.
+
+        Raises:
+            TypeError: The answer is several things of different shapes.
+        """
+        with self.playing(), _one_torch_thread():
+            return _array(self._act(np.asarray(obs, np.float32)))
 
 
 def as_robot(robot: Any) -> Robot:
@@ -53,26 +93,31 @@ def as_robot(robot: Any) -> Robot:
         return Robot(_flax(*robot))
     if hasattr(robot, "unbind") and getattr(robot, "scope", None) is not None:
         return Robot(_flax(*robot.unbind()))
+    made_of = robot
     if _method(robot, "predict"):
         robot = _Predicting(robot)
-    act = _torch(robot) if _is_torch_module(robot) else robot
+    act = robot
+    if is_torch_module(robot):
+        act = _torch(robot)
+    elif is_module(robot):
+        act = functools.partial(robot, **_evaluation_arguments(robot))
     act = _method(robot, "act") or act
     if not callable(act) or hasattr(robot, "unbind"):
         raise TypeError(f"{type(robot).__name__} is not a robot; expected {FORMS}")
-    return Robot(act, _method(robot, "reset"))
+    return Robot(act, _method(robot, "reset"), made_of)
 
 
 def _method(robot: Any, name: str) -> Any:
     """Return a method; none where the name is a layer's, as often `act` of an activation."""
     method = getattr(robot, name, None)
-    return method if callable(method) and not _is_torch_module(method) else None
+    return method if callable(method) and not is_module(method) else None
 
 
 class _Predicting:
-    """A Stable-Baselines3 model, recurrent or not."""
+    """A model of Stable-Baselines3, recurrent or not, or one whose `predict` takes less."""
 
     def __init__(self, model: Any) -> None:
-        self._model = model
+        self._model, self._takes = model, _taken(model.predict, _PREDICTING)
         self.reset(0)
 
     def reset(self, rows: int) -> None:
@@ -80,26 +125,77 @@ class _Predicting:
 
     def act(self, obs: np.ndarray) -> Any:
         starts, self._first = np.full(len(obs), self._first), False
-        action, self._state = self._model.predict(
-            obs, state=self._state, episode_start=starts, deterministic=True
-        )
-        return action
+        given = {"state": self._state, "episode_start": starts, "deterministic": True}
+        answer = self._model.predict(obs, **{name: given[name] for name in self._takes})
+        if "state" in self._takes and isinstance(answer, tuple):
+            answer, self._state = answer
+        return answer
 
 
-def _is_torch_module(robot: Any) -> bool:
-    torch: Any = sys.modules.get("torch")  # whoever has a module of it has imported it
-    return torch is not None and isinstance(robot, torch.nn.Module)
+def _taken(function: Callable[..., Any], names: Collection[str]) -> list[str]:
+    """Return which arguments a function takes by name: all where it does not say."""
+    try:
+        parameters = inspect.signature(function).parameters
+    except (TypeError, ValueError):  # written in C
+        return list(names)
+    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):
+        return list(names)
+    return [name for name in names if name in parameters]
+
+
+def _evaluation_arguments(call: Any) -> dict[str, bool]:
+    """Return the arguments that tell a module's call that it does not train."""
+    try:
+        parameters = inspect.signature(call).parameters
+    except (TypeError, ValueError):
+        return {}
+    return {name: value for name, value in _ARGUMENTS.items() if name in parameters}
+
+
+def _array(answer: Any) -> np.ndarray:
+    """Return an answer as NumPy sees it; small floats, which NumPy lacks, as float32."""
+    if hasattr(answer, "detach"):
+        answer = answer.detach().cpu()
+        if hasattr(answer, "element_size") and answer.is_floating_point():
+            answer = answer.float() if answer.element_size() < 4 else answer
+    if isinstance(answer, list | tuple) and any(hasattr(row, "shape") for row in answer):
+        rows = [_array(row) for row in answer]
+        if len({row.shape for row in rows}) > 1:
+            raise TypeError(_several(answer, rows))
+        answer = rows
+    try:
+        array = np.asarray(answer)
+    except ValueError:  # rows of different lengths
+        raise TypeError(_several(answer, [np.asarray(row, object) for row in answer])) from None
+    narrow = array.dtype.kind == "V" and np.can_cast(array.dtype, np.float32)  # such as bfloat16
+    return array.astype(np.float32) if narrow else array
+
+
+def _several(answer: Any, rows: list[np.ndarray]) -> str:
+    """Say what an answer is made of that is no array."""
+    parts = [
+        f"{type(part).__name__}{list(row.shape) if row.ndim else ''}"
+        for part, row in zip(answer, rows, strict=True)
+    ]
+    listed = ", ".join(parts[:3]) + ", ..." * (len(parts) > 3)
+    return (
+        f"returned a {type(answer).__name__} of {len(parts)} parts of different shapes ({listed}); "
+        "expected the actions alone, one array [N, A]"
+    )
 
 
 def _torch(module: Any) -> Callable[[np.ndarray], Any]:
-    """Return a module's forward pass on arrays; puts the module into evaluation mode."""
+    """Return a module's forward pass on arrays, of the type and device of its parameters."""
     torch: Any = sys.modules["torch"]
-    module.eval()  # a training mode would draw, or look at other episodes
-    like = next(module.parameters(), torch.zeros(0))
+    arguments = _evaluation_arguments(module.forward)
+    numbers = [*module.parameters(), *module.buffers()]
+    kinds = {number.dtype for number in module.parameters() if number.is_floating_point()}
+    kind = kinds.pop() if len(kinds) == 1 else torch.float32
+    device = numbers[0].device if numbers else torch.device("cpu")
 
     def act(obs: np.ndarray) -> Any:
         with torch.inference_mode():
-            return module(torch.tensor(obs, dtype=like.dtype, device=like.device))
+            return module(torch.tensor(obs, dtype=kind, device=device), **arguments)
 
     return act
 
@@ -126,5 +222,6 @@ def _flax(module: Any, params: Any) -> Callable[[np.ndarray], Any]:
     import jax
 
     variables = params if "params" in params else {"params": params}
-    apply = jax.jit(lambda variables, obs: module.apply(variables, obs))
+    arguments = _evaluation_arguments(type(module).__call__)
+    apply = jax.jit(lambda variables, obs: module.apply(variables, obs, **arguments))
     return lambda obs: apply(variables, obs)

@@ -1,12 +1,13 @@
 """Who plays in a seat: stacks of policies and robots from outside, each described by its id."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
 from assistax_envs.preferences import Told
+from evaluation.cast.robot_forms import as_robot
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
@@ -39,7 +40,10 @@ class HostEgo:
     """A robot in anybody's framework: a callable from batched observations to batched actions."""
 
     id: str
-    act: Callable[[Any], Any]  # [B, O] float32 NumPy -> [B, A]; `act.reset(B)` starts episodes
+    act: Any  # of any form; from then on a `Robot`: [B, O] float32 NumPy -> [B, A]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "act", as_robot(self.act))
 
     @property
     def ids(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ runs on does not show in its values: all run the same program.
 """
 
 import concurrent.futures
+import contextlib
 import dataclasses
 import math
 import os
@@ -77,7 +78,13 @@ class Runner:
         queue, meter = iter(chunks), meter or Meter(0)
         pool = concurrent.futures.ThreadPoolExecutor
         # In threads even for one device: see `assistax_envs.interrupts`.
-        with pool(len(self._devices)) as playing, pool(_compilers()) as compiling:
+        with (
+            contextlib.ExitStack() as robots,
+            pool(len(self._devices)) as playing,
+            pool(_compilers()) as compiling,
+        ):
+            for host in self._job.egos.hosts:
+                robots.enter_context(host.act.playing())
             works = [
                 playing.submit(self._work, device, queue, save, meter) for device in self._devices
             ]

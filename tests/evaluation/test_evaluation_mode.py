@@ -1,0 +1,281 @@
+"""Networks play in evaluation mode, and come back with all modes, statistics and chance."""
+
+import copy
+import functools
+import random
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from flax import nnx
+
+from evaluation.cast.egos import call_ego, probe_egos, read_egos
+from evaluation.cast.robot_forms import as_robot
+from evaluation.cast.roster import HostEgo, Member, Roster
+
+OBS = np.linspace(-1.0, 3.0, 8, dtype=np.float32).reshape(4, 2)
+
+
+class FlaxNet(nnx.Module):
+    def __init__(self, rngs: nnx.Rngs) -> None:
+        self.layer = nnx.Linear(2, 7, rngs=rngs)
+        self.normed = nnx.BatchNorm(7, rngs=rngs)
+        self.dropouts = nnx.List([nnx.Dropout(0.5, rngs=rngs)])
+        self.frozen = nnx.Dropout(0.5, deterministic=True, rngs=rngs)
+
+    def __call__(self, obs: Any) -> Any:
+        return self.frozen(self.dropouts[0](self.normed(self.layer(obs))))
+
+
+class Acting:
+    def __init__(self, net: Any) -> None:
+        self.nets = {"robot": [net]}
+
+    def act(self, obs: np.ndarray) -> Any:
+        return self.nets["robot"][0](obs)
+
+
+GLOBAL_NET: Any = None
+WRAPPINGS: dict[str, Callable[[Any], Any]] = {
+    "itself": lambda net: net,
+    "closure": lambda net: lambda obs: net(obs),
+    "global": lambda net: lambda obs: GLOBAL_NET(obs),
+    "attribute": Acting,
+    "partial": lambda net: functools.partial(lambda net, obs: net(obs), net),
+    "method": lambda net: Acting(net).act,
+}
+
+
+def flax_state(net: nnx.Module) -> Any:
+    """Return all that training goes on from: modes, and every variable's value."""
+    modes = [
+        (path, {name: value for name, value in vars(part).items() if isinstance(value, bool)})
+        for path, part in nnx.iter_modules(net)
+    ]
+    values = [
+        np.asarray(
+            jax.random.key_data(leaf)
+            if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+            else leaf
+        ).tolist()
+        for leaf in jax.tree.leaves(nnx.state(net))
+    ]
+    return modes, values
+
+
+@pytest.mark.parametrize("wrapping", WRAPPINGS)
+def test_a_flax_network_plays_without_training(
+    wrapping: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    net = FlaxNet(nnx.Rngs(0))
+    monkeypatch.setitem(globals(), "GLOBAL_NET", net)
+    twin = FlaxNet(nnx.Rngs(0))
+    twin.eval()
+    expected, before = np.asarray(twin(OBS)), flax_state(net)
+    assert not np.allclose(copy.deepcopy(net)(OBS), expected)  # as it trains
+    np.testing.assert_allclose(as_robot(WRAPPINGS[wrapping](net))(OBS), expected, rtol=1e-6)
+    assert flax_state(net) == before
+
+
+def test_a_flax_network_that_draws_comes_back() -> None:
+    net = FlaxNet(nnx.Rngs(0))
+    drawing = nnx.Dropout(0.5, rngs=nnx.Rngs(1))
+
+    def act(obs: np.ndarray) -> Any:
+        drawing.deterministic = False  # as an exploring robot does
+        return drawing(net(obs))
+
+    before, counts = flax_state(net), flax_state(drawing)
+    robot = as_robot(act)
+    with robot.playing():
+        first, second = robot(OBS), robot(OBS)
+    assert not np.array_equal(first, second)  # chance goes on within a play
+    assert (flax_state(net), flax_state(drawing)) == (before, counts)
+
+
+def test_shared_chance_comes_back_and_goes_on_within_a_play(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = as_robot(lambda obs: np.random.normal(size=(len(obs), 7)) + random.random())
+    restored: list[Any] = []  # beartype, which checks calls in tests, draws from it too
+    monkeypatch.setattr(random, "setstate", restored.append)
+    np.random.seed(4)
+    before, state = random.getstate(), np.random.get_state()
+    with robot.playing():
+        assert not np.array_equal(robot(OBS), robot(OBS))
+    assert str(np.random.get_state()) == str(state)
+    assert [len(one) for one in restored] == [len(before)]
+
+
+def test_a_play_that_fails_gives_all_back() -> None:
+    net = FlaxNet(nnx.Rngs(0))
+    before = flax_state(net)
+
+    def act(obs: np.ndarray) -> Any:
+        net(obs)
+        raise ZeroDivisionError
+
+    robot = as_robot(act)
+    with pytest.raises(ZeroDivisionError), robot.playing():
+        robot(OBS)
+    assert flax_state(net) == before
+
+
+def test_a_probe_leaves_a_network_as_it_was() -> None:
+    net = FlaxNet(nnx.Rngs(0))
+    before = flax_state(net)
+    egos = Roster((HostEgo("host", net),), {"host": Member("host", "0")})
+    probe_egos(egos, "scratch", 2, 7)
+    call_ego(egos.hosts[0], ["a"], 4, 7)(OBS, 0)
+    assert flax_state(net) == before
+
+
+def test_a_linen_network_is_told_that_it_does_not_train() -> None:
+    from flax import linen
+
+    class Net(linen.Module):
+        @linen.compact
+        def __call__(self, obs: Any, train: bool = True) -> Any:
+            obs = linen.BatchNorm(use_running_average=not train)(obs)
+            return linen.Dropout(0.5, deterministic=not train)(obs)
+
+    module = Net()
+    variables = module.init(jax.random.key(0), OBS, train=False)
+    for robot in ((module, variables), module.bind(variables)):
+        np.testing.assert_allclose(as_robot(robot)(OBS), OBS, rtol=1e-4)
+
+
+def torch_state(net: Any) -> Any:
+    return (
+        [part.training for part in net.modules()],
+        {name: value.tolist() for name, value in net.state_dict().items()},
+    )
+
+
+def torch_net(torch: Any) -> Any:
+    torch.manual_seed(0)
+    net = torch.nn.Sequential(
+        torch.nn.Linear(2, 7),
+        torch.nn.BatchNorm1d(7),
+        torch.nn.Sequential(torch.nn.Dropout(0.5), torch.nn.BatchNorm1d(7)),
+    )
+    net[2][1].eval()  # frozen while the others train
+    return net
+
+
+@pytest.mark.parametrize("wrapping", WRAPPINGS)
+def test_a_torch_module_plays_without_training(
+    wrapping: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+    net = torch_net(torch)
+    expected = copy.deepcopy(net).eval()(torch.tensor(OBS)).detach().numpy()
+    called = net if wrapping == "itself" else lambda obs: net(torch.as_tensor(obs))
+    monkeypatch.setitem(globals(), "GLOBAL_NET", called)
+    before, chance = torch_state(net), torch.get_rng_state()
+    robot = as_robot(WRAPPINGS[wrapping](called))
+    np.testing.assert_allclose(robot(OBS), expected, rtol=1e-6)
+    assert torch_state(net) == before
+    assert torch.equal(torch.get_rng_state(), chance)
+
+
+def test_a_torch_module_that_counts_and_draws_comes_back() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+
+    class Net(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = torch.nn.Linear(2, 7)
+            self.register_buffer("replaced", torch.zeros(1))
+            self.register_buffer("counted", torch.zeros(1))
+            self.drawing = torch.Generator()
+
+        def forward(self, obs: Any) -> Any:
+            self.replaced = self.replaced + 1
+            self.counted += 1
+            noise = torch.randn(len(obs), 7, generator=self.drawing) + torch.randn(1)
+            return self.layer(obs) + noise
+
+    net, optimised = Net(), torch.ones(1)
+    before, chance = torch_state(net), torch.get_rng_state()
+    drawing = net.drawing.get_state()
+    robot = as_robot(net)
+    with robot.playing():
+        assert not np.array_equal(robot(OBS), robot(OBS))
+    assert torch_state(net) == before and torch.equal(torch.get_rng_state(), chance)
+    assert torch.equal(net.drawing.get_state(), drawing)
+    (net.layer(torch.tensor(OBS)).sum() + (net.replaced * optimised).sum()).backward()  # trains on
+
+
+def test_a_module_that_merges_for_its_use_is_split_again() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+
+    class Merging(torch.nn.Module):
+        """As an adapter of low rank, which adds its product to the weight when training ends."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer, self.added = torch.nn.Linear(2, 7), torch.nn.Parameter(torch.ones(7, 2))
+
+        def train(self, mode: bool = True) -> Any:
+            if mode != self.training:
+                self.layer.weight.data += -self.added.data if mode else self.added.data
+            return super().train(mode)
+
+        def forward(self, obs: Any) -> Any:
+            return self.layer(obs)
+
+    net = Merging()
+    weight = net.layer.weight.detach().clone()
+    as_robot(net)(OBS)
+    assert net.training and torch.allclose(net.layer.weight, weight, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        (["float64"], "float64"),
+        (["bfloat16"], "bfloat16"),
+        (["float16", "int8"], "float16"),
+        (["int8"], "float32"),
+        (["float64", "float32"], "float32"),
+        ([], "float32"),
+    ],
+)
+def test_a_torch_module_reads_its_own_kind_of_floats(parameters: list[str], expected: str) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+
+    class Net(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            for place, name in enumerate(parameters):
+                value = torch.ones(1, dtype=getattr(torch, name))
+                setattr(self, f"p{place}", torch.nn.Parameter(value, requires_grad=False))
+
+        def forward(self, obs: Any) -> Any:
+            seen.append(obs.dtype)
+            return obs
+
+    seen: list[Any] = []
+    answer = as_robot(Net())(OBS)
+    assert seen == [getattr(torch, expected)]
+    np.testing.assert_allclose(answer, OBS, rtol=1e-2)
+
+
+def test_a_robot_of_code_plays_without_training(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from zoo.registry import Registry
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(
+        "from flax import nnx\n"
+        "def make():\n"
+        "    dropout = nnx.Dropout(0.5, rngs=nnx.Rngs(0))\n"
+        "    return lambda obs: dropout(obs)\n"
+    )
+    empty: Any = Registry(data=None, path=tmp_path / "registry.json", policies=[])  # type: ignore[arg-type]
+    [ego] = read_egos(["python:mine.py:make"], empty, "scratch").hosts
+    np.testing.assert_array_equal(call_ego(ego, ["a"], 4, 2)(OBS, 0), OBS)
