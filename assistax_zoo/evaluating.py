@@ -63,10 +63,10 @@ def evaluate(
     Args:
         robot: A callable from observations [N, O] to actions [N, A], float32, called with one row
             for each episode; an object with `act(obs)` and `reset(n)`; a model with
-            Stable-Baselines3's `predict`; a PyTorch module, which is put into evaluation mode; a
-            Flax module with parameters, `(module, params)`; a `Partner` in the robot's role; a path
-            of a .safetensors or .onnx file; an id; or "python:mod.py:make". A list of them are
-            seeds of one method.
+            Stable-Baselines3's `predict`; a PyTorch module; a Flax module with parameters,
+            `(module, params)`; a `Partner` in the robot's role; a path of a .safetensors or .onnx
+            file; an id; or "python:mod.py:make". A list of them are seeds of one method. Networks
+            play in evaluation mode, and come back as they were.
         task: Task, such as "scratch".
         split: Partners: "test" (default), "train" or "both" sides of the default split, or another
             split's id (ID:both); "validation" where the split has that side.

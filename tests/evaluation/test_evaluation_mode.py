@@ -14,6 +14,9 @@ from flax import nnx
 from evaluation.cast.egos import call_ego, probe_egos, read_egos
 from evaluation.cast.robot_forms import as_robot
 from evaluation.cast.roster import HostEgo, Member, Roster
+from evaluation.play.evaluator import run_job
+from evaluation.play.jobs import Job
+from tests.evaluation.matrix_game import MatrixGame, humans
 
 OBS = np.linspace(-1.0, 3.0, 8, dtype=np.float32).reshape(4, 2)
 
@@ -130,6 +133,22 @@ def test_a_probe_leaves_a_network_as_it_was() -> None:
     probe_egos(egos, "scratch", 2, 7)
     call_ego(egos.hosts[0], ["a"], 4, 7)(OBS, 0)
     assert flax_state(net) == before
+
+
+def test_a_network_comes_back_from_a_job(tmp_path: Any) -> None:
+    dropout = nnx.Dropout(0.5, rngs=nnx.Rngs(0))
+
+    def act(obs: np.ndarray) -> Any:
+        modes.append(dropout.deterministic)
+        dropout.rngs()  # draws in the thread that plays
+        return dropout(obs[:, :2])
+
+    modes: list[bool] = []
+    before = flax_state(dropout)
+    egos = Roster((HostEgo("host", act),), {"host": Member("host", "0")})
+    job = Job("matrix", 1, "mjx", egos, humans(-0.5, 0.5), episodes=2)
+    run_job(MatrixGame(), job, tmp_path)
+    assert set(modes) == {True} and flax_state(dropout) == before
 
 
 def test_a_linen_network_is_told_that_it_does_not_train() -> None:

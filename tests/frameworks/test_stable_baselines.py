@@ -73,6 +73,18 @@ def test_it_learns_a_little(algorithm: str):
     )
 
 
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+def test_a_model_comes_back_from_its_evaluation(algorithm: str, tmp_path: Path):
+    env = az.vector_env(TASK, 2, form="sb3", backend="native")
+    model = getattr(sb3, algorithm)("MlpPolicy", env, seed=0, device="cpu")
+    model.policy.set_training_mode(True)
+    modes, chance = [part.training for part in model.policy.modules()], torch.get_rng_state()
+    partners = "scratch/ippo-d1-s0-v1"
+    az.evaluate(model, task=TASK, split="both", partners=partners, episodes=1, references=False)
+    assert [part.training for part in model.policy.modules()] == modes and True in modes
+    assert torch.equal(torch.get_rng_state(), chance)
+
+
 def test_tensors_and_arrays_share_memory():
     env = az.vector_env(TASK, 2, arrays="jax", backend="native")
     obs, _ = env.reset(seed=0)
