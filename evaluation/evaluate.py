@@ -16,6 +16,7 @@ from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
+from evaluation.play.robot_checks import describe_robots, robot_notes
 from evaluation.play.study import context_of, make_job, read_best_responses, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record
@@ -107,16 +108,18 @@ def evaluate(
     if replace:
         make_way(env, job, folder)
     result = run_job(env, job, folder, reuse=reuse, **playing)
-    baselines, files = None, _own_files(cast, crossplay)
+    baselines, files = None, _crossplay_files(crossplay)
     if references is not None:
         episodes, kept = play_references(env, job, cast.own_robots, references, **playing)
         baselines, files = (episodes, bounds_table(episodes, pairs)), files + kept
     context = context_of(job, result, split=split, release=split.release, lock=cast.lock)
+    about = describe_robots(folder, cast.robots, env.observation_size["robot"])
     saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
+    saving["notes"] = robot_notes(about, cast.robots)
     with still_of(job, folder):
         record = Record(result.table, folder)
         summary = save_evaluation(record, context, met=cast.met, **saving)
-        seal(folder, cast, files)
+        seal(folder, cast, files, about)
     return summary
 
 
@@ -135,9 +138,8 @@ def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
     return env, job, cast.split
 
 
-def _own_files(cast: Cast, crossplay: Path | None) -> list[Path]:
-    """Return the files that figures are drawn from beside the registry's and references'."""
-    files = [path for member in cast.robots.members.values() for path in member.files]
-    if crossplay is not None:
-        files += [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]
-    return files
+def _crossplay_files(crossplay: Path | None) -> list[Path]:
+    """Return the files of a cross-play that figures are drawn from."""
+    if crossplay is None:
+        return []
+    return [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]

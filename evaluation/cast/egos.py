@@ -2,6 +2,7 @@
 
 import dataclasses
 import glob
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -184,12 +185,13 @@ def _from_files(
     if not names:
         raise ValueError(f"policy {text!r} matches no file; list the folder with ls")
     for name in names:
+        sha256 = _sha256(name)  # first: a file that changes from then on is found out
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))
         robots = [entry for entry in registry.policies if entry.role == "robot"]
         same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
-        member = _of_file(name, Path(name), registry, {} if same else metadata)
+        member = _of_file(name, Path(name), sha256, registry, {} if same else metadata)
         if same:
             member = dataclasses.replace(
                 member,
@@ -226,7 +228,8 @@ def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Se
         data = onnx_ego.read_bytes(Path(reference.source))
         spec, params = admission.read_program(data)
         claims = _onnx_claims(onnx_ego.read_metadata(data))
-        member = _of_file(reference.text, Path(reference.source), registry, claims)
+        path, sha256 = Path(reference.source), hashlib.sha256(data).hexdigest()
+        member = _of_file(reference.text, path, sha256, registry, claims)
     except (ImportError, ValueError):  # the process says in its own words what is wrong
         return None
     digest = identity_digest([admission.PROGRAM, member.digest])
@@ -240,16 +243,17 @@ def _from_outside(
     try:
         if reference.kind == "onnx":
             path = Path(reference.source)
+            sha256 = _sha256(reference.source)
             robot = PolicyProcess(*onnx_ego.factory(path))
-            member = _of_file(reference.text, path, registry, _onnx_claims(robot.metadata))
-        else:
-            robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
-            declared = robot.trained_with
-            met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
-            member = _python_member(reference, robot, met)
+            claims = _onnx_claims(robot.metadata)
+            member = _of_file(reference.text, path, sha256, registry, claims)
+            return member, HostEgo(member.id, robot)
+        robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
     except (PolicyError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
-    return member, HostEgo(member.id, robot)
+    declared = robot.trained_with
+    met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
+    return _python_member(reference, robot, met), HostEgo(reference.text, robot, robot.loaded)
 
 
 def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -> Member:
@@ -259,19 +263,13 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
     `DEPENDS = ["weights.pt"]`, relative to itself. Only with such a list, which may be empty, is
     the digest taken to cover everything.
     """
-    folder = Path(robot.files[0]).parent
-    named = [path for value in reference.arguments.values() if (path := Path(value)).is_file()]
-    declared = [folder / name for name in robot.depends or ()]
-    for path in declared:
-        if path.exists() and not path.is_file():  # a device or a pipe would never end
-            raise PolicyError(f"DEPENDS names {path}, which is no regular file")
-    paths = [*map(Path, robot.files), *named, *declared]
-    hashes = [[path.name, file_sha256(path)] for path in paths]
+    files = (*robot.files.items(), *robot.inputs)
+    hashes = [[path.name, sha256] for path, sha256 in files]
     return Member(
         reference.text,
         identity_digest([reference.text, hashes]),
-        reusable=robot.depends is not None,
-        files=tuple(paths),
+        reusable=robot.declares,
+        files=files,
         met=met,
     )
 
@@ -285,13 +283,20 @@ def _onnx_claims(metadata: str | None) -> Mapping[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _of_file(text: str, path: Path, registry: Registry, claims: Mapping[str, Any]) -> Member:
+def _sha256(path: str) -> str:
+    """Return a file's sha256, empty where there is none: its reader says what is wrong."""
+    return file_sha256(Path(path)) if Path(path).is_file() else ""
+
+
+def _of_file(
+    text: str, path: Path, sha256: str, registry: Registry, claims: Mapping[str, Any]
+) -> Member:
     """Describe a file's robot by what the file claims: whom it met, and what it is told."""
     told: Any = claims.get("told")
     return Member(
         text,
-        file_sha256(path),
-        files=(path,),
+        sha256,
+        files=((path, sha256),),
         met=claimed_met(registry, claims),
         env_version=claimed_version(claims),
         told="partner" if told == "partner" else told is True,

@@ -62,8 +62,11 @@ class PolicyProcess:
                 "foreign": [str(_HERE.parent / name) for name in _OURS],
             }
         )
-        self.files: list[str] = made["files"]  # its own code
-        self.depends: list[str] | None = made["depends"]  # what its module declares, if it does
+        # Its own code as it ran, then what its arguments name and its module declares, each with
+        # the sha256 of before the robot was made.
+        self.files = _one_hash_each(made["files"])
+        self.inputs = [(Path(path), str(digest)) for path, digest in made["inputs"]]
+        self.declares: bool = made["declares"]  # whether its module says what it depends on
         self.trained_with: Any = made["trained_with"]  # likewise, whom it met in training
         self.metadata: str | None = made["metadata"]  # of an ONNX file, as JSON of a stranger
 
@@ -77,6 +80,18 @@ class PolicyProcess:
         if answer is None:
             raise PolicyError(_UNKNOWN_FORM)
         return answer
+
+    def loaded(self) -> dict[Path, str]:
+        """Return all files of the robot's own code that ran until now, each with its sha256.
+
+        Raises:
+            PolicyError: A file ran twice and was changed in between.
+        """
+        reply, _ = self._ask({"do": "loaded"})
+        try:
+            return _one_hash_each(reply["files"])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise PolicyError(_UNKNOWN_FORM) from None
 
     def close(self) -> None:
         """End the process."""
@@ -108,6 +123,13 @@ class PolicyProcess:
         if "error" in reply:
             raise PolicyError(policy_worker.one_line(str(reply["error"])))
         return reply, answer
+
+
+def _one_hash_each(files: Mapping[str, list[str]]) -> dict[Path, str]:
+    for path, digests in files.items():
+        if len(digests) > 1:
+            raise PolicyError(f"{path} was loaded twice and changed in between; play it again")
+    return {Path(path): str(digest) for path, [digest] in files.items()}
 
 
 def _end(process: subprocess.Popen) -> None:

@@ -8,6 +8,7 @@ A message is two lengths, a JSON object and the bytes of an array: nothing is un
 
 import contextlib
 import ctypes
+import hashlib
 import importlib
 import importlib.util
 import json
@@ -15,10 +16,12 @@ import os
 import signal
 import struct
 import sys
+import sysconfig
 import threading
 import time
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 from typing import Any, BinaryIO
@@ -89,6 +92,7 @@ def serve() -> None:
     _die_with_parent()
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     robot: Any = None
+    code: Any = None
     play = contextlib.ExitStack()  # as long as the process: nothing has to be given back
     while True:
         try:
@@ -98,8 +102,10 @@ def serve() -> None:
         reply, answer = {}, None
         try:
             if header["do"] == "load":
-                robot, reply = _load(header)
+                robot, reply, code = _load(header)
                 play.enter_context(robot.playing())
+            elif header["do"] == "loaded":
+                reply = {"files": code.files()}
             elif header["do"] == "reset":
                 robot.reset(header["rows"])
             else:
@@ -113,11 +119,11 @@ def serve() -> None:
         send(outbox, reply, answer)
 
 
-def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Make the robot; return with it the files that its code is in, and those that it declares."""
+def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
+    """Make the robot; return with it what its result depends on, and its code."""
     forms = _import_ours("evaluation_mode", "robot_forms")
     sys.path[:] = header["path"]
-    name, factory = header["module"], header["factory"]
+    name, factory, code = header["module"], header["factory"], _OwnCode(header["foreign"])
     try:
         if name.endswith(".py"):
             module = _import(name, Path(name).stem)
@@ -128,6 +134,9 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     make = getattr(module, factory, None)
     if not callable(make):
         raise LoadError(f"{name} has no function {factory!r}; name the robot's factory")
+    code.of(module)
+    depends = _depends(module, name)
+    inputs = _hashed([*header["arguments"].values()], depends or [], code.folder)
     try:
         made = make(**header["arguments"])
     except BaseException as error:
@@ -139,11 +148,6 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     except TypeError as error:
         kind = type(made).__name__
         raise LoadError(f"{factory}() returned {kind}; expected {forms.FORMS}") from error
-    depends = getattr(module, "DEPENDS", None)
-    if depends is not None:
-        if isinstance(depends, str) or not isinstance(depends, Iterable):
-            raise LoadError(f"DEPENDS of {name} is {depends!r}; expected a list of paths")
-        depends = [str(path) for path in depends]
     trained_with = getattr(module, "TRAINED_WITH", None)
     names = [trained_with] if isinstance(trained_with, str) else trained_with
     if names is not None and not (
@@ -152,12 +156,89 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         kind = type(trained_with).__name__
         raise LoadError(f"TRAINED_WITH of {name} is {kind}; expected a text or a list of texts")
     metadata = getattr(made, "metadata", None) if header["plain"] else None  # of our ONNX robot
-    return robot, {
-        "files": _own_files(module, header["foreign"]),
-        "depends": depends,
+    reply = {
+        "files": code.files(),
+        "inputs": inputs,
+        "declares": depends is not None,
         "trained_with": trained_with,
         "metadata": metadata,
     }
+    return robot, reply, code
+
+
+def _depends(module: ModuleType, name: str) -> list[str] | None:
+    """Return the paths that a module declares, None where it declares nothing."""
+    depends = getattr(module, "DEPENDS", None)
+    if depends is None:
+        return None
+    if isinstance(depends, str) or not isinstance(depends, Iterable):
+        raise LoadError(f"DEPENDS of {name} is {depends!r}; expected a list of paths")
+    return [str(path) for path in depends]
+
+
+def _hashed(arguments: list[str], declared: list[str], folder: Path) -> list[tuple[str, str]]:
+    """Return path and sha256 of the files that arguments name, and of those that are declared."""
+    named = [Path(value) for value in arguments if os.path.isfile(value)]
+    paths = [folder / name for name in declared]
+    for path in paths:
+        if path.exists() and not path.is_file():  # a device or a pipe would never end
+            raise LoadError(f"DEPENDS names {path}, which is no regular file")
+    try:
+        return [(str(path), _sha256(path.read_bytes())) for path in (*named, *paths)]
+    except OSError as error:
+        raise LoadError(str(error)) from None
+
+
+class _OwnCode:
+    """The files of the robot's own code, each with the sha256 of the bytes that were run."""
+
+    def __init__(self, foreign: list[str]) -> None:
+        """Begin to listen; `foreign` are folders of code that is not the robot's."""
+        self._foreign = [Path(folder) for folder in (*foreign, sysconfig.get_paths()["stdlib"])]
+        self._ran: dict[str, set[str]] = {}
+        self._module: ModuleType | None = None
+        usual = SourceFileLoader.get_code
+
+        def get_code(loader: Any, name: str) -> Any:
+            if self._is_installed(Path(loader.path).resolve()):
+                return usual(loader, name)
+            data = loader.get_data(loader.path)  # once: what is hashed is what runs
+            self._note(loader.path, data)
+            return loader.source_to_code(data, loader.path)
+
+        SourceFileLoader.get_code = get_code  # ty: ignore[invalid-assignment]
+
+    def of(self, module: ModuleType) -> None:
+        """Say which module the robot is made by: its folder and the working one hold the code."""
+        self._module = module
+        self.folder = Path(module.__file__ or "").resolve().parent
+
+    def files(self) -> Mapping[str, list[str]]:
+        """Return all that ran until now, the module's own file first; usually one hash a file."""
+        own = Path(getattr(self._module, "__file__", None) or "").resolve()
+        paths = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
+        # Not all of them are there: PyTorch has a module whose file is said to be "_classes.py".
+        named = {Path(file).resolve() for file in paths if file and file.endswith(".py")}
+        named = {file for file in named if file.is_file()} | {Path(file) for file in self._ran}
+        files = [own, *sorted(file for file in named - {own} if self._is_own(file))]
+        return {
+            str(file): sorted(self._ran.get(str(file)) or {_sha256(file.read_bytes())})
+            for file in files
+        }
+
+    def _note(self, path: str, data: bytes) -> None:
+        self._ran.setdefault(str(Path(path).resolve()), set()).add(_sha256(data))
+
+    def _is_installed(self, file: Path) -> bool:
+        return "site-packages" in file.parts or any(map(file.is_relative_to, self._foreign))
+
+    def _is_own(self, file: Path) -> bool:
+        roots = (self.folder, Path.cwd())
+        return not self._is_installed(file) and any(map(file.is_relative_to, roots))
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _import_ours(*names: str) -> ModuleType:
@@ -175,22 +256,6 @@ def _import(path: str, name: str) -> ModuleType:
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def _own_files(module: ModuleType, foreign: list[str]) -> list[str]:
-    """Return the module's file, then those of its folder and the working one that it imported."""
-    own = Path(module.__file__ or "").resolve()
-    paths = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-    # Not all of them are there: PyTorch has a module whose file is said to be "_classes.py".
-    named = {Path(file).resolve() for file in paths if file and file.endswith(".py")}
-    files = {file for file in named if file.is_file()} - {own}
-    roots, others = (own.parent, Path.cwd()), [Path(folder) for folder in foreign]
-
-    def is_own(file: Path) -> bool:
-        installed = "site-packages" in file.parts or any(map(file.is_relative_to, others))
-        return not installed and any(map(file.is_relative_to, roots))
-
-    return [str(own), *sorted(str(file) for file in files if is_own(file))]
 
 
 def _read(stream: BinaryIO, count: int) -> bytes:

@@ -1,7 +1,7 @@
 """Who plays in a seat: stacks of policies and robots from outside, each described by its id."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,8 @@ class Member:
     seed: int | None = None
     setting: Disability | None = None  # what a human's setting is; the installed one of its name
     reusable: bool = True  # False where the digest does not cover all that the policy depends on
-    files: tuple[Path, ...] = ()  # outside any registry, that the digest is of
+    # Outside any registry, that the digest is of; each with its sha256 as it was read.
+    files: tuple[tuple[Path, str], ...] = ()
     met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
     # Of the environment, in which a robot's file says that it was trained; None if it does not say.
     env_version: int | None = None
@@ -41,6 +42,8 @@ class HostEgo:
 
     id: str
     act: Any  # of any form; from then on a `Robot`: [B, O] float32 NumPy -> [B, A]
+    # The files of its code that ran until now, with their sha256; code may load more as it plays.
+    loaded: Callable[[], Mapping[Path, str]] = dict
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "act", as_robot(self.act))

@@ -104,6 +104,7 @@ def save_evaluation(
     include_own: bool = False,
     references: tuple[pl.DataFrame, pl.DataFrame] | None = None,
     met: MetPartners = NOTHING_KNOWN,
+    notes: Sequence[str] = (),
 ) -> EvaluationSummary:
     """Write every table drawn from an evaluation's episodes, and its summary, into its folder.
 
@@ -113,6 +114,7 @@ def save_evaluation(
         include_own: Whether figures count partners that were trained with one of the egos.
         references: Episodes of the reference egos and the bounds drawn from them, if they played.
         met: Which partners the egos met in training.
+        notes: What else a reader has to know.
 
     Raises:
         ValueError: The egos met all partners, or all of the test side.
@@ -123,8 +125,8 @@ def save_evaluation(
     uncounted = [] if include_own else left
     counted = record.without(uncounted)
     summary = summarise_evaluation(counted, context)
-    notes = (*summary.notes, *met_notes(table, met, include_own))
-    summary = dataclasses.replace(summary, notes=notes, met=met.summary(uncounted))
+    all_notes = (*summary.notes, *met_notes(table, met, include_own), *notes)
+    summary = dataclasses.replace(summary, notes=all_notes, met=met.summary(uncounted))
     tables.write_parquet(partner_table(record), folder / tables.PARTNERS_FILE)
     tables.write_parquet(profile_table(counted), folder / tables.PROFILE_FILE)
     written = [tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.SUMMARY_FILE]

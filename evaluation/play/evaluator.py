@@ -33,6 +33,7 @@ from evaluation.play.parts import (
     write_part,
 )
 from evaluation.play.progress import Meter, OnProgress
+from evaluation.play.robot_checks import changed_file, note_files
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk, plan, tile_envs
 from evaluation.record import manifest as provenance
@@ -193,7 +194,12 @@ def simulate(
     meter.report()
     runner = Runner(env, job, devices)
     said = label(job.digest())
-    runner.run(chunks, lambda chunk, rows: write_part(rows, folder, chunk, said), meter)
+
+    def save(chunk: Chunk, rows: pl.DataFrame) -> None:
+        note_files(folder, job.egos)  # before: a part is of robots that did not change
+        write_part(rows, folder, chunk, said)
+
+    runner.run(chunks, save, meter)
     return meter.speed, runner.compile_seconds
 
 
@@ -231,14 +237,23 @@ def _run_and_merge(
 def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
     """Refuse episodes of a robot of this name that may since be another one."""
     began = (folder / tables.EPISODES_FILE).exists() or has_parts(folder)
-    if reuse or job.reusable or not began:
+    if reuse or not began:
         return
     if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
         return  # another job, which is refused as such
+    choices = "take them as they are (reuse), replace them (replace), or choose another folder"
+    if changed := changed_file(folder):
+        robot, path = changed
+        raise ValueError(
+            f"{folder} holds episodes of {robot}, which loaded {path} while it played, and that "
+            f"file is another one now; {choices}"
+        )
+    if job.reusable:
+        return
     unsure = next(name for name in job.egos.ids if not job.egos.members[name].reusable)
     raise ValueError(
         f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
-        "robot; take them as they are (reuse), replace them (replace), or choose another folder"
+        f"robot; {choices}"
     )
 
 

@@ -144,14 +144,25 @@ def still_of(job: Job, folder: Path) -> Generator[None]:
         yield
 
 
-def seal(folder: Path, cast: Cast, files: Iterable[Path] = ()) -> None:
+def seal(
+    folder: Path,
+    cast: Cast,
+    files: Iterable[Path] = (),
+    robots: Mapping[str, Any] | None = None,
+) -> None:
     """Write the hashes of all files, of what they were drawn from, and the releases' roots.
 
     Args:
         folder: Finished.
         cast: Who played.
-        files: Outside the registry, from which figures are drawn.
+        files: Outside the registry, from which figures are drawn, beside the robots' own.
+        robots: Of `evaluation.play.robot_checks.describe_robots`.
     """
-    hashes = {str(path.resolve()): manifest.file_sha256(path) for path in files}
+    about = robots or {}
+    members = cast.robots.members.values()
+    own = [(path, sha256) for member in members for path, sha256 in member.files]  # as they played
+    own += [item for loaded in about.get("loaded", {}).values() for item in loaded.items()]
+    own += [(path, manifest.file_sha256(path)) for path in files]
+    hashes = {str(Path(path).resolve()): sha256 for path, sha256 in own}
     record = {**cast.record, "sources": {**cast.record["sources"], "files": hashes}}
-    manifest.seal(folder, **record)
+    manifest.seal(folder, **record, **({"robots": about} if about else {}))

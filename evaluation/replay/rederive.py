@@ -58,6 +58,7 @@ def derived_problems(
     is_crossplay: bool,
     references: pl.DataFrame | None,
     crossplay: pl.DataFrame | None,
+    notes: Sequence[str] = (),
 ) -> list[str]:
     """Say which files of a folder are not what its episodes give.
 
@@ -68,6 +69,7 @@ def derived_problems(
         is_crossplay: Whether the folder is one.
         references: The reference egos' episodes, if the folder has them.
         crossplay: Pairs of the cross-play whose robots may be best responses.
+        notes: What the summary says of robots from outside.
     """
     with tempfile.TemporaryDirectory() as name:
         fresh = dataclasses.replace(record, folder=Path(name))
@@ -77,7 +79,7 @@ def derived_problems(
         drawn = None if references is None else (references, bounds_table(references, crossplay))
         problems: list[str] = []
         for include_own in (False, True):  # a note of the summary says which
-            options = {"include_own": include_own, "references": drawn, "met": met}
+            options = {"include_own": include_own, "references": drawn, "met": met, "notes": notes}
             try:
                 save_evaluation(fresh, context, **options)
             except ValueError as error:  # all partners are the robots' own

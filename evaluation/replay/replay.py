@@ -23,6 +23,7 @@ from evaluation.cast.cast import own_robots
 from evaluation.figures.normalised import COLUMN
 from evaluation.play.baselines import reference_jobs, with_names
 from evaluation.play.jobs import Job
+from evaluation.play.robot_checks import robot_notes, varying
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk, Tile, cut_tiles
 from evaluation.record import tables
@@ -114,7 +115,19 @@ def replay_folder(
         return report
     rng = np.random.default_rng(seed)
     played = [_play(rebuilt.env, part, sample, rng) for part in parts]
+    report = dataclasses.replace(
+        report, unchecked=(*report.unchecked, *_unsaid(record.manifest, rebuilt))
+    )
     return _judge(report, record.manifest, rebuilt.job, parts, played)
+
+
+def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
+    """Say what robots from outside do here and the folder does not say of them."""
+    egos = rebuilt.job.egos
+    found = varying(egos, rebuilt.env.observation_size["robot"])
+    said = robot_notes(manifest.get("robots"), egos)
+    here = robot_notes({"varies": found}, egos)
+    return [f"what the folder does not say: {note}" for note in here if note not in said]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,6 +188,7 @@ def _written_problems(
             is_crossplay=is_crossplay,
             references=references,
             crossplay=pairs,
+            notes=robot_notes(record.manifest.get("robots"), rebuilt.job.egos),
         )
     picture = [f"{tables.MATRIX_FIGURE}, a picture"] * is_crossplay
     return problems, (*rebuilt.unchecked, *unchecked, *picture)

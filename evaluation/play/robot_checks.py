@@ -1,0 +1,147 @@
+"""What holds of robots from outside while they play: their files stay, and what answers depend on.
+
+A robot of code may load more files as it plays, and may answer by chance, by earlier calls or by
+other episodes. All of that is allowed. It stands in the manifest under `robots`, from which a
+summary's notes are drawn.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assistax_base.errors import listing
+from evaluation.cast.egos import EgoError
+from evaluation.cast.policy_process import PolicyError
+from evaluation.cast.roster import HostEgo, Roster
+from evaluation.record.manifest import file_sha256, read_manifest, write_manifest
+
+ROWS, STEPS = 4, 2  # of the made-up observations
+TOLERANCE = 1e-3  # of actions: rows of a batch are rounded differently
+NOTES = {
+    "calls": "answers the same observations differently after a reset, by chance or by what it saw "
+    "before: another run gives other figures",
+    "rows": "answers by other rows of observations or by a row's place, which are other episodes: "
+    "figures depend on how many are played at once",
+    "unknown": "fails on made-up observations, so it is not known whether its answers depend on "
+    "chance, earlier calls or other episodes",
+}
+
+
+def check_files(egos: Roster) -> dict[str, dict[str, str]]:
+    """Return the files of code that robots loaded beside those of their digests, by robot.
+
+    Raises:
+        EgoError: A robot's file is not what it was when the robot was made.
+    """
+    loaded: dict[str, dict[str, str]] = {}
+    for ego in egos.hosts:
+        known = dict(egos.members[ego.id].files)
+        try:
+            now = ego.loaded()
+        except PolicyError as error:
+            raise EgoError(f"{ego.id}: {error}") from None
+        for path, sha256 in now.items():
+            _check_same(ego.id, path, known.get(path, sha256), sha256)
+        more = {str(path): sha256 for path, sha256 in now.items() if path not in known}
+        loaded |= {ego.id: more} if more else {}
+    for name in egos.ids:
+        now = [*egos.members[name].files, *loaded.get(name, {}).items()]
+        for path, sha256 in now:
+            here = file_sha256(Path(path)) if Path(path).is_file() else "none"
+            _check_same(name, Path(path), sha256, here)
+    return loaded
+
+
+def note_files(folder: Path, egos: Roster) -> None:
+    """Check robots' files, and write into a folder's manifest what they loaded as they played."""
+    if not (loaded := check_files(egos)):
+        return
+    manifest = read_manifest(folder) or {}
+    said = manifest.get("robots", {})
+    both = {**said, "loaded": {**said.get("loaded", {}), **loaded}}
+    if both != said:
+        write_manifest(folder, {**manifest, "robots": both})
+
+
+def changed_file(folder: Path) -> tuple[str, str] | None:
+    """Return a robot and a file that it loaded as it played, if that file changed since."""
+    loaded = (read_manifest(folder) or {}).get("robots", {}).get("loaded", {})
+    for robot, files in loaded.items():
+        for path, sha256 in files.items():
+            if not Path(path).is_file() or file_sha256(Path(path)) != sha256:
+                return robot, path
+    return None
+
+
+def describe_robots(folder: Path, egos: Roster, observation_size: int) -> dict[str, Any]:
+    """Return what a finished folder's manifest says of robots from outside, nothing if all is well.
+
+    Raises:
+        EgoError: A robot's file changed.
+    """
+    said = (read_manifest(folder) or {}).get("robots", {})
+    about = {
+        "loaded": {**said.get("loaded", {}), **check_files(egos)},
+        "varies": varying(egos, observation_size),
+    }
+    return {name: value for name, value in about.items() if value}
+
+
+def varying(egos: Roster, observation_size: int) -> dict[str, str]:
+    """Return which robots answer by more than their own episode, and by what: words of `NOTES`.
+
+    They are asked between two resets, so that nothing of it stays with them.
+    """
+    found = {ego.id: _varies(ego, observation_size) for ego in egos.hosts}
+    return {name: what for name, what in found.items() if what}
+
+
+def robot_notes(about: Any, egos: Roster) -> list[str]:
+    """Return the notes of a summary, from what a manifest says; it may be anybody's."""
+    parts = [about.get(name) if isinstance(about, dict) else None for name in ("varies", "loaded")]
+    varies, loaded = (part if isinstance(part, dict) else {} for part in parts)
+    notes = [f"{name} {NOTES[what]}" for name in egos.ids if (what := varies.get(name)) in NOTES]
+    for name in egos.ids:
+        if isinstance(files := loaded.get(name), dict):
+            names = listing(sorted(Path(path).name for path in files), 3)
+            notes.append(
+                f"{name} loaded {names} only while it played, which its digest does not cover: "
+                "import it together with its module, or name it in DEPENDS"
+            )
+    return notes
+
+
+def _varies(ego: HostEgo, observation_size: int) -> str | None:
+    """Play the same made-up rows alone and in other company, at other places."""
+    rng = np.random.default_rng(0)
+    shape = (2, STEPS, ROWS, observation_size)
+    obs, company = rng.normal(size=shape).astype(np.float32)
+    company[:, [3, 2]] = obs[:, [0, 1]]
+
+    def play(observations: np.ndarray) -> np.ndarray:
+        ego.act.reset(ROWS)
+        return np.stack([ego.act(rows.copy()) for rows in observations]).astype(np.float64)
+
+    try:
+        with ego.act.playing():
+            first, beside, again = play(obs), play(company), play(obs)
+            ego.act.reset(ROWS)
+        if not _same(first, again):
+            return "calls"
+        return None if _same(first[:, [0, 1]], beside[:, [3, 2]]) else "rows"
+    except (Exception, SystemExit, GeneratorExit):  # its code does not end a run
+        return "unknown"
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    return np.allclose(one, other, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True)
+
+
+def _check_same(robot: str, path: Path, before: str, now: str) -> None:
+    if before != now:
+        raise EgoError(
+            f"{path}, a file of {robot}, changed while the robot played: its sha256 was "
+            f"{before[:12]}, it is {now[:12]}; nothing was sealed, and finished parts are kept: "
+            "put the file back and repeat to go on, or play the new one into another folder"
+        )
