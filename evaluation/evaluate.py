@@ -16,7 +16,7 @@ from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
-from evaluation.play.robot_checks import describe_robots, robot_notes
+from evaluation.play.robot_checks import check_distinct, describe_robots, robot_notes
 from evaluation.play.study import context_of, make_job, read_best_responses, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record
@@ -46,17 +46,20 @@ def cast_robots(
         baselines: Whether baselines are to be played.
 
     Raises:
-        ValueError: What was asked for does not exist or does not fit the task.
+        ValueError: What was asked for does not exist or does not fit the task, or one robot is
+            given under two names.
         ZooError: The registry cannot give it.
     """
     share_cores()
     if not robots:
         raise ValueError("no policy given; name at least one, such as zoo:TEAM/robot")
     split, humans = partners
+    egos = read_egos(robots, registry, split.task)
+    check_distinct(egos)
     return Cast.of(
         registry,
         task=split.task,
-        robots=read_egos(robots, registry, split.task),
+        robots=egos,
         humans=humans,
         split=split,
         trained_with=trained_with,

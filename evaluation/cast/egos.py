@@ -216,7 +216,8 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     card = getattr(robot, "card", None)  # of a `Partner`
     met = met_in_training(registry, card) if isinstance(card, PolicyEntry) else NOT_KNOWN
     member = Member(name, identity_digest([name]), reusable=False, met=met)
-    return member, HostEgo(name, robot)
+    made_of = id(robot) if card is None else (robot.spec, card.sha256)
+    return member, HostEgo(name, robot, made_of=made_of)
 
 
 def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Seat, Any] | None:
@@ -247,13 +248,22 @@ def _from_outside(
             robot = PolicyProcess(*onnx_ego.factory(path))
             claims = _onnx_claims(robot.metadata)
             member = _of_file(reference.text, path, sha256, registry, claims)
-            return member, HostEgo(member.id, robot)
+            return member, HostEgo(member.id, robot, made_of=sha256)
         robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
     except (PolicyError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
     declared = robot.trained_with
     met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
-    return _python_member(reference, robot, met), HostEgo(reference.text, robot, robot.loaded)
+    ego = HostEgo(reference.text, robot, robot.loaded, _made_of(reference, robot))
+    return _python_member(reference, robot, met), ego
+
+
+def _made_of(reference: PolicyReference, robot: PolicyProcess) -> Any:
+    """Return what makes a robot of code: its files, its factory, and what that is given."""
+    contents = {str(path): sha256 for path, sha256 in robot.inputs}
+    given = {name: contents.get(value, value) for name, value in reference.arguments.items()}
+    hashes = (*robot.files.values(), *contents.values())
+    return reference.factory, tuple(sorted(given.items())), tuple(sorted(hashes))
 
 
 def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -> Member:

@@ -44,6 +44,7 @@ class HostEgo:
     act: Any  # of any form; from then on a `Robot`: [B, O] float32 NumPy -> [B, A]
     # The files of its code that ran until now, with their sha256; code may load more as it plays.
     loaded: Callable[[], Mapping[Path, str]] = dict
+    made_of: Any = None  # equal for copies of one robot, whatever they are called
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "act", as_robot(self.act))

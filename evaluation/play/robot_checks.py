@@ -5,6 +5,7 @@ other episodes. All of that is allowed. It stands in the manifest under `robots`
 summary's notes are drawn.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,15 @@ import numpy as np
 
 from assistax_base.errors import listing
 from evaluation.cast.egos import EgoError
+from evaluation.cast.onnx_robots.admission import read_program
+from evaluation.cast.onnx_robots.program import OnnxProgram
 from evaluation.cast.policy_process import PolicyError
 from evaluation.cast.roster import HostEgo, Roster
 from evaluation.record.manifest import file_sha256, read_manifest, write_manifest
+from population.networks.onnx_export import to_onnx
+from population.networks.spec import PolicySpec
+from population.networks.stack import PolicyStack, flatten
+from population.networks.tensors import row_sha256
 
 ROWS, STEPS = 4, 2  # of the made-up observations
 TOLERANCE = 1e-3  # of actions: rows of a batch are rounded differently
@@ -26,6 +33,40 @@ NOTES = {
     "unknown": "fails on made-up observations, so it is not known whether its answers depend on "
     "chance, earlier calls or other episodes",
 }
+
+
+def check_distinct(egos: Roster) -> None:
+    """Refuse one robot under several names: seeds of a method are different robots.
+
+    Raises:
+        ValueError: Names both.
+    """
+    graphs = any(isinstance(stack.spec, OnnxProgram) for stack in egos.policies)
+    seen: dict[Any, str] = {}
+    for stack in egos.stacks:
+        for row, name in enumerate(stack.ids):
+            made_of = [stack.made_of] if isinstance(stack, HostEgo) else _network(stack, row)
+            if graphs and isinstance(stack, PolicyStack) and isinstance(stack.spec, PolicySpec):
+                made_of += _exported(stack.spec, stack.row(row))
+            for content in made_of:
+                if content is not None and seen.setdefault(content, name) != name:
+                    raise ValueError(
+                        f"{seen[content]} and {name} are the same robot, and seeds of one method "
+                        "are different ones; give it once"
+                    )
+
+
+def _network(stack: PolicyStack, row: int) -> list[Any]:
+    return [(stack.spec, row_sha256(flatten(stack.row(row))))]
+
+
+def _exported(spec: PolicySpec, params: Mapping[str, Any]) -> list[Any]:
+    """Return what the export of a network is made of, as ONNX files are read."""
+    try:
+        program, weights = read_program(to_onnx(spec, params))
+    except ValueError:  # no file could be of it
+        return []
+    return [(program, row_sha256(flatten(weights)))]
 
 
 def check_files(egos: Roster) -> dict[str, dict[str, str]]:

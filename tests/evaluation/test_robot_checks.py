@@ -13,16 +13,17 @@ from evaluation.figures.summary import read_summary
 from evaluation.play.evaluator import PARTS_FOLDER, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
-from evaluation.play.robot_checks import NOTES, robot_notes, varying
+from evaluation.play.robot_checks import NOTES, check_distinct, robot_notes, varying
 from evaluation.record.manifest import read_manifest
 from evaluation.record.verification import check_sources, verify_folder
 from evaluation.replay.replay import replay_folder
+from population.networks.onnx_export import to_onnx
 from tests.attack.commands import small_zoo
 from tests.evaluation.matrix_game import ROBOT, MatrixGame, humans
 from tests.population.toy_env import ToyEnv, match
 from tests.studies import evaluate_policies
 from tests.untrained import params_of
-from zoo.parameters.storage import write_policy_file
+from zoo.parameters.storage import load_stacks, write_policy_file
 from zoo.registry import Registry, load_registry
 
 EMPTY: Any = Registry(data=None, path=Path("registry.json"), policies=[])  # type: ignore[arg-type]
@@ -50,6 +51,7 @@ def play(robot: str, out: Path, **options: Any) -> list[float]:
     return run_job(MatrixGame(), job, out, max_envs=2, **options).table["return"].to_list()
 
 
+@pytest.mark.slow
 def test_a_helper_that_is_loaded_late_is_not_reused_changed(folder: Path) -> None:
     (folder / "mine.py").write_text(LAZY % 2)
     (folder / "helper.py").write_text("GAIN = -0.5\n")
@@ -202,10 +204,9 @@ def toy(task: str, backend: str = "native", **_: Any) -> ToyEnv:
 
 @pytest.mark.slow
 def test_an_evaluation_says_it_and_is_replayed(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("assistax_envs.make", toy)
-    registry = load_registry(small_zoo(folder / "zoo"))
     (folder / "mine.py").write_text(
         (LAZY % 1).replace("helper.GAIN)", "helper.GAIN) * obs.mean() * 9")
     )
@@ -222,3 +223,73 @@ def test_an_evaluation_says_it_and_is_replayed(
     assert not check_sources(folder / "out", registry.path).problems
     (folder / "helper.py").write_text("GAIN = 0.25\n")
     assert "helper.py" in check_sources(folder / "out", registry.path).problems[0]
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    return load_registry(small_zoo(tmp_path_factory.mktemp("zoo") / "zoo"))
+
+
+def copies(folder: Path, registry: Registry) -> dict[str, Any]:
+    """Return one robot under many names, and a robot of code and one of objects under two."""
+    entry = registry.policy("scratch/ippo-d1-s0-v0/robot")
+    [stack] = load_stacks(registry, [entry])
+    params = stack.row(0)
+    write_policy_file(folder / "own.safetensors", entry.spec, params)
+    write_policy_file(folder / "claims.safetensors", entry.spec, params, {"told": False})
+    (folder / "own.onnx").write_bytes(to_onnx(entry.spec, params, {"id": "another"}))
+    (folder / "link.safetensors").symlink_to(folder / "own.safetensors")
+    for name in ("mine.py", "copy.py"):
+        (folder / name).write_text("make = lambda gain, path='': lambda obs: obs[:, :1]\n")
+    (folder / "a.pt").write_bytes(b"0")
+    (folder / "b.pt").write_bytes(b"0")
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        return obs[:, :1]
+
+    return {
+        "id and file": ["zoo:" + entry.id, "own.safetensors"],
+        "file and its metadata": ["own.safetensors", "claims.safetensors"],
+        "file and link": ["own.safetensors", "link.safetensors"],
+        "two paths": ["own.safetensors", str(folder / "own.safetensors")],
+        "id and graph": ["own.onnx", "zoo:" + entry.id],
+        "two graphs": ["own.onnx", f"onnx:{folder}/own.onnx"],
+        "code": ["python:mine.py:make?gain=1", f"python:{folder}/mine.py:make?gain=1"],
+        "copied code": ["python:mine.py:make?gain=1", "python:copy.py:make?gain=1"],
+        "arguments": [
+            "python:mine.py:make?gain=1&path=a.pt",
+            "python:mine.py:make?gain=1&path=b.pt",
+        ],
+        "object": [act, act],
+    }
+
+
+COPIES = (
+    "id and file",
+    "file and its metadata",
+    "file and link",
+    "two paths",
+    "id and graph",
+    "two graphs",
+    "code",
+    "copied code",
+    "arguments",
+    "object",
+)
+
+
+@pytest.mark.parametrize("kind", COPIES)
+def test_copies_of_one_robot_are_no_seeds(folder: Path, registry: Registry, kind: str) -> None:
+    given = copies(folder, registry)
+    assert tuple(given) == COPIES
+    with pytest.raises(ValueError, match=r".* and .* are the same robot, .*; give it once"):
+        check_distinct(read_egos(given[kind], registry, "scratch"))
+
+
+def test_seeds_of_one_method_are_taken(folder: Path, registry: Registry) -> None:
+    entry = registry.policy("scratch/ippo-d1-s0-v0/robot")
+    (folder / "other.onnx").write_bytes(to_onnx(entry.spec, params_of(entry.spec, 9)))
+    (folder / "mine.py").write_text("make = lambda gain: lambda obs: obs[:, :1]\n")
+    code = ["python:mine.py:make?gain=1", "python:mine.py:make?gain=2"]
+    others = ["scratch/ippo-d1-s*-v0/robot", "other.onnx", *code, lambda obs: obs, lambda obs: obs]
+    check_distinct(read_egos(others, registry, "scratch"))
