@@ -13,6 +13,7 @@ from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import STIFF_JOINTS
 from assistax_envs.models.gentle_scenes import SCENES, SPARED
+from assistax_envs.own_settings import check_generator, key_of, own_settings
 from assistax_envs.physics import (
     GIVES_CONTACT_FRAMES,
     SUBSTEPS,
@@ -54,6 +55,7 @@ class EnvState:
 class Env:
     """A task on a backend. Make it with `make`; never map it: the batch axis is its own."""
 
+    @own_settings()
     def __init__(
         self,
         task: str | type,
@@ -101,19 +103,24 @@ class Env:
         self._rest = self._task.pose.angle[[joint.qposadr[0] for joint in stiff]]
         self.term_names: tuple[str, ...] = tuple(self._task.weights)
         self.action_size: dict[str, int] = {role: len(ids) for role, ids in self._actuators.items()}
-        keys = jax.random.split(jax.random.key(0), 1)
+        keys = jax.random.split(key_of(0), 1)
         shapes = jax.eval_shape(self.reset, keys, disability_params(["d1"]))
         sizes = {name: obs.shape[-1] for name, obs in shapes.obs.items()}
         self.observation_size: dict[str, int] = sizes
         _check_terms(self._task, shapes.terms)
 
+    @own_settings()
     def reset(self, keys: jax.Array, params: EnvParams) -> EnvState:
         """Start episodes.
 
         Args:
             keys: [N] typed JAX keys; the same key gives the same start on every backend.
             params: [N] impairments, for example from `disability_params`.
+
+        Raises:
+            ValueError: the keys are of another generator than threefry2x32.
         """
+        check_generator(keys)
         n = keys.shape[0]
         start_keys, episode_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
         qpos, task = jax.vmap(self._task.reset)(start_keys, params)
@@ -140,6 +147,7 @@ class Env:
             key=episode_keys,
         )
 
+    @own_settings()
     def step(self, state: EnvState, action: dict[str, jax.Array]) -> EnvState:
         """Advance by one control step of 20 ms.
 
@@ -153,6 +161,7 @@ class Env:
             earns 0. One that a protective stop ended is to be reset: what comes after counts for
             nothing.
         """
+        action = {role: jnp.asarray(taken, jnp.float32) for role, taken in action.items()}
         tremor, shake = self._shake(state)
         control = self._control(state.params, action, shake)
         ranges = self._joint_range(state.params)
@@ -195,10 +204,12 @@ class Env:
         at_end = (angles < ends[..., 0] + AT_END) | (angles > ends[..., 1] - AT_END)
         return dataclasses.replace(measures, at_end=at_end.any(axis=1) & (measures.force > 0.0))
 
+    @own_settings()
     def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
         """Return the joint angles of each role, rad: "robot" [N, 7] and "human" [N, 9]."""
         return {role: state.physics.qpos[:, addresses] for role, addresses in self._joints.items()}
 
+    @own_settings()
     def render(
         self,
         state: EnvState,
@@ -229,6 +240,7 @@ class Env:
             self._renderers[size] = Renderer(self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
+    @own_settings()
     def shown(self, states: Sequence[EnvState]) -> dict[str, np.ndarray]:
         """Return by column what players show of T states of one simulation; see `render.shown`."""
         from assistax_envs.render import shown

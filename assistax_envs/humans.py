@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.own_settings import own_settings
 from assistax_envs.preferences import DRAWN, PREFERENCES
 
 
@@ -28,6 +29,7 @@ class EnvParams:
     person: Any = None
 
 
+@own_settings()
 def disability_params(
     settings: Sequence[str | Disability],
     preferences: Sequence[str] | np.ndarray | None = None,

@@ -17,6 +17,7 @@ from PIL import Image
 
 from assistax_base.files import atomic_path
 from assistax_envs import Disability, Env, EnvParams, EnvState, disability_params
+from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.preferences import check_preferences
 from evaluation.cast.seats import Seated, seat_policy
 from evaluation.play.jobs import episode_seeds
@@ -62,7 +63,7 @@ def play(
         partner: the human's id, if it is a partner of the zoo: its starts are its own.
         humans: a person's own body and wishes [1], in place of a setting and a preference.
     """
-    key = jax.random.key(np.uint32(episode_seeds(seed, [episode], partner)[0]))
+    key = key_of(int(episode_seeds(seed, [episode], partner)[0]))
     preferences = None if preference is None else [preference]
     reset, step = _programs(env)
     state = reset(key[None], humans or disability_params([disability], preferences))
@@ -160,7 +161,8 @@ class Pair:
 @functools.lru_cache(1)
 def _programs(env: Env) -> tuple[Callable[..., EnvState], Callable[..., EnvState]]:
     """Compile once for all episodes that follow each other."""
-    return jax.jit(env.reset), jax.jit(env.step)
+    own = own_settings()
+    return own(jax.jit(env.reset)), own(jax.jit(env.step))
 
 
 def check_film(path: Path, fps: int, width: int, height: int) -> None:

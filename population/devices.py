@@ -18,6 +18,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, SingleDeviceSharding
 from jax.sharding import PartitionSpec as P
 
+from assistax_envs.own_settings import own_settings
+
 AXIS = "members"
 FIRST_AXIS = P(AXIS)  # of length M, or N member by member, is split
 SECOND_AXIS = P(None, AXIS)
@@ -76,7 +78,8 @@ class DeviceShares:
             # All taken before the first is donated, which deletes the whole array that they are
             # parts of.
             arguments = [jax.tree.map(partial(_part, device), args) for device in self.devices]
-            parts = list(self._threads.map(lambda args: jitted(*args, **static), arguments))
+            share = own_settings()(lambda args: jitted(*args, **static))  # for its thread
+            parts = list(self._threads.map(share, arguments))
             return jax.tree.map(
                 lambda spec, *part: jax.tree.map(
                     lambda *leaves: _join(NamedSharding(mesh, spec), leaves), *part

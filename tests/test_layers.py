@@ -29,6 +29,7 @@ LAYERS = {
         "assistax_envs.disability",
         "assistax_envs.preferences",
         "assistax_envs.persons",
+        "assistax_envs.own_settings",
     ),
     "evaluation": ("assistax_base", "assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_base", "assistax_envs", "population", "zoo", "evaluation"),

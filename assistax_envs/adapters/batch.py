@@ -15,6 +15,7 @@ import numpy as np
 
 from assistax_envs.adapters.partners import Partners
 from assistax_envs.env import EnvState, make, select
+from assistax_envs.own_settings import key_of, own_settings
 
 # Vector forms cut observations there, so that their spaces are finite. Robots that strike at random
 # reach 1,133, a force in N; everything else is far smaller.
@@ -63,12 +64,14 @@ class Batch:
         self.env = make(task, backend, weights, version)
         self.partners, self.num_envs = partners, int(num_envs)
 
+    @own_settings()
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
         """Begin an episode in every simulation; return the observations and the state."""
         params = self.partners.params
         seated, state = self._begin(params, key, None)
         return _bounded(state.obs), BatchState(state, params, seated, state.step == 0)
 
+    @own_settings()
     def step(
         self, key: jax.Array, state: BatchState, actions: Mapping[str, jax.Array]
     ) -> tuple[BatchState, BatchStep]:
@@ -130,7 +133,7 @@ class HostBatch:
         self.batch, self._arrays = batch, arrays
         self._reset, self._step = jax.jit(batch.reset), jax.jit(self._stepped)
         self._state: BatchState | None = None
-        self._key = jax.random.key(0)
+        self._key = key_of(0)
         self._steps = 0  # of this episode: counted here, no device needs to be asked
 
     @property
@@ -144,12 +147,14 @@ class HostBatch:
             raise ValueError("no episode runs yet; call reset() first")
         return self._state
 
+    @own_settings()
     def reset(self, rng: np.random.Generator) -> dict[str, Any]:
         """Begin an episode in every simulation; return the observations."""
         obs, self._state = self._reset(_draw(rng))
         self._key, self._steps = _draw(rng), 0
         return self.out(obs)
 
+    @own_settings()
     def step(
         self, rng: np.random.Generator, actions: Mapping[str, Any]
     ) -> tuple[BatchStep, np.ndarray]:
@@ -170,10 +175,12 @@ class HostBatch:
     ) -> tuple[BatchState, BatchStep]:
         return self.batch.step(jax.random.fold_in(key, number), state, actions)
 
+    @own_settings()
     def partner_names(self) -> list[str]:
         """Return what the partner of each simulation is called."""
         return self.batch.partners.names(self.state.seated, self.batch.num_envs)
 
+    @own_settings()
     def out(self, tree: Any) -> Any:
         """Return JAX arrays as callers want them; NumPy's are copies, which they may change."""
         return tree if self._arrays == "jax" else jax.tree.map(np.array, tree)
@@ -194,7 +201,7 @@ class HostBatch:
 
 
 def _draw(rng: np.random.Generator) -> jax.Array:
-    return jax.random.key(rng.integers(2**32, dtype=np.uint32))
+    return key_of(int(rng.integers(2**32, dtype=np.uint32)))
 
 
 def _bounded(obs: dict[str, jax.Array]) -> dict[str, jax.Array]:

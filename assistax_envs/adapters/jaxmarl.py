@@ -18,6 +18,7 @@ from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, BatchState
 from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.disability import Disability
 from assistax_envs.env import EnvState, disability_params, make, select
+from assistax_envs.own_settings import GENERATOR, own_settings
 
 Step = tuple[
     dict[str, jax.Array], EnvState, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]
@@ -79,10 +80,12 @@ class AssistaxMarlEnv:
         self._step = _batched(self.step_batch)
         self._step_to = _batched(self._step_to_batch)
 
+    @own_settings()
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], EnvState]:
         """Start an episode; `key` is typed or raw."""
         return _first(self._reset(_rows(_typed(key))))
 
+    @own_settings()
     def step(
         self,
         key: jax.Array,
@@ -103,11 +106,13 @@ class AssistaxMarlEnv:
             return _first(self._step(*given))
         return _first(self._step_to(*given[1:], _rows(reset_state)))
 
+    @own_settings()
     def step_env(self, key: jax.Array, state: EnvState, actions: dict[str, jax.Array]) -> Step:
         """Advance by one control step without a reset; `key` is not used."""
         del key
         return _first(self._step_env(*_rows((state, actions))))
 
+    @own_settings()
     def reset_batch(self, keys: jax.Array) -> tuple[dict[str, jax.Array], EnvState]:
         """Start N episodes from keys [N]; what `jax.vmap(env.reset)` returns."""
         keys = _typed(keys)
@@ -117,6 +122,7 @@ class AssistaxMarlEnv:
         state = self.env.reset(keys, params)
         return self.get_obs(state), state
 
+    @own_settings()
     def step_batch(self, keys: jax.Array, state: EnvState, actions: dict[str, jax.Array]) -> Step:
         """Advance N simulations.
 
@@ -214,11 +220,13 @@ class AssistaxMarlVectorEnv:
             agent: Box(-1.0, 1.0, (env.action_size[agent],)) for agent in self.agents
         }
 
+    @own_settings()
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
         """Begin an episode in every simulation; `key` is one key, typed or raw."""
         obs, state = self.batch.reset(_typed(key))
         return {agent: obs[agent] for agent in self.agents}, state
 
+    @own_settings()
     def step(
         self, key: jax.Array, state: BatchState, actions: dict[str, jax.Array]
     ) -> tuple[
@@ -283,7 +291,15 @@ def _repeat(leaf: jax.Array, size: int) -> jax.Array:
 
 
 def _typed(key: jax.Array) -> jax.Array:
-    return key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+    """Return typed keys; raw ones are of our generator, whatever this process has by default."""
+    if jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
+        return key
+    if key.shape[-1:] != (2,):
+        raise ValueError(
+            f"a raw key has {key.shape[-1:]} words, and one of {GENERATOR} has 2; make it with "
+            f"jax.random.key(seed, impl={GENERATOR!r})"
+        )
+    return jax.random.wrap_key_data(key, impl=GENERATOR)
 
 
 def _rows(tree: Any) -> Any:

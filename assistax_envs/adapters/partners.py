@@ -9,6 +9,7 @@ import numpy as np
 
 from assistax_envs.disability import Disability
 from assistax_envs.humans import EnvParams, disability_params
+from assistax_envs.own_settings import own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
 from assistax_envs.persons.rows import COUNT, side
 from assistax_envs.persons.rows import numbers as of_side
@@ -83,6 +84,7 @@ class Idle:
 class Persons:
     """Persons (docs/persons.md): each simulation draws a new one for each episode."""
 
+    @own_settings()
     def __init__(self, task: str, numbers: Sequence[int] | None = None) -> None:
         """Choose whom the simulations meet.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from assistax_envs.disability import Disability
 from assistax_envs.env import EnvState, disability_params, make
+from assistax_envs.own_settings import key_of, own_settings
 
 INSTALL = "install it with: pip install 'assistax-zoo[adapters]'"
 
@@ -45,11 +46,13 @@ class Simulation:
             raise ValueError("no episode runs yet; call reset() first")
         return self._state
 
+    @own_settings()
     def reset(self, rng: np.random.Generator) -> None:
         """Start an episode from a key drawn from `rng`."""
-        key = jax.random.key(rng.integers(2**32, dtype=np.uint32))
+        key = key_of(int(rng.integers(2**32, dtype=np.uint32)))
         self._state = self._reset(key[None], self._params)
 
+    @own_settings()
     def step(self, actions: Mapping[str, Any]) -> None:
         """Advance by one control step.
 
@@ -64,10 +67,12 @@ class Simulation:
         batch = {role: self._action(role, actions) for role in self.env.action_size}
         self._state = self._step(self.state, batch)
 
+    @own_settings()
     def observation(self, name: str) -> np.ndarray:
         """Return a copy of the observation [O] of "robot", "human" or "global"."""
         return np.array(self.state.obs[name][0])
 
+    @own_settings()
     def info(self) -> dict[str, Any]:
         """Return what the last step says beside its reward, as new plain numbers."""
         state = self.state
@@ -85,6 +90,7 @@ class Simulation:
             return None
         return self.env.render(self.state, camera=self._camera)
 
+    @own_settings()
     def outcome(self) -> tuple[float, bool, bool]:
         """Return reward, terminated and truncated of the last step."""
         state = self.state

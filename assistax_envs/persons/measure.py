@@ -16,6 +16,7 @@ import numpy as np
 
 import assistax_envs
 from assistax_envs.gentle_scripts import script_of
+from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import INNER, persons
@@ -91,6 +92,7 @@ def _program(
     return env, begin, play
 
 
+@own_settings()
 def episodes(
     task: str,
     rows: np.ndarray,
@@ -117,7 +119,7 @@ def episodes(
         person shows may be read) and [T, N, O] "obs".
     """
     _, begin, play = _program(task, robot, human, family, steps)
-    keys = jax.random.split(jax.random.key(seed), len(rows))
+    keys = jax.random.split(key_of(seed), len(rows))
     loop = begin(jnp.asarray(rows), person_params(task, rows), keys)
     _, seen = play(jnp.asarray(rows), loop, jnp.zeros((), jnp.int32))
     return jax.tree.map(np.asarray, seen)
@@ -204,12 +206,13 @@ def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.concatenate(rows)
 
 
+@own_settings()
 def film(task: str, rows: np.ndarray, path: str, seconds: float, seed: int = 0) -> None:
     """Draw a picture of each person, three in a row: the script's episode after a time."""
     from PIL import Image
 
     env, begin, play = _program(task, "script", "person", "spring", 10)
-    keys = jax.random.split(jax.random.key(seed), len(rows))
+    keys = jax.random.split(key_of(seed), len(rows))
     row = jnp.asarray(rows)
     loop = begin(row, person_params(task, rows), keys)
     for time in range(0, int(seconds * STEPS_A_SECOND), 10):

@@ -10,6 +10,7 @@ import numpy as np
 
 from assistax_envs.humans import EnvParams
 from assistax_envs.models import build_model
+from assistax_envs.own_settings import own_settings
 from assistax_envs.persons.controller import Controller
 from assistax_envs.persons.head import Head
 from assistax_envs.persons.parameters import WIDTH, index
@@ -30,11 +31,13 @@ class PersonPlayer:
         made = Head if REGISTERED[task].seat == "mouth" else Controller
         self.controller: Any = made(task, build_model(task), family)
 
+    @own_settings()
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
         """Return the carry before the first observation, leaves [*batch_shape, ...]."""
         mind = self.controller.initial(math.prod(batch_shape))
         return jax.tree.map(lambda leaf: leaf.reshape(*batch_shape, *leaf.shape[1:]), mind)
 
+    @own_settings()
     def act(
         self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
@@ -66,6 +69,7 @@ class PersonPlayer:
         return self.act({"row": params["row"][:, None]}, carry, obs, first)
 
 
+@own_settings()
 def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
     """Return whom of some persons each episode meets: their numbers [N], from its key [N].
 
@@ -79,6 +83,7 @@ def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
     return jnp.asarray(numbers)[jax.vmap(draw)(keys)]
 
 
+@own_settings()
 def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
     """Return the bodies and wishes that the environment needs of persons with rows [N, 25].
 

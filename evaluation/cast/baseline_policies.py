@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models import build_model
+from assistax_envs.own_settings import GENERATOR
 from population.networks.seat import SeatSizes
 
 
@@ -65,7 +66,7 @@ class ReferencePolicy:
         words = jnp.sum(
             rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32
         )  # modulo 2**32: exact
-        keys = jax.vmap(jax.random.wrap_key_data)(words)
+        keys = jax.random.wrap_key_data(words, impl=GENERATOR)
         draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))
         actions = draw(keys).reshape(*obs.shape[:-1], self.spec.action_size)
         return carry, params["amplitude"] * actions

@@ -11,6 +11,7 @@ from jaxtyping import Float32, Shaped
 
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import Disability
+from assistax_envs.own_settings import own_settings
 from population.networks.policy import Policy
 from population.networks.seat import Seat
 from zoo.parameters.storage import load_stacks
@@ -36,6 +37,7 @@ class Partner:
         (2, 3)
     """
 
+    @own_settings()
     def __init__(
         self,
         id: str,
@@ -54,6 +56,7 @@ class Partner:
         return None if self.card is None else self.card.training.env_version
 
     @property
+    @own_settings()
     def humans(self) -> Any:
         """A person's own `EnvParams` [1], its body and wishes; None of others."""
         own = getattr(self.spec, "humans", None)
@@ -64,6 +67,7 @@ class Partner:
         del rows
         self._carry = None
 
+    @own_settings()
     def act(self, obs: Shaped[np.ndarray, "*batch O"]) -> Float32[np.ndarray, "*batch A"]:
         """Return actions.
 

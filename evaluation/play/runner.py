@@ -20,6 +20,7 @@ import polars as pl
 
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.interrupts import wait_for
+from assistax_envs.own_settings import own_settings
 from evaluation.cast.egos import Clipping, call_ego
 from evaluation.cast.roster import HostEgo, Roster
 from evaluation.play.devices import devices_for
@@ -137,6 +138,7 @@ class Runner:
         tally = _run(job, rollout, tile, *block, act=act, on_steps=on_steps, device=device)
         return played_rows(job, tile, tally, act)
 
+    @own_settings()
     def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
         """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
         job = self._job

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from assistax_base.errors import ZooError
+from assistax_envs.own_settings import own_settings
 from assistax_envs.versions import PLAYABLE
 from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
@@ -199,6 +200,7 @@ def _load(
     return sound, problems
 
 
+@own_settings()
 def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
     """Step every policy once from a zero observation; name those that fail or leave [-1, 1]."""
     import jax

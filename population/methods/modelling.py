@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from assistax_envs.own_settings import key_of
 from population.methods.latents import TwoLayers, squashed
 from population.methods.method import Method
 from population.methods.ppo_loss import Metrics, Samples
@@ -79,5 +80,5 @@ class Modelling(Method):
         """Return the partner's joint positions at a start, of whose shape there is need."""
         assert self.partners is not None
         humans = self.partners.humans(self.config.num_envs)
-        keys = jax.random.split(jax.random.key(0), self.config.num_envs)
+        keys = jax.random.split(key_of(0), self.config.num_envs)
         return self.env.joint_positions(self.env.reset(keys, humans))[self.partners.role]

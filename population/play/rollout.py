@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax_envs.own_settings import key_of, own_settings
 from population.environment import Environment
 from population.networks.seat import Params
 from population.play.programs import Block, Loop, Programs, trip_count
@@ -90,7 +91,7 @@ class Rollout:
             human_params: stacks, leaves [its P, ...].
             env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
                 another in each episode.
-            seeds: K integers; `jax.random.key(seeds[k])` starts episode k of every pair (common
+            seeds: K integers; `key_of(seeds[k])` starts episode k of every pair (common
                 random numbers). Or [P, K], where each partner has episodes or an order of its own.
                 Those of a series stand next to each other. Keys are taken as they are.
             act: (observations [N, O] float32, step of the series) -> actions [N, A], for a robot
@@ -105,22 +106,18 @@ class Rollout:
         tallies, memory, steps = [], None, self._programs.steps
         for place in range(self._series):
             block = self._block(robot_params, human_params, env_params, seeds, device, place)
-            began = time.perf_counter()
-            start, advance = self._compile(block, device)
-            self.compile_seconds[device] += time.perf_counter() - began
-            loop = start(block)
+            loop, advance = self._begin(block, device)
             if place:
                 loop = dataclasses.replace(loop, robot=memory)
             for step in range(0, self._length, steps):
                 action = None
-                if act is not None:
-                    obs = np.array(loop.state.obs["robot"])
-                    action = act(obs, place * self._length + step)
-                loop = jax.block_until_ready(advance(loop, block, action))
+                if act is not None:  # a robot from outside acts under the settings of its process
+                    action = act(_observed(loop), place * self._length + step)
+                loop = advance(loop, block, action)
                 if on_steps is not None:
                     on_steps(steps)
             memory = loop.robot
-            tallies.append(jax.tree.map(np.asarray, loop.tally))
+            tallies.append(_counted(loop))
         e, p, _ = self._programs.layout(block).block
         return jax.tree.map(lambda *leaves: np.stack(leaves, axis=-1).reshape(e, p, -1), *tallies)
 
@@ -135,6 +132,7 @@ class Rollout:
         """Compile what `run` needs for these arguments; it then waits for what is not yet done."""
         self._compile(self._block(robot_params, human_params, env_params, seeds, device), device)
 
+    @own_settings()
     def _block(
         self,
         robot_params: Sequence[Params],
@@ -152,6 +150,15 @@ class Rollout:
         block = Block(tuple(robot_params), tuple(human_params), env_params, keys, trip_count())
         return jax.device_put(block, device)
 
+    @own_settings()
+    def _begin(self, block: Block, device: jax.Device) -> tuple[Loop, Callable[..., Loop]]:
+        """Start a block, and return it with what advances it."""
+        began = time.perf_counter()
+        start, advance = self._compile(block, device)
+        self.compile_seconds[device] += time.perf_counter() - began
+        return start(block), own_settings()(lambda *args: jax.block_until_ready(advance(*args)))
+
+    @own_settings()
     def _compile(self, block: Block, device: jax.Device) -> tuple[Callable[..., Loop], ...]:
         """Compile for a shape and device, or find it compiled: timed runs hold no compilation."""
         program = self._programs.layout(block), device
@@ -178,8 +185,17 @@ def episode_keys(seeds: Seeds) -> jax.Array:
     """Return a key for each seed; keys are returned as they are."""
     if isinstance(seeds, jax.Array) and jnp.issubdtype(seeds.dtype, jax.dtypes.prng_key):
         return seeds
-    numbers = np.asarray(seeds, np.uint32)
-    return jax.vmap(jax.random.key)(numbers.ravel()).reshape(numbers.shape)
+    return key_of(np.asarray(seeds, np.uint32))
+
+
+@own_settings()
+def _observed(loop: Loop) -> np.ndarray:
+    return np.array(loop.state.obs["robot"])
+
+
+@own_settings()
+def _counted(loop: Loop) -> Tally:
+    return jax.tree.map(np.asarray, loop.tally)
 
 
 def segment_length(episode_length: int) -> int:

@@ -18,6 +18,7 @@ import polars as pl
 
 from assistax_envs import disability_params
 from assistax_envs.interrupts import StoppedError, interruptible
+from assistax_envs.own_settings import key_of, own_settings
 from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment, environment_facts
@@ -48,6 +49,7 @@ class Progress:
     rows: pl.DataFrame  # metrics of the newest updates: one row for each update and member
 
 
+@own_settings()
 def train(
     config: TrainConfig,
     env: Environment,
@@ -89,6 +91,7 @@ def train(
     if run.finished(config):
         return run.folder
 
+    @own_settings()
     def work(check: Callable[[], None]) -> None:
         def report(state: Progress) -> None:
             check()
@@ -146,7 +149,7 @@ def member_key(member: Member) -> jax.Array:
 
     JAX keeps 32 bits of a seed, so those above them are folded in: seeds of seasons have 63.
     """
-    key = jax.random.key(np.uint32(member.seed % 2**32))
+    key = key_of(member.seed)
     if upper := member.seed >> 32:
         key = jax.random.fold_in(key, upper)
     return jax.random.fold_in(key, zlib.crc32(member.disability.encode()))

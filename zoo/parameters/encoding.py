@@ -59,8 +59,10 @@ def check_params(spec: PolicySpec, leaves: Leaves, source: str) -> None:
 def _expected_shapes(spec: PolicySpec) -> dict[str, tuple[int, ...]]:
     import jax
 
+    from assistax_envs.own_settings import key_of, own_settings
     from population.networks.policy import Policy
 
-    tree = jax.eval_shape(Policy(spec).init, jax.random.key(0))
+    with own_settings():
+        tree = jax.eval_shape(Policy(spec).init, key_of(0))
     paths = jax.tree_util.tree_flatten_with_path(tree)[0]
     return {"/".join(key.key for key in path): tuple(leaf.shape) for path, leaf in paths}

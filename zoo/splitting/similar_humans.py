@@ -75,6 +75,7 @@ def probe_actions(group: PolicyStack) -> np.ndarray:
     import jax
     import jax.numpy as jnp
 
+    from assistax_envs.own_settings import own_settings
     from population.networks.policy import Policy
     from population.networks.unrolled import unroll_policy
 
@@ -87,7 +88,8 @@ def probe_actions(group: PolicyStack) -> np.ndarray:
         chunk = jnp.asarray(obs), jnp.asarray(first)
         return unroll_policy(policy, params, carry, *chunk)[1].mode()
 
-    return np.asarray(jax.jit(lambda params: jax.lax.map(play, params))(group.params))
+    with own_settings():
+        return np.asarray(jax.jit(lambda params: jax.lax.map(play, params))(group.params))
 
 
 def probes(group: PolicyStack) -> np.ndarray:

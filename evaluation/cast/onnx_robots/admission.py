@@ -264,6 +264,7 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
     import jax
     import jax.numpy as jnp
 
+    from assistax_envs.own_settings import own_settings
     from evaluation.cast.onnx_robots import program as programs
 
     products = 0
@@ -284,11 +285,12 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
     inputs = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     inputs.append(jax.ShapeDtypeStruct((rows,), jnp.bool_))
     weights = {name: jax.ShapeDtypeStruct(w.shape, w.dtype) for name, w in params.items()}
-    outputs = jax.eval_shape(
-        lambda weights, inputs: programs.run(program, weights, inputs, watch),
-        weights,
-        inputs[: len(program.inputs)],
-    )
+    with own_settings():
+        outputs = jax.eval_shape(
+            lambda weights, inputs: programs.run(program, weights, inputs, watch),
+            weights,
+            inputs[: len(program.inputs)],
+        )
     return [output.shape for output in outputs]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 
 from assistax_envs import disability_params, make
+from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
 from assistax_envs.tasks.gentle_base import FELT, Liking
 from assistax_envs.tasks.gentle_rules import HARD
@@ -282,6 +283,7 @@ def touches(env: Any, teams: Teams, episodes: int, seed: int) -> dict[str, float
     return shares | {"joint speed, share of the limit": float(np.concatenate(speeds).max())}
 
 
+@own_settings()
 def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np.ndarray, ...]:
     """Return force, largest contact and fastest joint's share of its limit, [T * K] each."""
     policies = {"robot": Policy(robot.spec), "human": Policy(human.spec)}
@@ -304,7 +306,7 @@ def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np
 
     @jax.jit
     def episode() -> Any:
-        state = env.reset(jax.random.split(jax.random.key(seed), count), params)
+        state = env.reset(jax.random.split(key_of(seed), count), params)
         memory = {role: policy.initial_carry((count,)) for role, policy in policies.items()}
         return jax.lax.scan(step, (state, memory), jnp.arange(env.episode_length))[1]
 

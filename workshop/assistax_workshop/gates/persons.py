@@ -17,6 +17,7 @@ import numpy as np
 
 from assistax_base.files import write_json
 from assistax_envs import Env, make
+from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
 from assistax_workshop.gates.training import CHANGES
 from assistax_zoo.shell.console import TrainingLine
@@ -223,6 +224,7 @@ def rollout_with_persons(
     return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
 
 
+@own_settings()
 def play_persons(
     rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
 ) -> dict[str, Any]:
@@ -230,7 +232,7 @@ def play_persons(
 
     "return" and "safe_success" are [M, P, K]; M is 1 where robot i is paired with person i.
     """
-    keys = jax.random.split(jax.random.key(99), (len(met), episodes))
+    keys = jax.random.split(key_of(99), (len(met), episodes))
     rows = persons(task)[met]
     body, stack = person_params(task, rows), {"row": jnp.asarray(rows)}
     tally = rollout.run([params], [stack], body, keys)

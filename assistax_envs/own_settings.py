@@ -1,0 +1,150 @@
+"""JAX under this project's own settings, whatever the user's process has set.
+
+A process may choose another generator, other types or other checks for its own programs. Ours run
+with the values of `OURS`: the same episodes come out of every process, and the user's settings are
+back afterwards. JAX keeps them for each thread, so a thread enters them for itself.
+"""
+
+import contextlib
+import os
+from collections.abc import Generator
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Shaped
+
+GENERATOR = "threefry2x32"  # of every key of ours
+_UNGUARDED = ("allow", None, "log", "log_explicit")
+_IGNORED = ("ignore",)
+
+# Settings with our value first; any others do no harm.
+OURS: dict[str, tuple[Any, ...]] = {
+    "jax_allow_f16_reductions": (True,),
+    "jax_check_tracer_leaks": (False,),
+    "jax_debug_infs": (False,),
+    "jax_debug_key_reuse": (False,),
+    "jax_debug_nans": (False,),
+    "jax_default_matmul_precision": (None,),
+    "jax_default_prng_impl": (GENERATOR,),
+    "jax_disable_jit": (False,),
+    "jax_enable_x64": (False,),
+    "jax_no_execution": (False,),
+    "jax_no_tracing": (False,),
+    "jax_numpy_dtype_promotion": ("standard",),
+    "jax_softmax_custom_jvp": (False,),
+    "jax_threefry_partitionable": (True,),
+    "jax_transfer_guard": _UNGUARDED,
+    "jax_transfer_guard_device_to_device": _UNGUARDED,
+    "jax_transfer_guard_device_to_host": _UNGUARDED,
+    "jax_transfer_guard_host_to_device": _UNGUARDED,
+    # JAX sets these for a whole process only, so that the process has to give them up.
+    "jax_error_checking_behavior_divide": _IGNORED,
+    "jax_error_checking_behavior_nan": _IGNORED,
+    "jax_error_checking_behavior_oob": _IGNORED,
+    "jax_high_dynamic_range_gumbel": (False,),
+}
+# These stay as the user has them. They may change the last bits, and manifests name them.
+FREE: dict[str, Any] = {
+    "eager_constant_folding": False,
+    "jax_compiler_enable_remat_pass": True,
+    "jax_default_device": None,
+    "jax_disable_most_optimizations": False,
+    "jax_exec_time_optimization_effort": 0.0,
+    "jax_memory_fitting_effort": 0.0,
+    "jax_memory_fitting_level": "O2",
+    "jax_optimization_level": "UNKNOWN",
+    "jax_use_direct_linearize": True,
+}
+VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # of the environment, free as well
+
+
+@contextlib.contextmanager
+def own_settings() -> Generator[None]:
+    """Run what is inside, or a decorated function, under our settings.
+
+    Where a process has them already, nothing is entered, and nothing is compiled again.
+
+    Raises:
+        ValueError: The process has a setting under which our programs cannot run.
+    """
+    config = jax.config
+    theirs = [name for name, ours in OURS.items() if getattr(config, name, ours[0]) not in ours]
+    if not theirs:
+        yield
+        return
+    check_settings()
+    with contextlib.ExitStack() as stack:
+        for name in theirs:
+            stack.enter_context(getattr(jax, _switch(name))(OURS[name][0]))
+        yield
+
+
+def check_settings() -> None:
+    """Refuse a setting that only the user can set back.
+
+    Raises:
+        ValueError: Names it.
+    """
+    for name, value in _changed(OURS).items():
+        if not hasattr(jax, _switch(name)):
+            raise ValueError(
+                f"JAX's {name} is {value!r} in this process, and episodes need {OURS[name][0]!r}; "
+                f"set it back with jax.config.update, or unset {name.upper()}"
+            )
+
+
+def _switch(name: str) -> str:
+    """Return what JAX calls the context manager of a setting, which it has of most."""
+    return name.removeprefix("jax_")
+
+
+def _changed(usual: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
+    """Return those settings of this thread that have other values."""
+    values = jax.config.values
+    return {
+        name: values[name]
+        for name in usual.keys() & values.keys()
+        if values[name] not in usual[name]
+    }
+
+
+@own_settings()
+def key_of(seed: int | Shaped[np.ndarray, "..."]) -> jax.Array:
+    """Return the key of a seed, or of each of an array of seeds; of `GENERATOR` in every process.
+
+    JAX's `jax.random.key` gives the same ones, where a process has no generator or offset of its
+    own. Of a seed the lower 32 bits count.
+    """
+    low = np.asarray(seed if isinstance(seed, np.ndarray) else seed % 2**32).astype(np.uint32)
+    words = np.stack([np.zeros_like(low), low], axis=-1)
+    return jax.random.wrap_key_data(words, impl=GENERATOR)
+
+
+def check_generator(keys: jax.Array) -> None:
+    """Refuse keys of another generator.
+
+    Others draw other numbers for a key when it stands in another batch.
+
+    Raises:
+        ValueError: The keys are of another generator.
+    """
+    if (found := str(jax.random.key_impl(keys))) != GENERATOR:
+        raise ValueError(
+            f"the keys are of the generator {found}, and episodes need {GENERATOR}; make them with "
+            f"jax.random.key(seed, impl={GENERATOR!r})"
+        )
+
+
+def found_settings() -> dict[str, Any]:
+    """Return by name what this process has set otherwise than JAX does by itself.
+
+    Our programs run without those of `OURS`. They matter to robots from outside, which act under
+    the user's settings.
+    """
+    found = _changed(OURS | {name: (value,) for name, value in FREE.items()})
+    found |= {name: os.environ[name] for name in VARIABLES if os.environ.get(name)}
+    return {
+        name: value if isinstance(value, bool | int | float) else str(value)
+        for name, value in sorted(found.items())
+    }
