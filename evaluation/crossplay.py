@@ -11,10 +11,10 @@ from evaluation.cast.cast import Cast, choose_partners, in_release, release_in
 from evaluation.cast.roster import registry_roster
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.figures.summary import CrossPlaySummary
-from evaluation.play.devices import share_cores
 from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.progress import OnProgress
+from evaluation.play.runner import share_cores
 from evaluation.play.shares import run_blocks_on_ray
 from evaluation.play.study import context_of, make_job, seal, still_of
 from evaluation.record import tables

@@ -38,7 +38,6 @@ class EgoTraining:
     split: Split
     met: Met  # the split's training side, which the robots' files say
     preset_envs: int  # simulations of a member in the preset, before they were shared out
-    key: Mapping[str, str]  # digests of the split and its partners: a run that goes on shares them
 
     @property
     def summary(self) -> str:
@@ -82,9 +81,8 @@ def prepare(
 ) -> EgoTraining:
     """Return what is to be trained with the partners of a split's training side.
 
-    Every partner gets the same share of the simulations, under its own disability setting. Unless
-    `num_envs` is among the hyperparameters, it is the number nearest to the preset's that partners
-    and minibatches can share.
+    Every partner gets the same share of the simulations. Unless `num_envs` is among the
+    hyperparameters, it is the number nearest to the preset's that all of them can share.
 
     Args:
         registry: Where the partners are.
@@ -123,9 +121,9 @@ def prepare(
         preferences=preferences or chosen.preferences.get("train", ()),
         env_version=older_version(registry, chosen),
     )
-    config, met = dataclasses.replace(config, told=told), side_met(registry, chosen)
-    key = training_key(registry, chosen, met)
-    return EgoTraining(config, frozen, chosen, met, trainer.num_envs, key)
+    met = side_met(registry, chosen)
+    config = dataclasses.replace(config, told=told, key=training_key(registry, chosen, met))
+    return EgoTraining(config, frozen, chosen, met, trainer.num_envs)
 
 
 def train_egos(
@@ -160,7 +158,6 @@ def train_egos(
         resume=resume,
         tensorboard=tensorboard,
         snapshots=snapshots,
-        key=training.key,
         progress=progress,
     )
     return write_egos(run, training)
@@ -176,7 +173,7 @@ def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:
     """
     teams = () if split.rule == PERSONS else registry.known(f"{team}/human" for team in split.train)
     settings = [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
-    return {"split_sha256": split.sha256, "partners_sha256": json_sha256([met.partners, settings])}
+    return {"split": split.sha256, "partners": json_sha256([met.partners, settings])}
 
 
 def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:

@@ -11,12 +11,12 @@ from evaluation.figures.normalised import bounds_table
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
 from evaluation.play.baselines import play_references
-from evaluation.play.devices import share_cores
 from evaluation.play.evaluator import check_folder, make_way, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
 from evaluation.play.robot_checks import check_distinct, describe_robots, robot_notes
+from evaluation.play.runner import share_cores
 from evaluation.play.study import context_of, make_job, read_best_responses, seal, still_of
 from evaluation.record import tables
 from evaluation.record.record import Record

@@ -56,6 +56,8 @@ class TrainConfig:
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
     env_version: PositiveInt | None = None  # of the environment; the newest if not given
     told: Told = False
+    # Digests of what decides the run beside these fields, by name: of the partners, their split.
+    key: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.told and not (self.partners and self.task in WISHES):

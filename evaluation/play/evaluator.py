@@ -21,7 +21,6 @@ import polars as pl
 
 from assistax_base.locks import locked
 from evaluation.cast.roster import check_seat
-from evaluation.play.devices import devices_for
 from evaluation.play.jobs import Job
 from evaluation.play.parts import (
     PARTS_FOLDER,
@@ -34,7 +33,7 @@ from evaluation.play.parts import (
 )
 from evaluation.play.progress import Meter, OnProgress
 from evaluation.play.robot_checks import changed_file, note_files
-from evaluation.play.runner import Runner
+from evaluation.play.runner import Runner, devices_for
 from evaluation.play.tiles import Chunk, plan, tile_envs
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
@@ -80,7 +79,7 @@ def run_job(
             else it is refused.
         kept: The folder is a cache's: wait for another process that writes to it, and begin anew
             where it is damaged or of such a robot; else all three are refused.
-        devices: Where to simulate; see `evaluation.play.devices` if not given.
+        devices: Where to simulate; see `evaluation.play.runner.devices_for` if not given.
         on_progress: Told how far the run is.
 
     Raises:

@@ -1,7 +1,9 @@
 """Simulate chunks on the devices of this host, and lay what they gave out as rows.
 
 Each device has a thread that takes the next chunk when it is done with one. Which device a chunk
-runs on does not show in its values: all run the same program.
+runs on does not show in its values: all run the same program. On a CPU one program leaves cores
+idle, since XLA computes small matrix products on one of them. So JAX is given several CPU devices
+before it starts, and each plays tiles of its own.
 """
 
 import concurrent.futures
@@ -23,16 +25,34 @@ from assistax_envs.interrupts import wait_for
 from assistax_envs.own_settings import own_settings
 from evaluation.cast.egos import Clipping, call_ego
 from evaluation.cast.roster import HostEgo, Roster
-from evaluation.play.devices import devices_for
 from evaluation.play.jobs import TOLD_PARTNER, Job
 from evaluation.play.progress import Meter
 from evaluation.play.rows import played_rows
 from evaluation.play.tiles import TILE_ENVS, Chunk, StackSlice, Tile, plan
+from population.devices import own_devices
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.play.tally import Tally
 from zoo.ids import parse_person
+
+MOST_DEVICES = 8  # each has a tile of up to 32,768 simulations in memory
+# With fewer, compiling the programs once more takes longer than it saves.
+SIMULATIONS_OF_A_CORE = 8192
+
+
+def share_cores() -> None:
+    """Give JAX a CPU device for each core, unless it has started or was told how many."""
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    if jax.config.values["jax_num_cpu_devices"] < 0:
+        with contextlib.suppress(RuntimeError):  # it has started
+            jax.config.update("jax_num_cpu_devices", min(os.cpu_count() or 1, MOST_DEVICES))
+
+
+def devices_for(simulations: int) -> tuple[jax.Device, ...]:
+    """Return the devices that play so many simulations."""
+    return own_devices(simulations // SIMULATIONS_OF_A_CORE)
 
 
 class Runner:
@@ -50,8 +70,8 @@ class Runner:
         Args:
             env: the environment.
             job: what is evaluated.
-            devices: where to run; see `evaluation.play.devices` if not given. A robot from outside
-                is called by one only.
+            devices: where to run; see `devices_for` if not given. A robot from outside is called
+                by one only.
             length: steps to play, if fewer than an episode's: for measuring speed.
         """
         self._env, self._job, self._length = env, job, length

@@ -40,8 +40,8 @@ _MAY_CHANGE = (
     "self_play_episodes",
 )  # when a run goes on; so may "steps", with `extends`
 _DIGESTS = {  # how a difference is told
-    "environment.partners_sha256": "its partners have other parameters or settings",
-    "environment.split_sha256": "its split has other content",
+    "config.key.partners": "its partners have other parameters or settings",
+    "config.key.split": "its split has other content",
     "environment.scene": "the task has another scene",
 }
 _SCHEMA = {
@@ -187,11 +187,6 @@ class RunFolder:
         """Replace the metrics."""
         said = {METADATA_KEY: json.dumps({"run": self.key})}
         write_parquet(metrics, self._metrics, metadata=said)
-
-    def facts(self) -> dict[str, Any]:
-        """Return what a run that goes on shares beside its configuration; empty of old folders."""
-        found = self._read_config().get("environment") if self._config.exists() else None
-        return found if isinstance(found, dict) else {}
 
     def write_teams(
         self,

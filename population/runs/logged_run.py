@@ -3,7 +3,7 @@
 import contextlib
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,6 @@ def run_training(
     resume: bool = True,
     tensorboard: Path | str | None = None,
     snapshots: int = 0,
-    key: Mapping[str, str] | None = None,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedRun:
     """Train a configured run, with event files if they are wanted, and read it back.
@@ -40,8 +39,7 @@ def run_training(
         partners: Frozen partners of egos, as `config.partners` names them.
         resume: Whether to go on with a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
-        snapshots: See `population.runs.train.train`, as for `key`.
-        key: Digests that a run which goes on must share.
+        snapshots: See `population.runs.train.train`.
         progress: Called after every dispatch.
 
     Raises:
@@ -76,7 +74,6 @@ def run_training(
             partners=partners,
             resume=resume,
             snapshots=snapshots,
-            key=key,
             progress=report,
         )
         if files is not None:

@@ -61,7 +61,6 @@ def train(
     snapshots: int = 0,
     progress: Callable[[Progress], None] | None = None,
     devices: Sequence[jax.Device] | None = None,
-    key: Mapping[str, str] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder.
 
@@ -78,7 +77,6 @@ def train(
         snapshots: At how many equal steps of the run the policies are kept, to choose among them.
         progress: Called after every dispatch to the devices.
         devices: Those that may be used; see `DeviceShares` if not given.
-        key: Digests, by name, that a run which goes on must share too, such as its partners'.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -87,11 +85,10 @@ def train(
     """
     _check(config, env, partners)
     trainer, run = make_trainer(config, env, partners), RunFolder(folder)
-    run.open(config, {**environment_facts(env), **(key or {})}, resume)
+    run.open(config, environment_facts(env), resume)
     if run.finished(config):
         return run.folder
 
-    @own_settings()
     def work(check: Callable[[], None]) -> None:
         def report(state: Progress) -> None:
             check()
@@ -108,7 +105,7 @@ def train(
             training = _Training(config, trainer, shares, run, checkpoints, snapshots)
             training.finish(*training.loop(*training.load(), report, stop_on_divergence))
 
-    interruptible(work)
+    interruptible(own_settings()(work))
     if not extends(config.trainer):
         # A replay for each member, and nothing can go on from them.
         shutil.rmtree(run.checkpoints, ignore_errors=True)

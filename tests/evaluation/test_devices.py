@@ -7,14 +7,13 @@ import sys
 import jax
 import pytest
 
-from evaluation.play import devices
-from evaluation.play.devices import devices_for
+from evaluation.play.runner import SIMULATIONS_OF_A_CORE, devices_for
 
 START = """
 import os
 os.cpu_count = lambda: 3
 {before}
-from evaluation.play.devices import share_cores
+from evaluation.play.runner import share_cores
 share_cores()
 share_cores()
 import jax
@@ -50,7 +49,7 @@ def test_a_large_job_has_more_devices_and_a_gpu_is_always_used(
 ) -> None:
     three_times = jax.local_devices()[:1] * 3
     monkeypatch.setattr(jax, "local_devices", lambda: three_times)
-    most = devices.SIMULATIONS_OF_A_CORE
+    most = SIMULATIONS_OF_A_CORE
     counts = [len(devices_for(size)) for size in (1, 2 * most - 1, 2 * most, 100 * most)]
     assert counts == [1, 1, 2, 3]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")

@@ -108,14 +108,14 @@ TINY: dict[str, Any] = {
 
 def test_partners_of_equal_ids_have_another_key(registries: tuple[Registry, Registry]) -> None:
     mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
-    assert mine.config == other.config
-    assert mine.key["partners_sha256"] != other.key["partners_sha256"]
-    assert mine.key == prepare(registries[0], "scratch", **TINY).key
+    assert dataclasses.replace(mine.config, key=other.config.key) == other.config
+    assert mine.config.key["partners"] != other.config.key["partners"]
+    assert mine.config == prepare(registries[0], "scratch", **TINY).config
 
 
 def test_a_persons_run_has_the_key_of_its_rows() -> None:
     persons = prepare(load_registry(), "gentle_scratch", partners="persons", **TINY)
-    assert set(persons.key) == {"split_sha256", "partners_sha256"}
+    assert set(persons.config.key) == {"split", "partners"}
 
 
 def test_a_run_of_other_partners_is_not_continued(
@@ -125,11 +125,11 @@ def test_a_run_of_other_partners_is_not_continued(
     mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
     facts = {"version": 1, "backend": "native"}
     run = RunFolder(tmp_path / "run")
-    run.open(mine.config, {**facts, **mine.key}, resume=True)
+    run.open(mine.config, facts, resume=True)
     before = (run.folder / "config.json").read_bytes()
-    run.open(mine.config, {**facts, **mine.key}, resume=True)
+    run.open(mine.config, facts, resume=True)
     with pytest.raises(ValueError, match="its partners have other parameters or settings"):
-        run.open(other.config, {**facts, **other.key}, resume=True)
+        run.open(other.config, facts, resume=True)
     assert (run.folder / "config.json").read_bytes() == before
 
 

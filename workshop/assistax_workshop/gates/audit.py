@@ -32,10 +32,10 @@ from assistax_workshop.gates.audit_teams import Teams
 from evaluation.cast.roster import Member, Roster
 from evaluation.figures.normalised import PASSIVE
 from evaluation.play.baselines import passive_roster, script_roster
-from evaluation.play.devices import share_cores
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
 from evaluation.play.progress import Progress
+from evaluation.play.runner import share_cores
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack

@@ -194,10 +194,10 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
         self_play_episodes=0,
         partners=partners.ids,
     )
-    folder = plan.folder / name
+    key = {"partners": row_sha256({"rows": np.asarray(partners.rows)})}
+    config, folder = dataclasses.replace(config, key=key), plan.folder / name
     with contextlib.closing(TrainingLine(str(folder))) as line:
-        key = {"partners_sha256": row_sha256({"rows": np.asarray(partners.rows)})}
-        return train(config, env, folder, partners=partners, progress=line, key=key)
+        return train(config, env, folder, partners=partners, progress=line)
 
 
 def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:

@@ -26,7 +26,8 @@ def read_run(folder: Path | str) -> list[TrainedTeam]:
     """
     teams, home, run = read_teams(folder), teams_folder(folder), Path(folder).resolve().name
     split = _trained_against(home / "split.json", home.parent / "split.json")
-    known = RunFolder(folder).facts().get("split_sha256")
+    run_folder = RunFolder(home)
+    known = run_folder.config().key.get("split") if run_folder.key else None
     if split and known and split["sha256"] != known:
         raise FormatError(
             f"split of the run {folder}", f"sha256 {known}", split["sha256"], REMEDY, DONE
