@@ -28,6 +28,15 @@ from evaluation.record.record import Record
 class Comparison(ComparisonSummary):
     """Method a minus method b: paired differences over the same partners and episodes.
 
+    Attributes:
+        task: That both do.
+        test: The difference with the common partners of the test side, None if none played: `mean`
+            with its interval, and `means`, `seeds` and `partners` behind it.
+        train: The same with partners of the training side.
+        validation: The same with partners of the validation side.
+        met: Whom robots of either met in training, who are left out of both.
+        notes: What a reader has to know of the figures.
+
     Examples:
         >>> compare(result, result)
         Comparison(scratch: test partners 0.0, train partners 0.0)
@@ -49,6 +58,8 @@ def compare(
     a: "EvaluationResult | Path | str", b: "EvaluationResult | Path | str", *, seed: int = 0
 ) -> Comparison:
     """Compare two methods: paired differences a - b over the same partners and episodes.
+
+    These are the partners that both have in common, without those that a robot of either met.
 
     Args:
         a: A result, or its folder.

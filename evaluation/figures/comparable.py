@@ -9,7 +9,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from assistax_base.errors import counted, listing
@@ -182,22 +181,24 @@ def check_starts(played: Mapping[str, Returns]) -> None:
     Raises:
         ValueError: Names the partner and both methods.
     """
-    known: dict[str, tuple[str, dict[str, Any], np.ndarray, np.ndarray | None]] = {}
+    known: dict[str, tuple[str, dict[str, Any], list[int], list[str]]] = {}
     for name, returns in played.items():
         if returns.keys is None:
             raise ValueError(f"robots of {name} played different episodes; evaluate them together")
         for place, row in enumerate(returns.partners.iter_rows(named=True)):
-            who, keys = row["partner"], returns.keys[place]
+            who, keys = row["partner"], returns.keys[place].tolist()
             about = {f"{column} of {who}": value for column, value in row.items()}
-            liked = None if returns.preferences is None else returns.preferences[0, place]
-            other, *expected = known.setdefault(who, (name, about, keys, liked))
-            check_alike({other: expected[0], name: about}, advice=ADVICE)
-            if not np.array_equal(keys, expected[1]):
+            liked = [] if returns.preferences is None else returns.preferences[0, place].tolist()
+            other, described, their_keys, their_liked = known.setdefault(
+                who, (name, about, keys, liked)
+            )
+            check_alike({other: described, name: about}, advice=ADVICE)
+            if keys != their_keys:
                 raise ValueError(
                     f"{name} and {other} met {who} in different episodes; evaluate all methods "
                     "with the same seed and episodes"
                 )
-            if not np.array_equal(liked, expected[2]):
+            if liked != their_liked:
                 raise ValueError(
                     f"{who} liked different things with {name} and {other}; evaluate all methods "
                     "with the same split and preferences"

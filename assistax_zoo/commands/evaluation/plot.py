@@ -37,8 +37,9 @@ def crossplay(
 def zsc(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw the returns of methods with training and test partners, with 95% intervals.
 
-    Lines are the references of each folder; a name such as `script 300 to 420` says that they
-    differ.
+    Several folders are compared on the partners that all of them have in common, without those that
+    a robot of any of them met in training. Lines are the references of each folder; a name such as
+    `script 300 to 420` says that they differ.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --split both --out` filled, one for each

@@ -26,6 +26,9 @@ def compare(
 ) -> None:
     """Compare method A with method B: paired differences A - B over the same partners and episodes.
 
+    Both means are of the partners that A and B have in common, without those that a robot of either
+    met in training. Folders that were played otherwise are refused.
+
     With --contrasts, compare as a file says that was written before the test side was played: each
     named method less its baseline, with p-values corrected for all of them, and the difference
     that could have been seen. A folder's name is its method's.
