@@ -16,12 +16,13 @@ from evaluation.cast.cast import entries_of, env_version, in_release, roots_of, 
 from evaluation.cast.met_partners import DECLARED, MetPartners, declare, met_partners
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
-from evaluation.play.evaluator import Evaluation
+from evaluation.play.evaluator import MAX_ENVS, Evaluation
 from evaluation.play.jobs import Job
 from evaluation.play.study import context_of
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
 from evaluation.record.manifest import describe_sources
 from evaluation.record.record import Record
+from evaluation.replay.headline import Headline, headline_of
 from evaluation.replay.received import received_robots
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -39,6 +40,7 @@ class RebuiltJob:
     partners: Sequence[PolicyEntry]  # in the registry's order
     context: Context
     met: MetPartners
+    headline: Headline
     tile_envs: int
     unchecked: tuple[str, ...]
 
@@ -81,7 +83,8 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
         partners,
         dataclasses.replace(context, engine=identity["engine"]),
         met_partners(egos, partners),
-        _tile_envs(job.backend, manifest),
+        headline_of(summary),
+        tile_envs_of(job.backend, manifest),
         (
             *_parts(summary, registry, job, split, partners),
             *[DECLARED] * bool(declared),
@@ -183,16 +186,22 @@ def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
         )
 
 
-def _tile_envs(backend: str, manifest: Mapping[str, Any]) -> int:
-    """Return how many simulations a tile had: one of the numbers that this software uses."""
+def tile_envs_of(backend: str, manifest: Mapping[str, Any]) -> int:
+    """Return how many simulations a tile has here: one of the numbers that this software uses.
+
+    On backends whose rows round alike only in the same program, it is that of the folder, if it is
+    one of ours. On others no cut gives the same bits, so it is this software's own: a folder that
+    chose small tiles could have few of its episodes played.
+    """
     most, chunk = manifest["tile_envs"], manifest["max_envs"]
-    known = {"native": (TILE_ENVS["native"],), "fused": (TILE_ENVS["fused"], GPU_TILE_ENVS)}
-    allowed = known.get(backend, (chunk,))
     for name, value in (("tile_envs", most), ("max_envs", chunk)):
         if type(value) is not int or not 1 <= value <= LARGEST_TILE:
             raise ValueError(f"the manifest's {name} is {value!r}; allowed is 1 to {LARGEST_TILE}")
-    if most not in allowed:
-        numbers = " or ".join(map(str, allowed))
+    known = {"native": (TILE_ENVS["native"],), "fused": (TILE_ENVS["fused"], GPU_TILE_ENVS)}
+    if backend not in known:
+        return MAX_ENVS[backend]
+    if most not in known[backend]:
+        numbers = " or ".join(map(str, known[backend]))
         raise ValueError(f"the manifest's tile_envs is {most}; on {backend} it is {numbers}")
     return most
 

@@ -60,17 +60,21 @@ def measured_columns(table: pl.DataFrame) -> list[str]:
     ]
 
 
-def noise_problems(task: str, kept: pl.DataFrame, played: pl.DataFrame) -> list[str]:
+def noise_problems(
+    task: str, kept: pl.DataFrame, played: pl.DataFrame, figure: pl.Expr | None = None
+) -> list[str]:
     """Say where kept episodes lie farther from those played again than processors do.
 
     Of all episodes and of each robot's no more may lie beyond a quantile than did of the worst
-    robot that was measured. Of these, of each partner's and of each pair's the mean difference must
-    be within what so many episodes make.
+    robot that was measured. Of these, of each partner's, of each pair's and of the headline
+    figure's the mean difference must be within what so many episodes make.
 
     Args:
         task: Whose noise is meant.
         kept: The folder's episodes.
         played: The same, in the same order, played here.
+        figure: Which of them the headline figure is the mean of; a forger who raises those could
+            otherwise lower others in return.
     """
     of_random = kept["ego"] == RANDOM
     if of_random.any() and not of_random.all():
@@ -85,20 +89,48 @@ def noise_problems(task: str, kept: pl.DataFrame, played: pl.DataFrame) -> list[
             problems.append(f"column {name} was never measured on two kinds of processor")
             continue
         signed = signed_gaps(kept, played, name)
-        rounding = ROUNDING * (1 + np.abs(played[name].cast(pl.Float64).to_numpy()))
-        for group, rows, of_robots in _every_group(kept):
+        rounding = _rounding(played, name)
+        for group, rows, of_robots in _every_group(kept, figure):
             far = of_robots and _beyond(np.abs(signed[rows]), rounding[rows], scale)
             if far:
                 problems.append(f"{name} of {_named(group)}: {far}")
             if side := _one_sided(signed[rows], rounding[rows]):
                 problems.append(f"{name} of {_named(group)}: {side}")
-            mean, most = abs(signed[rows].mean()), mean_tolerance(scale, len(rows))
-            if mean > most + rounding[rows].mean():
+            mean, most = abs(signed[rows].mean()), _largest_mean(scale, rounding[rows])
+            if mean > most:
                 problems.append(
                     f"{name} of {_named(group)}: the mean of {len(rows)} episodes differs by "
                     f"{mean:.4g}, processors by less than {most:.4g}"
                 )
     return problems
+
+
+def hidden_bias(task: str, played: pl.DataFrame, figure: pl.Expr) -> float | None:
+    """Return the largest bias of the mean return that `noise_problems` lets pass.
+
+    It is that of a forger who changed all episodes of the figure alike, those that were not played
+    too. None where none of them were played.
+
+    Args:
+        task: Whose noise is meant.
+        played: Episodes that were played again.
+        figure: Which of them the headline figure is the mean of.
+    """
+    rows = _rows_of(played, figure)
+    if not rows.size:
+        return None
+    scale = read_noise(task)["return"]
+    return float(_largest_mean(scale, _rounding(played, "return")[rows]))
+
+
+def _largest_mean(scale: dict[str, Any], rounding: np.ndarray) -> float:
+    """Return the largest mean difference that passes, of a group with these roundings."""
+    return mean_tolerance(scale, rounding.size) + rounding.mean()
+
+
+def _rounding(played: pl.DataFrame, name: str) -> np.ndarray:
+    """Return by how much a column's values may always differ."""
+    return ROUNDING * (1 + np.abs(played[name].cast(pl.Float64).to_numpy()))
 
 
 def mean_tolerance(scale: dict[str, Any], episodes: int) -> float:
@@ -129,12 +161,20 @@ def _one_sided(signed: np.ndarray, rounding: np.ndarray) -> str | None:
     return f"{above} of {other.size} episodes that differ are above; between processors half are"
 
 
-def _every_group(table: pl.DataFrame) -> Iterator[tuple[tuple[str, ...], np.ndarray, bool]]:
+def _every_group(
+    table: pl.DataFrame, figure: pl.Expr | None
+) -> Iterator[tuple[tuple[str, ...], np.ndarray, bool]]:
     """Yield a group's name, its rows, and whether it is of whole robots, as was measured."""
     yield (), np.arange(table.height), True
+    if figure is not None and (rows := _rows_of(table, figure)).size:
+        yield ("the headline figure",), rows, False
     for keys in (["ego"], ["partner"], ["ego", "partner"]):
         for group, rows in groups_of(table, keys):
             yield group, rows, keys == ["ego"]
+
+
+def _rows_of(table: pl.DataFrame, figure: pl.Expr) -> np.ndarray:
+    return table.with_row_index("row").filter(figure)["row"].to_numpy()
 
 
 def groups_of(table: pl.DataFrame, keys: list[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:

@@ -6,7 +6,8 @@ played again: whole tiles, so that each stands in the same row of the same progr
 
 Values of a replay that are the same to the last bit are always taken. Others fail where the folder
 says that this kind of machine made them; where it names another, they are held to what was measured
-of processors, see `evaluation.replay.noise`.
+of processors, see `evaluation.replay.noise`. A forger may name any, so the report says how much of
+the headline figure could be hidden, see `evaluation.replay.headline`.
 """
 
 import dataclasses
@@ -31,8 +32,9 @@ from evaluation.record.manifest import processor
 from evaluation.record.record import Record
 from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
+from evaluation.replay.headline import Headline, Reach, Verdict, share_of, verdict_of
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
-from evaluation.replay.noise import mean_tolerance, noise_problems, read_noise
+from evaluation.replay.noise import hidden_bias, noise_problems
 from zoo.lock import apply_lock, read_lock
 from zoo.registry import Registry
 
@@ -49,9 +51,16 @@ class ReplayReport:
     exact: bool  # whether they were compared bit by bit
     why: str  # they were, or were not
     differing: int  # episodes with any other value; on another machine most have
-    difference: float  # mean return, found less kept
-    tolerance: float  # of it; 0 where compared bit by bit
-    ok: bool
+    ok: bool  # whether nothing was found that the job does not give
+    verdict: Verdict = "differs"  # what that confirms
+    figure: str = ""  # the headline figure's name
+    value: float = 0.0  # and value, in the folder
+    difference: float | None = None  # of it, found less kept, in its episodes that were played
+    hidden: float | None = None  # bias of these that would pass; None where none were played
+    hidden_share: float | None = None  # of the value
+    tiles: int = 0  # of the job, played again
+    of_tiles: int = 0
+    found: float = 0.0  # chance that one tile which somebody changed is among them
     seed: int = 0  # of the sample
     of_episodes: int = 0  # in the folder
     references: int = 0  # episodes of the reference egos, played again
@@ -99,26 +108,33 @@ def replay_folder(
         parts = _kept_parts(record, registry, rebuilt)
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
         raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
-    pairs, inner = None, ()
+    pairs, inner = None, None
     if crossplay:
-        inner = replay_folder(crossplay, registry, sample=sample, seed=seed).problems
+        inner = replay_folder(crossplay, registry, sample=sample, seed=seed)
         pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
     problems, unchecked = _written_problems(record, registry, rebuilt, parts, pairs)
     why = "not what its job gives, or another version of assistax-zoo drew its figures"
-    report = ReplayReport(str(folder), 0, False, why, 0, 0.0, 0.0, False, seed)
-    counts = {"of_episodes": parts[0].kept.height}
-    counts["of_references"] = sum(part.kept.height for part in parts) - counts["of_episodes"]
-    report = dataclasses.replace(
-        report, problems=(*inner, *problems), unchecked=unchecked, **counts
+    report = ReplayReport(
+        *(str(folder), 0, False, why, 0, False),
+        figure=rebuilt.headline.name,
+        value=rebuilt.headline.value,
+        seed=seed,
+        of_episodes=parts[0].kept.height,
+        of_references=sum(part.kept.height for part in parts[1:]),
+        of_tiles=len(parts[0].tiles),
+        problems=(*(inner.problems if inner else ()), *problems),
+        unchecked=(*unchecked, *_less_than_same(inner)),
     )
     if report.problems:
         return report
     rng = np.random.default_rng(seed)
-    played = [_play(rebuilt.env, part, sample, rng) for part in parts]
+    chosen = [_choose(part.tiles, sample, rng) for part in parts]
+    played = [_play(rebuilt.env, part, tiles) for part, tiles in zip(parts, chosen, strict=True)]
+    unsaid = _unsaid(record.manifest, rebuilt)
     report = dataclasses.replace(
-        report, unchecked=(*report.unchecked, *_unsaid(record.manifest, rebuilt))
+        report, tiles=len(chosen[0]), unchecked=(*report.unchecked, *unsaid)
     )
-    return _judge(report, record.manifest, rebuilt.job, parts, played)
+    return _judge(report, record.manifest, rebuilt, parts, played)
 
 
 def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
@@ -194,13 +210,25 @@ def _written_problems(
     return problems, (*rebuilt.unchecked, *unchecked, *picture)
 
 
-def _play(env: Any, part: _Part, sample: int, rng: np.random.Generator) -> pl.DataFrame:
-    """Play tiles of a job again, chosen by chance, until there are enough episodes."""
+def _less_than_same(inner: ReplayReport | None) -> list[str]:
+    """Say so if the cross-play whose robots are best responses is not confirmed to the last bit."""
+    if inner is None or inner.verdict in ("same", "differs"):
+        return []
+    return [f"best responses, of a cross-play whose verdict is {inner.verdict!r}: {inner.why}"]
+
+
+def _choose(tiles: Sequence[Tile], sample: int, rng: np.random.Generator) -> list[Tile]:
+    """Choose tiles by chance, until there are enough episodes."""
     chosen: list[Tile] = []
-    for place in rng.permutation(len(part.tiles)):
-        chosen.append(part.tiles[place])
+    for place in rng.permutation(len(tiles)):
+        chosen.append(tiles[place])
         if sum(tile.rows for tile in chosen) >= sample:
             break
+    return chosen
+
+
+def _play(env: Any, part: _Part, chosen: Sequence[Tile]) -> pl.DataFrame:
+    """Play tiles of a job again."""
     rows: list[pl.DataFrame] = []
     chunks = [Chunk(index, (tile,)) for index, tile in enumerate(chosen)]
     Runner(env, part.job).run(chunks, lambda _, played: rows.append(played))
@@ -211,7 +239,7 @@ def _play(env: Any, part: _Part, sample: int, rng: np.random.Generator) -> pl.Da
 def _judge(
     report: ReplayReport,
     manifest: Mapping[str, Any],
-    job: Job,
+    rebuilt: RebuiltJob,
     parts: Sequence[_Part],
     played: Sequence[pl.DataFrame],
 ) -> ReplayReport:
@@ -226,34 +254,59 @@ def _judge(
     ]:
         problem = f"the columns {', '.join(strange)} are not those of the job's episodes"
         return dataclasses.replace(report, why="other columns", problems=(problem,))
-    differing = sum(_differing(old, new) for old, new in pairs)
-    same_machine, why = _same_machine(manifest, job)
-    exact = differing == 0 or same_machine
+    differing = sum(int(differing_rows(old, new).sum()) for old, new in pairs)
+    same_machine, why = _same_machine(manifest, rebuilt.job)
+    exact, task = differing == 0 or same_machine, rebuilt.job.task
     problems: list[str] = []
-    gaps = (played[0]["return"] - kept[0]["return"]).to_numpy().astype(float)
-    tolerance = 0.0
     if exact and differing:
         problems = [f"{differing} episodes played again have other values"]
     elif differing:
-        problems = [text for old, new in pairs for text in noise_problems(job.task, old, new)]
-        tolerance = float(mean_tolerance(read_noise(job.task)["return"], gaps.size))
-    return dataclasses.replace(
+        figures = (rebuilt.headline.rows, *[None] * (len(pairs) - 1))
+        for (old, new), figure in zip(pairs, figures, strict=True):
+            problems += noise_problems(task, old, new, figure)
+    report = dataclasses.replace(
         report,
         episodes=kept[0].height,
         references=sum(table.height for table in kept[1:]),
         exact=exact,
         why=why if differing or same_machine else f"the same bits, though {why}",
         differing=differing,
-        difference=float(gaps.mean()),
-        tolerance=tolerance,
         problems=tuple(problems),
         ok=not problems,
     )
+    return _with_verdict(report, rebuilt.headline, parts[0].kept, pairs[0], task)
 
 
-def _differing(kept: pl.DataFrame, played: pl.DataFrame) -> int:
+def _with_verdict(
+    report: ReplayReport,
+    headline: Headline,
+    whole: pl.DataFrame,
+    pair: tuple[pl.DataFrame, pl.DataFrame],
+    task: str,
+) -> ReplayReport:
+    """Add how much of the headline figure was reached, and what that confirms."""
+    kept, found = (table.filter(headline.rows)["return"].cast(pl.Float64) for table in pair)
+    same = report.exact and not kept.is_empty()
+    reach = Reach(
+        report.tiles,
+        report.of_tiles,
+        whole.filter(headline.rows).height - kept.len(),
+        0.0 if same else hidden_bias(task, pair[1], headline.rows),
+    )
+    return dataclasses.replace(
+        report,
+        verdict=verdict_of(headline, reach, same_bits=report.exact) if report.ok else "differs",
+        difference=None if kept.is_empty() else float(np.mean((found - kept).to_numpy())),
+        hidden=reach.hidden,
+        hidden_share=share_of(reach.hidden, headline.value),
+        found=reach.found,
+    )
+
+
+def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
+    """Return which episodes [N] have any other value than when they were played again."""
     same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
-    return int((~np.all(same, axis=0)).sum())
+    return ~np.all(same, axis=0)
 
 
 def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
@@ -267,10 +320,10 @@ def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
     }
     differing = [name for name, (said, here) in pairs.items() if said != here]
     if differing:
-        return False, f"other {', '.join(differing)} than where it was made"
+        return False, f"other {', '.join(differing)} than where it was made, as the folder says"
     if job.backend not in DETERMINISTIC:
         return False, f"{job.backend} rounds differently from run to run"
-    return True, "same processor, jaxlib and engine"
+    return True, "same processor, jaxlib and engine, as the folder says"
 
 
 def _object(value: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
 from evaluation.figures.normalised import RANDOM
 from evaluation.replay.noise import (
     QUANTILES,
+    hidden_bias,
     mean_tolerance,
     measured_columns,
     noise_problems,
@@ -96,6 +97,55 @@ def test_every_column_is_compared(episodes: pl.DataFrame) -> None:
         assert any(problem.startswith(f"{name} of ") for problem in problems), name
     strange = episodes.with_columns(term_bonus=pl.lit(1.0))
     assert "never measured" in noise_problems("scratch", strange, strange)[0]
+
+
+@pytest.mark.parametrize("flag", ["success", "nonfinite"])
+def test_false_flags_are_found_elsewhere(episodes: pl.DataFrame, flag: str) -> None:
+    problems = noise_problems("scratch", episodes.with_columns(~pl.col(flag)), episodes)
+    assert any(problem.startswith(f"{flag} of ") for problem in problems)
+
+
+TEST_SIDE = pl.col("partner").is_in([f"human{place}" for place in range(5)])
+
+
+def test_a_raised_side_is_not_balanced_by_another(episodes: pl.DataFrame) -> None:
+    """All episodes, each robot, each partner and each pair alone would let it pass."""
+    number = pl.col("partner").str.tail(1).cast(pl.Int64)
+    by = pl.when(number < 3).then(960).when(number.is_in([5, 6, 7])).then(-960).otherwise(0)
+    kept = episodes.with_columns(pl.col("return") + by * (pl.col("episode") == 0))
+    assert noise_problems("scratch", kept, episodes) == []
+    [problem] = noise_problems("scratch", kept, episodes, TEST_SIDE)
+    assert problem.startswith("return of the headline figure: the mean of 80 episodes differs by")
+
+
+@pytest.mark.parametrize("task", ["scratch", "bed_bath", "gentle_lift"])
+@pytest.mark.parametrize("every", [1, 4])  # of the pairs' episodes, how many are there
+def test_hidden_bias_is_the_most_that_passes(episodes: pl.DataFrame, task: str, every: int) -> None:
+    """Of shifts of all shapes: a few episodes raised by much, or many by little."""
+    columns = [name for name in episodes.columns if name in read_noise(task)]
+    strange = set(measured_columns(episodes)) - set(columns)
+    played = episodes.drop(strange).filter(pl.col("episode") % every == 0)
+    rows = played.select(TEST_SIDE).to_series().to_numpy()
+    most = hidden_bias(task, played, TEST_SIDE)
+    assert most is not None and most >= mean_tolerance(read_noise(task)["return"], int(rows.sum()))
+
+    def passes(raised: int, bias: float) -> bool:
+        """Raise so many episodes of the figure, spread over it, and lower the others a little."""
+        order = np.random.default_rng(0).permutation(np.flatnonzero(rows))
+        gaps = np.where(np.arange(rows.size) % 2, -0.02, 0.02)
+        gaps[order[:raised]] = bias * rows.sum() / raised
+        kept = played.with_columns(pl.col("return") + pl.Series(gaps))
+        return not noise_problems(task, kept, played, TEST_SIDE)
+
+    shapes = [*range(1, 12), *range(12, int(rows.sum()) + 1, 8)]
+    assert any(passes(raised, 0.95 * most) for raised in shapes)
+    assert not any(passes(raised, 1.01 * most) for raised in shapes)
+
+
+def test_hidden_bias_is_unknown_of_what_nobody_played(episodes: pl.DataFrame) -> None:
+    rest = episodes.filter(~TEST_SIDE)
+    assert hidden_bias("scratch", rest, TEST_SIDE) is None
+    noise_problems("scratch", rest, rest, TEST_SIDE)
 
 
 def test_random_actions_have_a_scale_of_their_own(episodes: pl.DataFrame) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from evaluation.replay.replay import ReplayReport
 
 SHOWN = 8  # problems; --json has all
+UNDECIDED = 3  # exit code of `replay`: neither the same nor another
 
 
 def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
@@ -42,20 +43,23 @@ def replay(
     source: Source = Source(),
     json: bool = False,
 ) -> None:
-    """Recompute a folder's figures and play a sample again; exit code 1 if they differ.
+    """Recompute a folder's figures and play a sample again; exit code 0 only if they are confirmed.
 
     The job is made again from the registry. Every table and figure is computed again from the
     episodes. A sample of the episodes is played again, those of the references too. If the folder
     names a machine of this kind, every bit must be the same. If not, each robot, partner and pair
-    may differ by as much as was measured between processors. The answer says which of the two
-    applied, and what was not checked.
+    may differ by as much as was measured between processors. Any folder can name another machine.
+    So the answer says which of the two applied, how much of the headline figure could be hidden,
+    and what was not checked. Exit code 1: they differ. Exit code 3: more than 5% could be hidden
+    behind another processor, and the figure can neither be confirmed nor refuted.
 
     Args:
         folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
         sample: Episodes; those that were simulated together are played together, so there may be
             more.
         seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
-        run_code: Run a robot from Python code that the folder names; read it first.
+        run_code: Run a robot from Python code, or read a robot's file outside the folder, that the
+            folder names; read it first.
         crossplay: Folder of the cross-play that was given to evaluate; it is checked as well.
         source: Where policies come from.
         json: Print JSON.
@@ -79,6 +83,8 @@ def replay(
     answer(json, vars(report), *map(printable, _replay_lines(report)))
     if not report.ok:
         raise SystemExit(1)
+    if report.verdict == "cannot be told":
+        raise SystemExit(UNDECIDED)
 
 
 def _replay_lines(report: "ReplayReport") -> list[str]:
@@ -89,16 +95,42 @@ def _replay_lines(report: "ReplayReport") -> list[str]:
         lines.append(f"and {counted(len(report.problems) - SHOWN, 'more problem')}")
     if not report.episodes:
         return [*lines, f"{report.folder}: {report.why}; nothing was played"]
-    if report.exact:
-        verdict = "the same to the last bit" if report.ok else f"{report.differing} differ"
-    else:
-        reach = "within" if report.ok else "not all within"
-        verdict = f"{report.difference:+.1f} in the mean return, {reach} what processors differ by"
     return [
         *lines,
         f"compared {'bit by bit' if report.exact else 'with measured noise'}: {report.why}",
         f"sample of seed {report.seed}: {report.episodes} of {report.of_episodes} episodes and "
         f"{report.references} of {report.of_references} of the references",
+        *_chance(report),
         f"every figure of {report.folder} drawn again, "
-        f"{counted(report.episodes, 'episode')} played again: {verdict}",
+        f"{counted(report.episodes, 'episode')} played again: {_verdict(report)}",
     ]
+
+
+def _chance(report: "ReplayReport") -> list[str]:
+    """Say with which chance a change in few tiles was found, where not all were played."""
+    if report.tiles == report.of_tiles:
+        return []
+    return [
+        f"{report.tiles} of {report.of_tiles} tiles were played: a change in a single tile is "
+        f"found with a chance of {report.found:.0%}"
+    ]
+
+
+def _verdict(report: "ReplayReport") -> str:
+    """Say what was found of the headline figure, and how much of it could be hidden."""
+    if not report.ok:
+        within = "not all within what processors differ by"
+        return f"{report.differing} differ" if report.exact else within
+    if report.exact:
+        rest = "" if report.verdict == "same" else ", and the others were not played"
+        return f"the same to the last bit{rest}"
+    if report.hidden is None or report.difference is None:
+        return f"{report.verdict} from another processor: no episode of {report.figure} was played"
+    share = "" if report.hidden_share is None else f", {report.hidden_share:.1%},"
+    told = "within what processors differ by"
+    if report.verdict == "cannot be told":
+        told = "which cannot be told from another processor"
+    return (
+        f"{report.figure} is {report.value:.1f} in the folder, {report.difference:+.1f} from it "
+        f"here, {told}: up to {report.hidden:.1f} of it{share} could be hidden"
+    )

@@ -1,0 +1,69 @@
+"""A folder's headline figure, and what a replay can say of it."""
+
+import dataclasses
+from typing import Literal
+
+import polars as pl
+
+from evaluation.figures.summary import CrossPlaySummary, EvaluationSummary
+
+# same: every episode of the figure was played, and gives the same bits.
+# sampled: so do those that were played; others were not.
+# within noise: of another processor, and no more than `MOST_HIDDEN` of the figure can be hidden.
+# cannot be told: of another processor, and more can be.
+# differs: some figure or episode is not what the job gives.
+Verdict = Literal["same", "sampled", "within noise", "cannot be told", "differs"]
+MOST_HIDDEN = 0.05  # of the figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Headline:
+    """The figure that a folder is quoted by."""
+
+    name: str
+    value: float
+    rows: pl.Expr  # of the episode table, whose mean return it is
+
+
+@dataclasses.dataclass(frozen=True)
+class Reach:
+    """How much of the headline figure a replay reached."""
+
+    played: int  # tiles of the job
+    tiles: int
+    episodes: int  # of the figure, that were not played
+    hidden: float | None  # see `hidden_bias`; None where none of its episodes were played
+
+    @property
+    def found(self) -> float:
+        """The chance that a tile which somebody changed is among those that were played."""
+        return self.played / self.tiles
+
+
+def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
+    """Return M of the evaluated side, or the mean of the pairs that did not train together."""
+    if isinstance(summary, EvaluationSummary):
+        figure = getattr(summary, f"m_{summary.side}")
+        left_out = list(summary.met.left_out) if summary.met else []
+        rows = (pl.col("side") == summary.side) & ~pl.col("partner").is_in(left_out)
+        return Headline(f"M_{summary.side}", figure.mean, rows)
+    teams = (pl.col(f"{seat}_team").cast(pl.String) for seat in ("ego", "partner"))
+    together = pl.Expr.eq(*teams).fill_null(value=False)
+    if summary.cross_play is not None:
+        return Headline("cross-play mean", summary.cross_play.mean, ~together)
+    if summary.self_play is None:
+        raise ValueError("the cross-play has no pair, so no figure of it can be checked")
+    return Headline("self-play mean", summary.self_play.mean, together)
+
+
+def share_of(bias: float | None, value: float) -> float | None:
+    """Return a bias as a share of a figure; None where the bias is unknown or the figure is 0."""
+    return None if bias is None or value == 0 else abs(bias / value)
+
+
+def verdict_of(headline: Headline, reach: Reach, *, same_bits: bool) -> Verdict:
+    """Return the verdict on a folder in which nothing was found that its job does not give."""
+    if same_bits:
+        return "sampled" if reach.episodes else "same"
+    share = share_of(reach.hidden, headline.value)
+    return "cannot be told" if share is None or share > MOST_HIDDEN else "within noise"

@@ -1,0 +1,147 @@
+"""A replay says how much of the headline figure it confirms, and how much could be hidden."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from assistax_zoo.shell.main import run
+from evaluation.play.evaluator import MAX_ENVS
+from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
+from evaluation.replay.headline import Headline, Reach, verdict_of
+from evaluation.replay.job import check_received, tile_envs_of
+from evaluation.replay.replay import ReplayReport, differing_rows
+
+FIGURE = Headline("M_test", -200.0, pl.lit(value=True))
+
+
+@pytest.mark.parametrize(
+    ("hidden", "unplayed", "same_bits", "verdict"),
+    [
+        (0.0, 0, True, "same"),
+        (0.0, 3, True, "sampled"),
+        (None, 9, True, "sampled"),
+        (10.0, 0, False, "within noise"),
+        (10.1, 0, False, "cannot be told"),
+        (10.0, 3, False, "within noise"),
+        (None, 9, False, "cannot be told"),
+    ],
+)
+def test_verdict_follows_what_could_be_hidden(
+    hidden: float | None, unplayed: int, same_bits: bool, verdict: str
+) -> None:
+    assert verdict_of(FIGURE, Reach(1, 9, unplayed, hidden), same_bits=same_bits) == verdict
+
+
+def test_figure_of_zero_is_never_confirmed_elsewhere() -> None:
+    figure = dataclasses.replace(FIGURE, value=0.0)
+    assert verdict_of(figure, Reach(1, 1, 0, 0.1), same_bits=False) == "cannot be told"
+
+
+@pytest.mark.parametrize("cut", [1, 7, 512, 32768, 98304])
+def test_folder_chooses_no_tiles_on_mjx(cut: int) -> None:
+    manifest = {"tile_envs": cut, "max_envs": cut}
+    for backend in ("mjx", "mjx-warp"):
+        assert tile_envs_of(backend, manifest) == MAX_ENVS[backend]
+    ours = {"native": {TILE_ENVS["native"]}, "fused": {TILE_ENVS["fused"], GPU_TILE_ENVS}}
+    for backend, allowed in ours.items():
+        if cut in allowed:
+            assert tile_envs_of(backend, manifest) == cut
+        else:
+            with pytest.raises(ValueError, match=f"tile_envs is {cut}; on {backend} it is"):
+                tile_envs_of(backend, manifest)
+
+
+def test_each_column_of_an_episode_is_compared() -> None:
+    table = pl.DataFrame(
+        {
+            "ego": ["a", "b", "c"],
+            "return": [1.0, 2.0, 3.0],
+            "success": [True, False, True],
+            "clipped": [None, 0.1, None],
+        }
+    )
+    assert not differing_rows(table, table).any()
+    changes = {"ego": "d", "return": 2.5, "success": True, "clipped": None}
+    for name, value in changes.items():
+        values = table[name].to_list()
+        values[1] = value
+        other = table.with_columns(pl.Series(name, values, table.schema[name]))
+        assert differing_rows(table, other).tolist() == [False, True, False], name
+
+
+def test_received_robots_are_neither_run_nor_read(tmp_path: Path) -> None:
+    """Unless the reader trusts the folder; a file inside the folder is read all the same."""
+    folder, other = tmp_path / "received", tmp_path / "other"
+    for place in (folder, other):
+        place.mkdir()
+        (place / "mine.safetensors").write_bytes(b"x")
+    (folder / "link").symlink_to(other)
+    marker = tmp_path / "marker"
+    outside = (
+        f"{other}/mine.safetensors",
+        f"{folder}/../other/mine.safetensors",
+        f"{folder}/link/mine.safetensors",
+        f"onnx:{other}/mine.safetensors",
+    )
+    for name in outside:
+        with pytest.raises(ValueError, match="outside the folder, and the folder names it"):
+            check_received([name], folder)
+        check_received([name], None)
+    code = f"python:subprocess:getoutput?cmd=touch {marker}"
+    with pytest.raises(ValueError, match="is code, and the folder names it"):
+        check_received([code], folder)
+    check_received([f"{folder}/mine.safetensors", "scratch/ippo-d1-s0-v1/robot"], folder)
+    assert not marker.exists()
+
+
+REPORT = ReplayReport(
+    *("out", 40, False, "other processor", 40, True),
+    verdict="cannot be told",
+    figure="M_test",
+    value=985.8,
+    difference=-180.2,
+    hidden=240.0,
+    hidden_share=0.243,
+    tiles=4,
+    of_tiles=9,
+    found=4 / 9,
+    of_episodes=720,
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "said", "unsaid"),
+    [
+        (
+            {},
+            3,
+            "cannot be told from another processor: up to 240.0 of it, 24.3%, could be hidden",
+            "the same",
+        ),
+        ({"verdict": "within noise", "hidden": 9.9, "hidden_share": 0.01}, 0, "up to 9.9", "same"),
+        ({"difference": None, "hidden": None}, 3, "no episode of M_test was played", "same"),
+        ({"verdict": "sampled", "exact": True}, 0, "a chance of 44%", "hidden"),
+        ({"verdict": "same", "exact": True, "tiles": 9}, 0, "the same to the last bit", "chance"),
+        ({"verdict": "differs", "ok": False, "problems": ("x",)}, 1, "not all within", "the same"),
+    ],
+)
+def test_replay_command_tells_its_verdict(
+    changes: dict[str, Any],
+    code: int,
+    said: str,
+    unsaid: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    report = dataclasses.replace(REPORT, **changes)
+    monkeypatch.setattr("evaluation.replay.replay.replay_folder", lambda *_, **__: report)
+    if code:
+        with pytest.raises(SystemExit, match=str(code)):
+            run(["replay", "out"])
+    else:
+        assert run(["replay", "out"]) == 0
+    printed = capfd.readouterr().out
+    assert said in printed and unsaid not in printed
