@@ -43,15 +43,19 @@ class Forger:
         path = self.folder / tables.REFERENCES_FILE
         self.references = tables.read_parquet(path) if path.is_file() else None
 
-    def close(self) -> None:
-        """Draw every figure from the forged episodes, and write hashes that fit."""
+    def close(self, met: MetPartners | None = None) -> None:
+        """Draw every figure from the forged episodes, and write hashes that fit.
+
+        `met` says whom the robots met where their names cannot be looked up.
+        """
+        met = met or self.met()
         tables.write_episodes(self.table, self.folder / tables.EPISODES_FILE)
         if self.is_crossplay:
-            derived.save_crossplay(Record(self.table, self.folder), self.context, self.met())
+            derived.save_crossplay(Record(self.table, self.folder), self.context, met)
         else:
             played = self.references
             drawn = None if played is None else (played, bounds_table(played))
-            options = {"references": drawn, "met": self.met()}
+            options = {"references": drawn, "met": met}
             derived.save_evaluation(Record(self.table, self.folder), self.context, **options)
         self.seal()
 
@@ -222,6 +226,39 @@ def robot_renamed(forger: Forger) -> None:
     forger.close()
 
 
+MARKER = "a-received-folder-ran-code"  # a file that such code makes
+
+
+def outside_names(place: Path) -> dict[str, str]:
+    """Return names of robots that a reader must neither run nor read, with a word for each."""
+    secret = place / "secret.safetensors"
+    return {
+        "function": f"python:subprocess:getoutput?cmd=touch {place / MARKER}",
+        "file": f"python:{place / 'evil.py'}:make",
+        "absolute": str(secret),
+        "upwards": "../../../../../../../../secret.safetensors",
+        "model": f"onnx:{place / 'secret.onnx'}",
+    }
+
+
+def rename_robot(forger: Forger, name: str) -> None:
+    """Give the first robot a name from outside, without resolving it here."""
+    code = f"from pathlib import Path\nPath({str(forger.folder.parent / MARKER)!r}).touch()\n"
+    (forger.folder.parent / "evil.py").write_text(f"{code}make = None\n")
+    mine, met = forger.identity["egos"][0][0], forger.met()
+    forger.identity["egos"][0] = [name, "0" * 64]
+    is_mine = pl.col("ego") == mine
+    forger.table = forger.table.with_columns(
+        pl.when(is_mine).then(pl.lit(value, kind)).otherwise(pl.col(column)).alias(column)
+        for column, kind in forger.table.schema.items()
+        if column.startswith("ego")
+        for value in [name if column == "ego" else None]
+    )
+    if forger.references is not None:
+        forger.references = forger.references.with_columns(pl.col("ego").replace(mine, name))
+    forger.close(met)
+
+
 def better_episodes(forger: Forger) -> None:
     """Take the episodes that other robots played."""
     other = tables.read_episodes(forger.better / tables.EPISODES_FILE)
@@ -302,6 +339,70 @@ def other_processor_column(forger: Forger) -> None:
     forger.close()
 
 
+def elsewhere(forger: Forger) -> None:
+    """Name another machine in one of the places where replay believes it."""
+    kind = forger.rng.randrange(4)
+    if kind == 0:
+        forger.manifest["made_with"] = forger.rng.choice(({}, None))
+    elif kind == 1:
+        forger.identity["software"] = {**forger.identity["software"], "jax": "0.4.1"}
+    elif kind == 2:
+        forger.identity["engine"] = {**forger.identity["engine"], "version": "0.0.1"}
+    else:
+        forger.manifest["made_with"]["versions"]["jaxlib"] = "0.4.1"
+
+
+def fifth_elsewhere(forger: Forger) -> None:
+    """Name another machine, and raise a fifth of the episodes by much."""
+    elsewhere(forger)
+    rows = forger.rng.sample(range(forger.table.height), forger.table.height // 5)
+    gain = pl.int_range(pl.len()).is_in(rows).cast(pl.Float32) * forger.rng.choice((60.0, 600.0))
+    names = ["return", next(iter(term_columns(forger.table)))]
+    forger.table = forger.table.with_columns(pl.col(name) + gain for name in names)
+    forger.close()
+
+
+def success_elsewhere(forger: Forger) -> None:
+    """Name another machine, and change who succeeded, and nothing else."""
+    elsewhere(forger)
+    every = forger.rng.choice((1, 2, 10))
+    rows = pl.int_range(pl.len()) % every == 0
+    forger.table = forger.table.with_columns(pl.col("success") ^ rows)
+    forger.close()
+
+
+def flags_elsewhere(forger: Forger) -> None:
+    """Name another machine, and flip what decides how episodes are played."""
+    elsewhere(forger)
+    flags(forger)
+
+
+def job_elsewhere(forger: Forger) -> None:
+    """Name another machine, and take all episodes that other robots played."""
+    elsewhere(forger)
+    other = tables.read_episodes(forger.better / tables.EPISODES_FILE)
+    forger.table = forger.table.with_columns(other.select(forger.measured()))
+    forger.close()
+
+
+def small_tiles(forger: Forger) -> None:
+    """Name a backend on which no two runs are the same, cut small, and raise two episodes."""
+    forger.identity["backend"] = "mjx"
+    forger.context = dataclasses.replace(forger.context, backend="mjx")
+    forger.manifest["tile_envs"] = forger.manifest["max_envs"] = forger.rng.choice((1, 2, 4))
+    rows = forger.rng.sample(range(forger.table.height), 2)
+    gain = pl.int_range(pl.len()).is_in(rows).cast(pl.Float32) * 20000
+    names = ["return", next(iter(term_columns(forger.table)))]
+    forger.table = forger.table.with_columns(pl.col(name) + gain for name in names)
+    forger.close()
+
+
+def received_robot(forger: Forger) -> None:
+    """Name a robot that is code, or a file outside the folder."""
+    names = outside_names(forger.folder.parent)
+    rename_robot(forger, names[forger.rng.choice(sorted(names))])
+
+
 def cut(forger: Forger) -> None:
     """Say that the job was cut otherwise, beside returns that nobody played."""
     forger.manifest["tile_envs"] = forger.rng.choice((1, 7, 512, 98304, 10**12, -1, None, "x"))
@@ -351,10 +452,15 @@ EVALUATION: tuple[Callable[[Forger], None], ...] = (
     *(scores, one_episode, sides, field, table_only, partner_dropped, split_narrowed),
     *(partner_repeated, robot_renamed, better_episodes, seed_changed, flags, episode_left_out),
     *(bounds_moved, other_processor, other_processor_column, cut, origin),
+    *(fifth_elsewhere, success_elsewhere, flags_elsewhere, job_elsewhere, small_tiles),
+    received_robot,
 )
 CROSSPLAY: tuple[Callable[[Forger], None], ...] = (
     *(scores, one_episode, field, table_only, robot_renamed, seed_changed, order, other_processor),
+    *(fifth_elsewhere, received_robot),
 )
+# Of these some lie within what processors differ by; replay may say that it cannot tell.
+UNDECIDED = (fifth_elsewhere, success_elsewhere, flags_elsewhere, job_elsewhere)
 
 
 def forged(

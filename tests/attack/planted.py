@@ -115,6 +115,24 @@ DEFECTS = {
         "    return []\n    with tempfile.TemporaryDirectory() as name:\n",
         "tests/evaluation/test_manifest.py::test_every_figure_is_drawn_again",
     ),
+    "a replay compares no successes": Defect(
+        "evaluation/replay/replay.py",
+        r"\.to_numpy\(\) for name in kept\.columns\]",
+        '.to_numpy() for name in kept.columns if name != "success"]',
+        "tests/evaluation/test_replay_headline.py::test_each_column_of_an_episode_is_compared",
+    ),
+    "a replay elsewhere compares no flags": Defect(
+        "evaluation/replay/noise.py",
+        r"if \(kind\.is_numeric\(\) or kind == pl\.Boolean\)",
+        "if kind.is_numeric()",
+        "tests/evaluation/test_replay_noise.py::test_false_flags_are_found_elsewhere",
+    ),
+    "a folder chooses the tiles that a replay plays": Defect(
+        "evaluation/replay/job.py",
+        r"return MAX_ENVS\[backend\]",
+        "return chunk",
+        "tests/evaluation/test_replay_headline.py::test_folder_chooses_no_tiles_on_mjx",
+    ),
     "starts that all partners share are not resampled": Defect(
         "evaluation/record/record.py",
         r"return self\.keys is not None and len\(self\.keys\) > 1",
