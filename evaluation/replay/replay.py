@@ -10,9 +10,10 @@ of processors, see `evaluation.replay.noise`. A forger may name any, so the repo
 the headline figure could be hidden, see `evaluation.replay.headline`.
 """
 
+import contextlib
 import dataclasses
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from evaluation.play.baselines import reference_jobs, with_names
 from evaluation.play.jobs import Job
 from evaluation.play.robot_checks import robot_notes, varying
 from evaluation.play.runner import Runner
+from evaluation.play.study import read_best_responses
 from evaluation.play.tiles import Chunk, Tile, cut_tiles
 from evaluation.record import tables
 from evaluation.record.manifest import processor
@@ -40,6 +42,7 @@ from zoo.registry import Registry
 
 DETERMINISTIC = ("native", "fused")  # backends that, on one kind of CPU, always give the same bits
 KEYS = ["ego", "partner", "episode"]
+NOT_ITS_JOB = "not what its job gives, or another version of assistax-zoo drew its figures"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,22 +103,19 @@ def replay_folder(
         raise ValueError(f"{problems[0]}; a folder that was changed is not replayed")
     seed = secrets.randbits(32) if seed is None else seed
     record = Record.read(folder)
-    try:
+    with _strange_manifest_refused(folder):
         if lock:
             task = str(record.manifest["identity"]["task"])
             registry = apply_lock(registry, read_lock(lock), task=task)
         rebuilt = rebuild_job(record, registry, run_code=run_code)
         parts = _kept_parts(record, registry, rebuilt)
-    except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
-        raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
     pairs, inner = None, None
     if crossplay:
         inner = replay_folder(crossplay, registry, sample=sample, seed=seed)
-        pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
+        pairs = read_best_responses(crossplay, rebuilt.job)
     problems, unchecked = _written_problems(record, registry, rebuilt, parts, pairs)
-    why = "not what its job gives, or another version of assistax-zoo drew its figures"
     report = ReplayReport(
-        *(str(folder), 0, False, why, 0, False),
+        *(str(folder), 0, False, NOT_ITS_JOB, 0, False),
         figure=rebuilt.headline.name,
         value=rebuilt.headline.value,
         seed=seed,
@@ -130,11 +130,17 @@ def replay_folder(
     rng = np.random.default_rng(seed)
     chosen = [_choose(part.tiles, sample, rng) for part in parts]
     played = [_play(rebuilt.env, part, tiles) for part, tiles in zip(parts, chosen, strict=True)]
-    unsaid = _unsaid(record.manifest, rebuilt)
-    report = dataclasses.replace(
-        report, tiles=len(chosen[0]), unchecked=(*report.unchecked, *unsaid)
-    )
+    report = dataclasses.replace(report, tiles=len(chosen[0]))
     return _judge(report, record.manifest, rebuilt, parts, played)
+
+
+@contextlib.contextmanager
+def _strange_manifest_refused(folder: Path) -> Generator[None]:
+    """Refuse a manifest whose fields are of other kinds than ours, by what using them leads to."""
+    try:
+        yield
+    except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
+        raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
 
 
 def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
@@ -207,7 +213,8 @@ def _written_problems(
             notes=robot_notes(record.manifest.get("robots"), rebuilt.job.egos),
         )
     picture = [f"{tables.MATRIX_FIGURE}, a picture"] * is_crossplay
-    return problems, (*rebuilt.unchecked, *unchecked, *picture)
+    unsaid = _unsaid(record.manifest, rebuilt)
+    return problems, (*rebuilt.unchecked, *unchecked, *picture, *unsaid)
 
 
 def _less_than_same(inner: ReplayReport | None) -> list[str]:

@@ -1,18 +1,23 @@
 """A replay says how much of the headline figure it confirms, and how much could be hidden."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
 
+import assistax_zoo as az
 from assistax_zoo.shell.main import run
 from evaluation.play.evaluator import MAX_ENVS
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
+from evaluation.record.manifest import file_sha256
 from evaluation.replay.headline import Headline, Reach, verdict_of
-from evaluation.replay.job import check_received, tile_envs_of
+from evaluation.replay.job import tile_envs_of
+from evaluation.replay.received import received_robots
 from evaluation.replay.replay import ReplayReport, differing_rows
+from zoo.registry import load_registry
 
 FIGURE = Headline("M_test", -200.0, pl.lit(value=True))
 
@@ -73,27 +78,31 @@ def test_each_column_of_an_episode_is_compared() -> None:
 
 
 def test_received_robots_are_neither_run_nor_read(tmp_path: Path) -> None:
-    """Unless the reader trusts the folder; a file inside the folder is read all the same."""
-    folder, other = tmp_path / "received", tmp_path / "other"
+    """A file of the name may lie in the folder itself; a reader may trust the folder."""
+    zoo, folder, other = load_registry(), tmp_path / "received", tmp_path / "other"
     for place in (folder, other):
         place.mkdir()
-        (place / "mine.safetensors").write_bytes(b"x")
+    az.open_zoo().export("scratch/ippo-d1-s0-v1/robot", other / "mine.safetensors")
+    digest = file_sha256(other / "mine.safetensors")
     (folder / "link").symlink_to(other)
     marker = tmp_path / "marker"
     outside = (
         f"{other}/mine.safetensors",
         f"{folder}/../other/mine.safetensors",
         f"{folder}/link/mine.safetensors",
-        f"onnx:{other}/mine.safetensors",
     )
     for name in outside:
-        with pytest.raises(ValueError, match="outside the folder, and the folder names it"):
-            check_received([name], folder)
-        check_received([name], None)
+        with pytest.raises(ValueError, match="is not here"):
+            received_robots(folder, [[name, digest]], zoo, "scratch")
+        trusted = received_robots(folder, [[name, digest]], zoo, "scratch", run_code=True)
+        assert trusted.ids == (name,)
     code = f"python:subprocess:getoutput?cmd=touch {marker}"
     with pytest.raises(ValueError, match="is code, and the folder names it"):
-        check_received([code], folder)
-    check_received([f"{folder}/mine.safetensors", "scratch/ippo-d1-s0-v1/robot"], folder)
+        received_robots(folder, [[code, digest]], zoo, "scratch")
+    shutil.copy(other / "mine.safetensors", folder)
+    assert received_robots(folder, [[outside[0], digest]], zoo, "scratch").ids == (outside[0],)
+    with pytest.raises(ValueError, match="is not the one that played"):
+        received_robots(folder, [[outside[0], "0" * 64]], zoo, "scratch")
     assert not marker.exists()
 
 
