@@ -103,7 +103,10 @@ def _record_all(
     """Play all episodes, and return their rows."""
     import polars as pl
 
-    return pl.concat([_record(pair, number, check, on_step) for number in range(episodes)])
+    from assistax_envs.own_settings import own_settings
+
+    record = own_settings()(_record)
+    return pl.concat([record(pair, number, check, on_step) for number in range(episodes)])
 
 
 def _record(

@@ -63,21 +63,26 @@ def play(
         partner: the human's id, if it is a partner of the zoo: its starts are its own.
         humans: a person's own body and wishes [1], in place of a setting and a preference.
     """
-    key = key_of(int(episode_seeds(seed, [episode], partner)[0]))
+    key = key_of(np.array(episode_seeds(seed, [episode], partner)))
     preferences = None if preference is None else [preference]
     reset, step = _programs(env)
-    state = reset(key[None], humans or disability_params([disability], preferences))
+    state = reset(key, humans or disability_params([disability], preferences))
     yield state
     for _ in range(env.episode_length if steps is None else steps):
         seats = {"robot": robot, "human": human}
         actions = {
-            role: np.asarray(act(np.asarray(state.obs[role][0])), np.float32)
+            role: np.asarray(act(_observation(state, role)), np.float32)
             for role, act in seats.items()
         }
         state = step(state, {role: action[None] for role, action in actions.items()})
         if on_step is not None:
             on_step()
         yield state
+
+
+@own_settings()
+def _observation(state: EnvState, role: str) -> np.ndarray:
+    return np.asarray(state.obs[role][0])
 
 
 class Pair:

@@ -13,6 +13,7 @@ from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch
 from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
+from assistax_envs.own_settings import own_settings
 from assistax_envs.versions import VERSIONS
 
 try:
@@ -186,6 +187,7 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         super().reset(seed=seed)
         return self._host.reset(self.np_random)["robot"], {}
 
+    @own_settings()
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Advance by 20 ms; actions [N, A] are clipped to [-1, 1]."""
         step, ended = self._host.step(self.np_random, {"robot": actions})
