@@ -12,7 +12,7 @@ if [ ! -e "$folder/.installed" ]; then
     .venv/bin/python -m venv "$folder"
     .venv/bin/python -c 'import site; print("\n".join(site.getsitepackages()))' \
         >"$("$folder/bin/python" -c 'import site; print(site.getsitepackages()[0])')/venv.pth"
-    "$folder/bin/python" -m pip install --quiet 'torch==2.13.0' 'stable-baselines3==2.9.2'
+    "$folder/bin/python" -m pip install --quiet 'torch==2.13.0' 'stable-baselines3==2.9.2' 'onnxscript==0.7.2'
     touch "$folder/.installed"
 fi
 # LeRobot wants other versions of what the project uses, so it has nothing of .venv, and of the other

@@ -33,7 +33,8 @@ REFUSALS = {
     "action [N, A] (next carry [N, H])",
     "operator_not_allowed": "it uses an operator, or a form of one, that is not on the list",
     "opset_not_allowed": "it uses operator sets other than the standard one, 13 to 22",
-    "external_data": "it keeps weights outside of the file",
+    "external_data": "it keeps weights outside of the file; PyTorch writes one file with "
+    "external_data=False",
     "subgraph": "it has functions or subgraphs",
     "graph_too_large": "it has too many nodes, or values that are too large",
     "shape_unknown": "a shape depends on something other than the number of rows",

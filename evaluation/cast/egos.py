@@ -2,7 +2,7 @@
 
 import dataclasses
 import glob
-import hashlib
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from assistax_base.bounded_reading import parse_json
 from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
+from evaluation.cast.onnx_robots.ego import UntrustedModelError
+from evaluation.cast.onnx_robots.files import Files, read_claims, read_model
 from evaluation.cast.policy_process import PolicyError, PolicyProcess
 from evaluation.cast.policy_worker import error_text
 from evaluation.cast.robot_names import PolicyReference, parse_reference
@@ -59,10 +60,14 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
             single += _from_zoo(reference.source, registry, task)
         elif reference.kind == "file":
             single += _from_files(reference.text, registry, isinstance(robot, str))
-        elif reference.kind == "onnx" and (program := _program(reference, registry)):
-            single.append(program)
-        elif reference.kind in ("python", "onnx"):
-            host.append(_from_outside(reference, registry, task))
+        elif reference.kind == "onnx":
+            member, seat, params = _from_onnx(reference, registry)
+            if isinstance(seat, HostEgo):
+                host.append((member, seat))
+            else:
+                single.append((member, seat, params))
+        elif reference.kind == "python":
+            host.append(_from_code(reference, registry, task))
         else:
             raise ValueError(
                 f"policy {reference.text!r} is not a robot to evaluate; every evaluation plays it "
@@ -191,7 +196,7 @@ def _from_files(
         robots = [entry for entry in registry.policies if entry.role == "robot"]
         same = [robot for robot in robots if robot.sha256 == digest]
         # A published robot's parameters are that robot, whatever else their file claims.
-        member = _of_file(name, Path(name), sha256, registry, {} if same else metadata)
+        member = _of_file(name, ((Path(name), sha256),), registry, {} if same else metadata)
         if same:
             member = dataclasses.replace(
                 member,
@@ -220,42 +225,53 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
     return member, HostEgo(name, robot, made_of=made_of)
 
 
-def _program(reference: PolicyReference, registry: Registry) -> tuple[Member, Seat, Any] | None:
-    """Return an ONNX file as the program that a service makes of it; None where it makes none.
+def _from_onnx(
+    reference: PolicyReference, registry: Registry
+) -> tuple[Member, Seat | HostEgo, Any]:
+    """Return an ONNX file as the program that a service makes of it, with its parameters.
 
-    Its digest names the program too: onnxruntime, which plays the others, rounds differently.
+    A network that is larger, or of more operators, is played by onnxruntime. The digest of a
+    program names that too: onnxruntime rounds differently.
     """
+    path = Path(reference.source)
     try:
-        data = onnx_ego.read_bytes(Path(reference.source))
+        data, files = read_model(path)
+        claims = read_claims(data)
+        member = _of_file(reference.text, files, registry, claims)
         spec, params = admission.read_program(data)
-        claims = _onnx_claims(onnx_ego.read_metadata(data))
-        path, sha256 = Path(reference.source), hashlib.sha256(data).hexdigest()
-        member = _of_file(reference.text, path, sha256, registry, claims)
-    except (ImportError, ValueError):  # the process says in its own words what is wrong
-        return None
-    digest = identity_digest([admission.PROGRAM, member.digest])
-    return dataclasses.replace(member, digest=digest), spec, params
-
-
-def _from_outside(
-    reference: PolicyReference, registry: Registry, task: str
-) -> tuple[Member, HostEgo]:
-    """Start the process of a robot from a Python module or an ONNX file."""
-    try:
-        if reference.kind == "onnx":
-            path = Path(reference.source)
-            sha256 = _sha256(reference.source)
-            robot = PolicyProcess(*onnx_ego.factory(path))
-            claims = _onnx_claims(robot.metadata)
-            member = _of_file(reference.text, path, sha256, registry, claims)
-            return member, HostEgo(member.id, robot, made_of=sha256)
-        robot = PolicyProcess(reference.source, reference.factory, reference.arguments)
-    except (PolicyError, OSError) as error:
+    except UntrustedModelError as error:
+        if error.code not in admission.PLAYED_APART:
+            raise EgoError(f"policy {reference.text!r}: {error}") from None
+    except (ValueError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
+    except ImportError:  # the process says what to install
+        _started(reference, onnx_ego.factory(path))
+    else:
+        digest = identity_digest([admission.PROGRAM, member.digest])
+        return dataclasses.replace(member, digest=digest), spec, params
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / path.name
+        whole.write_bytes(data)  # as it was read: in one piece, and not read again
+        robot = _started(reference, onnx_ego.factory(whole))
+    return member, HostEgo(member.id, robot, made_of=member.digest), None
+
+
+def _from_code(reference: PolicyReference, registry: Registry, task: str) -> tuple[Member, HostEgo]:
+    """Start the process of a robot from a Python module."""
+    robot = _started(reference, (reference.source, reference.factory, reference.arguments))
     declared = robot.trained_with
     met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
     ego = HostEgo(reference.text, robot, robot.loaded, _made_of(reference, robot))
     return _python_member(reference, robot, met), ego
+
+
+def _started(
+    reference: PolicyReference, made_by: tuple[str, str, Mapping[str, str]]
+) -> PolicyProcess:
+    try:
+        return PolicyProcess(*made_by)
+    except (PolicyError, OSError) as error:
+        raise EgoError(f"policy {reference.text!r}: {error}") from None
 
 
 def _made_of(reference: PolicyReference, robot: PolicyProcess) -> Any:
@@ -284,29 +300,18 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
     )
 
 
-def _onnx_claims(metadata: str | None) -> Mapping[str, Any]:
-    """Return what an ONNX robot's metadata claims in JSON."""
-    try:
-        content = parse_json(metadata or "{}")
-    except (ValueError, RecursionError):
-        content = None
-    return content if isinstance(content, dict) else {}
-
-
 def _sha256(path: str) -> str:
     """Return a file's sha256, empty where there is none: its reader says what is wrong."""
     return file_sha256(Path(path)) if Path(path).is_file() else ""
 
 
-def _of_file(
-    text: str, path: Path, sha256: str, registry: Registry, claims: Mapping[str, Any]
-) -> Member:
+def _of_file(text: str, files: Files, registry: Registry, claims: Mapping[str, Any]) -> Member:
     """Describe a file's robot by what the file claims: whom it met, and what it is told."""
     told: Any = claims.get("told")
     return Member(
         text,
-        sha256,
-        files=((path, sha256),),
+        files[0][1] if len(files) == 1 else identity_digest([sha256 for _, sha256 in files]),
+        files=files,
         met=claimed_met(registry, claims),
         env_version=claimed_version(claims),
         told="partner" if told == "partner" else told is True,

@@ -136,7 +136,8 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
         raise LoadError(f"{name} has no function {factory!r}; name the robot's factory")
     code.of(module)
     depends = _depends(module, name)
-    inputs = _hashed([*header["arguments"].values()], depends or [], code.folder)
+    arguments = [] if header["plain"] else [*header["arguments"].values()]
+    inputs = _hashed(arguments, depends or [], code.folder)
     try:
         made = make(**header["arguments"])
     except BaseException as error:
@@ -184,7 +185,7 @@ def _hashed(arguments: list[str], declared: list[str], folder: Path) -> list[tup
         if path.exists() and not path.is_file():  # a device or a pipe would never end
             raise LoadError(f"DEPENDS names {path}, which is no regular file")
     try:
-        return [(str(path), _sha256(path.read_bytes())) for path in (*named, *paths)]
+        return [(str(path), _file_sha256(path)) for path in (*named, *paths)]
     except OSError as error:
         raise LoadError(str(error)) from None
 
@@ -222,12 +223,11 @@ class _OwnCode:
         named = {file for file in named if file.is_file()} | {Path(file) for file in self._ran}
         files = [own, *sorted(file for file in named - {own} if self._is_own(file))]
         return {
-            str(file): sorted(self._ran.get(str(file)) or {_sha256(file.read_bytes())})
-            for file in files
+            str(file): sorted(self._ran.get(str(file)) or {_file_sha256(file)}) for file in files
         }
 
     def _note(self, path: str, data: bytes) -> None:
-        self._ran.setdefault(str(Path(path).resolve()), set()).add(_sha256(data))
+        self._ran.setdefault(str(Path(path).resolve()), set()).add(hashlib.sha256(data).hexdigest())
 
     def _is_installed(self, file: Path) -> bool:
         return "site-packages" in file.parts or any(map(file.is_relative_to, self._foreign))
@@ -237,8 +237,9 @@ class _OwnCode:
         return not self._is_installed(file) and any(map(file.is_relative_to, roots))
 
 
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+def _file_sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _import_ours(*names: str) -> ModuleType:

@@ -111,7 +111,7 @@ def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
     for name, same in (("process.onnx", True), ("program.onnx", False)):
         path = tmp_path / name
         assert (described(path).digest == file_sha256(path)) is same
-        assert described(path).files == (path,)
+        assert described(path).files == ((path, file_sha256(path)),)
 
 
 def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:

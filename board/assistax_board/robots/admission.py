@@ -1,7 +1,6 @@
 """What may be handed in. The server and `submit --check` at home run this very code."""
 
 import dataclasses
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,8 @@ from assistax_board.rules.submissions import MAX_BYTES, Admitted
 from population.networks.seat import Seat
 
 SAFETENSORS, ONNX = "safetensors", "onnx"
+# Version, producer, its version, graph and operator sets of a model, in any order.
+_FIRST_FIELDS = (b"\x08", b"\x12", b"\x1a", b"\x3a", b"\x42")
 _PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
 SECONDS = 30  # of processors for a file's admission; a large network takes two
 BYTES = 1536 * 1024 * 1024  # of memory, of which JAX and its programs are a sixth
@@ -113,8 +114,8 @@ def is_safetensors(data: bytes) -> bool:
 
 
 def is_onnx(data: bytes) -> bool:
-    """Return whether bytes begin as an ONNX model: its version, as protobuf's first field."""
-    return data[:1] == b"\x08"
+    """Return whether bytes begin as an ONNX model: a field that protobuf may write first."""
+    return data[:1] in _FIRST_FIELDS and len(data) > 1
 
 
 def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> Robot:
@@ -146,18 +147,15 @@ def _read_safetensors(data: bytes, observation_size: int, action_size: int) -> R
 
 def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
     from evaluation.cast.onnx_robots.admission import admit_onnx
-    from evaluation.cast.onnx_robots.ego import UntrustedModelError, read_metadata
+    from evaluation.cast.onnx_robots.ego import UntrustedModelError
+    from evaluation.cast.onnx_robots.files import read_claims
     from zoo.met.claims import claimed_version
 
     try:
         spec, params = admit_onnx(data, observation_size, action_size)
     except UntrustedModelError as error:
         raise Refusal(error.code, str(error)) from None
-    try:
-        said = json.loads(read_metadata(data) or "{}")
-    except (ValueError, RecursionError):  # of others, in a form of their own
-        said = {}
-    return Robot(ONNX, spec, params, claimed_version(said) if isinstance(said, dict) else None)
+    return Robot(ONNX, spec, params, claimed_version(read_claims(data)))
 
 
 def _check_cost(robot: Robot) -> None:

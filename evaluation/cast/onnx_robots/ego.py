@@ -74,9 +74,13 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_metadata(data: bytes) -> str | None:
-    """Return what `assistax-zoo export` wrote of the policy into a model, as JSON; its claim."""
-    properties = {entry.key: entry.value for entry in read_onnx_network(data).metadata_props}
-    return properties.get("assistax")
+    """Return what `assistax-zoo export` wrote of the policy into a model, as JSON; its claim.
+
+    None where there is nothing, or nothing in UTF-8.
+    """
+    properties = {entry.key: entry.value for entry in parse(data).metadata_props}
+    text = properties.get("assistax")
+    return text if isinstance(text, str) else None  # protobuf returns bytes that are not UTF-8
 
 
 class UntrustedModelError(ValueError):
@@ -95,14 +99,26 @@ def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> An
     """
     import onnx
 
+    model = parse(data)
+    if not model.graph.node:
+        raise UntrustedModelError("malformed", "is not an ONNX model with a graph")
+    _refuse_strangers(model, operators, onnx)
+    return model
+
+
+def parse(data: bytes) -> Any:
+    """Return what may be an ONNX model; nothing of it is checked.
+
+    Raises:
+        UntrustedModelError: The bytes are no model.
+    """
+    import onnx
+
     model = onnx.ModelProto()
     try:
         model.ParseFromString(data)
     except Exception:  # an exception class of protobuf's, which has several
         raise UntrustedModelError("malformed", "is not an ONNX model") from None
-    if not model.graph.node:
-        raise UntrustedModelError("malformed", "is not an ONNX model with a graph")
-    _refuse_strangers(model, operators, onnx)
     return model
 
 
@@ -264,7 +280,8 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
     if any(tensor.data_location == external or tensor.external_data for tensor in tensors):
         raise UntrustedModelError(
             "external_data",
-            "keeps weights in other files, which its sha256 does not cover; save it as one file",
+            "keeps weights in other files, which its sha256 does not cover; save it as one file: "
+            "torch.onnx.export(..., external_data=False)",
         )
 
 
@@ -305,7 +322,8 @@ def _check_form(inputs: Any, outputs: Any) -> None:
         name, shape = fixed[0].name, fixed[0].shape
         raise ValueError(
             f"has a fixed batch: the first axis of {name} {shape} must be dynamic, for one row an "
-            f"episode; with torch.onnx.export: dynamic_axes={{{name!r}: {{0: 'batch'}}}}"
+            "episode; with torch.onnx.export: dynamic_shapes=({0: 'batch'},), or with "
+            f"dynamo=False dynamic_axes={{{name!r}: {{0: 'batch'}}}}"
         )
 
 

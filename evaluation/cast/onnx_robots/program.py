@@ -179,9 +179,43 @@ def _layer_norm(attributes: Attributes, x: Any, scale: Any, bias: Any = None) ->
     return normed if bias is None else normed + jnp.broadcast_to(bias, x.shape)
 
 
-def _reduce_mean(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = None) -> Any:
-    axes = axes or attributes.get("axes")
-    return x.mean(axes, keepdims=bool(attributes.get("keepdims", 1)))
+def _batch_norm(
+    attributes: Attributes, x: Any, scale: Any, bias: Any, mean: Any, variance: Any
+) -> Any:
+    """Normalise by statistics of the training; what would look at a batch is refused before."""
+    channels = (1, -1, *(1,) * (x.ndim - 2))
+    scale, bias, mean, variance = (
+        value.reshape(channels) for value in (scale, bias, mean, variance)
+    )
+    deviation = jnp.sqrt(variance + attributes.get("epsilon", 1e-5))
+    return (x - mean) / deviation * scale + bias
+
+
+def _reducing(how: Callable[..., Any]) -> Callable[..., Any]:
+    def reduce(attributes: Attributes, x: Any, axes: tuple[int, ...] | None = None) -> Any:
+        axes = axes or attributes.get("axes")
+        if not axes and attributes.get("noop_with_empty_axes"):
+            return x
+        return how(x, axes, keepdims=bool(attributes.get("keepdims", 1)))
+
+    return reduce
+
+
+def _hard_sigmoid(attributes: Attributes, x: Any) -> Any:
+    scaled = attributes.get("alpha", 0.2) * x + attributes.get("beta", 0.5)
+    return jnp.clip(scaled, 0.0, 1.0)
+
+
+def _selu(attributes: Attributes, x: Any) -> Any:
+    alpha = attributes.get("alpha", 1.67326319217681884765625)
+    return attributes.get("gamma", 1.05070102214813232421875) * jax.nn.elu(x, alpha)
+
+
+def _gelu(attributes: Attributes, x: Any) -> Any:
+    approximate = attributes.get("approximate", "none")
+    if approximate not in ("none", "tanh"):
+        raise ValueError("an unknown form of Gelu")
+    return jax.nn.gelu(x, approximate=approximate == "tanh")
 
 
 def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -191,30 +225,49 @@ def _elementwise(function: Callable[..., Any]) -> Callable[..., Any]:
 OPERATORS: dict[str, Callable[..., Any]] = {
     "Abs": _simple(jnp.abs),
     "Add": _elementwise(jnp.add),
+    "BatchNormalization": _batch_norm,
     "Cast": _simple(lambda x: x.astype(jnp.float32)),
     "Clip": _clip,
     "Concat": lambda attributes, *inputs: jnp.concatenate(inputs, attributes["axis"]),
     "Div": _elementwise(jnp.divide),
+    "Dropout": lambda attributes, x, *_: x,  # in training mode it is refused before
     "Elu": lambda attributes, x: jax.nn.elu(x, attributes.get("alpha", 1.0)),
+    "Erf": _simple(jax.scipy.special.erf),
     "Exp": _simple(jnp.exp),
     "Flatten": _flatten,
     "Gather": _gather,
+    "Gelu": _gelu,
     "Gemm": _gemm,
+    "Greater": _elementwise(jnp.greater),
+    "GreaterOrEqual": _elementwise(jnp.greater_equal),
+    "HardSigmoid": _hard_sigmoid,
+    "HardSwish": _simple(lambda x: x * jnp.clip(x / 6.0 + 0.5, 0.0, 1.0)),
     "Identity": _simple(lambda x: x),
     "LayerNormalization": _layer_norm,
     "LeakyRelu": lambda attributes, x: jax.nn.leaky_relu(x, attributes.get("alpha", 0.01)),
+    "Less": _elementwise(jnp.less),
+    "LessOrEqual": _elementwise(jnp.less_equal),
+    "Log": _simple(jnp.log),
+    "LogSoftmax": lambda attributes, x: jax.nn.log_softmax(x, attributes.get("axis", -1)),
     "MatMul": _simple(jnp.matmul),
     "Max": _elementwise(jnp.maximum),
     "Min": _elementwise(jnp.minimum),
+    "Mish": _simple(lambda x: x * jnp.tanh(jax.nn.softplus(x))),
     "Mul": _elementwise(jnp.multiply),
     "Neg": _simple(jnp.negative),
-    "ReduceMean": _reduce_mean,
+    "PRelu": _elementwise(lambda x, slope: jnp.where(x < 0.0, slope * x, x)),
+    "Pow": _elementwise(lambda x, power: jnp.power(x, power.astype(jnp.float32))),
+    "Reciprocal": _simple(jnp.reciprocal),
+    "ReduceMean": _reducing(jnp.mean),
+    "ReduceSum": _reducing(jnp.sum),
     "Relu": _simple(jax.nn.relu),
     "Reshape": _reshape,
+    "Selu": _selu,
     "Sigmoid": _simple(jax.nn.sigmoid),
     "Slice": _slice,
     "Softmax": lambda attributes, x: jax.nn.softmax(x, attributes.get("axis", -1)),
     "Softplus": _simple(jax.nn.softplus),
+    "Softsign": _simple(jax.nn.soft_sign),
     "Split": _split,
     "Sqrt": _simple(jnp.sqrt),
     "Squeeze": _simple(jnp.squeeze),
