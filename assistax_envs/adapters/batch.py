@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax_base.errors import shorten
 from assistax_envs.adapters.partners import Partners
 from assistax_envs.env import EnvState, make, select
 from assistax_envs.own_settings import key_of, own_settings
@@ -198,6 +199,23 @@ class HostBatch:
                 "[-1, 1]"
             )
         return copied
+
+
+def checked_seed(seed: Any) -> int | None:
+    """Return the seed of a reset.
+
+    Raises:
+        ValueError: It is not one whole number: simulations have no seeds of their own.
+    """
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if seed is None:
+        return None
+    if whole and seed >= 0:
+        return int(seed)
+    raise ValueError(
+        f"seed is {shorten(seed)}; give one whole number from 0, from which all simulations "
+        "are drawn"
+    )
 
 
 def _draw(rng: np.random.Generator) -> jax.Array:

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch, checked_seed
 from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
@@ -88,7 +88,7 @@ class AssistaxEnv(gymnasium.Env):
 
         With a seed it and those after it are reproducible. `options` are not used.
         """
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self._simulation.reset(self.np_random)
         if callable(restart := getattr(self.partner, "reset", None)):
             restart()
@@ -171,20 +171,20 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         self.action_space = batched(self.single_action_space, num_envs)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every simulation.
 
-        With a seed it and those after it are reproducible. `options` are not used.
+        With a seed, one for all, it and those after it are reproducible. `options` are not used.
 
         Raises:
-            ValueError: Only some simulations are to be reset.
+            ValueError: Only some simulations are to be reset, or each from a seed of its own.
         """
         if options and "reset_mask" in options:
             raise ValueError(
                 "options has a reset_mask, but all simulations begin together; leave it out"
             )
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         return self._host.reset(self.np_random)["robot"], {}
 
     @own_settings()

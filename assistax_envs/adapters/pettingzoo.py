@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, HostBatch, checked_seed
 from assistax_envs.adapters.partners import Idle, Partners
 from assistax_envs.adapters.simulation import INSTALL, Simulation
 from assistax_envs.disability import Disability
@@ -71,7 +71,7 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
 
         With a seed it and those after it are reproducible. `options` are not used.
         """
-        if seed is not None:
+        if checked_seed(seed) is not None:
             self._rng = np.random.default_rng(seed)
         self._simulation.reset(self._rng)
         self.agents = list(self.possible_agents)
@@ -191,7 +191,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Begin an episode in every simulation; `options` are not used."""
-        if seed is not None:
+        if checked_seed(seed) is not None:
             self._rng = np.random.default_rng(seed)
         obs = self._host.reset(self._rng)
         self.agents = list(self.possible_agents)

@@ -11,7 +11,7 @@ import pettingzoo
 import pytest
 
 import assistax_envs
-from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch
+from assistax_envs.adapters.batch import OBSERVATION_BOUND, Batch, checked_seed
 from assistax_envs.adapters.gymnasium import AssistaxVectorEnv
 from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
 from assistax_envs.adapters.partners import Idle, Persons
@@ -93,6 +93,21 @@ def test_gymnasium_is_reproducible_and_finite(vector):
     obs, _ = vector.reset(seed=1)
     obs[:] = np.nan
     assert np.isfinite(vector.step(actions(3))[0]).all()
+
+
+@pytest.mark.parametrize("seed", [[1, 2, 3], [None, 1, 2], -1, True])
+def test_simulations_have_no_seeds_of_their_own(vector, seed: Any):
+    """Gymnasium allows a list, one for each simulation; ours are drawn together."""
+    with pytest.raises(ValueError, match=r"seed is .*; give one whole number from 0, from"):
+        vector.reset(seed=seed)
+
+
+@pytest.mark.parametrize("seed", [[1, 2], (1, 2), np.array([1, 2]), 1.5, -1, True, "a"])
+def test_a_seed_is_one_whole_number(seed: Any):
+    with pytest.raises(ValueError, match=r"seed is .*; give one whole number from 0, from"):
+        checked_seed(seed)
+    for whole in (None, 0, 3, np.uint32(4)):
+        assert checked_seed(whole) == whole
 
 
 def test_gymnasium_takes_its_own_wrappers(vector):

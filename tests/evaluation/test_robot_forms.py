@@ -2,11 +2,15 @@
 
 from typing import Any
 
+import jax.numpy as jnp
+import ml_dtypes
 import numpy as np
 import pytest
 from flax import linen
 
+from evaluation.cast.egos import EgoError, call_ego
 from evaluation.cast.robot_forms import as_robot
+from evaluation.cast.roster import HostEgo
 
 OBS = np.linspace(-1.0, 1.0, 8, dtype=np.float32).reshape(4, 2)
 
@@ -147,3 +151,77 @@ def test_a_user_who_says_how_many_threads_has_them(monkeypatch: pytest.MonkeyPat
         assert robot(OBS)[0, 0] == 2
     finally:
         torch.set_num_threads(before)
+
+
+class Narrow:
+    """As a model of d3rlpy, whose `predict` takes observations alone."""
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        return 2.0 * x
+
+
+class Choosing:
+    def predict(self, obs: np.ndarray, deterministic: bool = False) -> np.ndarray:
+        assert deterministic
+        return 2.0 * obs
+
+
+def bfloat16(obs: np.ndarray) -> Any:
+    return (2.0 * obs).astype(ml_dtypes.bfloat16)
+
+
+def jax_rows(obs: np.ndarray) -> Any:
+    return [jnp.asarray(2.0 * row) for row in obs]
+
+
+@pytest.mark.parametrize(
+    ("robot", "tolerance"),
+    [
+        (Narrow(), 0.0),
+        (Choosing(), 0.0),
+        (lambda obs: tuple(2.0 * obs), 0.0),
+        (lambda obs: [list(row) for row in 2.0 * obs], 0.0),
+        (jax_rows, 0.0),
+        (bfloat16, 1e-2),
+        (lambda obs: list(bfloat16(obs)), 1e-2),
+        (lambda obs: jnp.asarray(2.0 * obs, jnp.bfloat16), 1e-2),
+        (lambda obs: (2.0 * obs).astype(np.float16), 1e-3),
+    ],
+)
+def test_answers_of_many_kinds_are_actions(robot: Any, tolerance: float) -> None:
+    answer = as_robot(robot)(OBS)
+    assert answer.dtype.kind == "f"
+    np.testing.assert_allclose(answer, 2.0 * OBS, rtol=tolerance)
+
+
+def test_small_floats_are_converted_exactly() -> None:
+    answer = as_robot(bfloat16)(OBS)
+    np.testing.assert_array_equal(answer, bfloat16(OBS).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (lambda obs: (obs, None), r"a tuple of 2 parts .*\(ndarray\[4, 2\], NoneType\); expected"),
+        (lambda obs: (obs, {"value": 3}), r"a tuple of 2 parts .*ndarray\[4, 2\], dict\)"),
+        (lambda obs: [[1.0, 2.0], [3.0]], r"a list of 2 parts .*list\[2\], list\[1\]"),
+        (lambda obs: (obs, obs[:, :1]), r"a tuple of 2 parts .*ndarray\[4, 2\], ndarray\[4, 1\]"),
+    ],
+)
+def test_several_things_are_no_actions(robot: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        as_robot(robot)(OBS)
+    ego = HostEgo("m", robot)
+    with pytest.raises(EgoError, match=message) as caught:
+        call_ego(ego, ["a"], 4, 2)(OBS, 0)
+    assert "robot_forms.py" not in str(caught.value)
+
+
+def test_torch_answers_of_many_kinds_are_actions() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
+    weight = torch.full((1,), 2.0, requires_grad=True)
+    for kind in (torch.bfloat16, torch.float16, torch.float64):
+        answer = as_robot(lambda obs, kind=kind: (torch.tensor(obs) * weight).to(kind))(OBS)
+        np.testing.assert_allclose(answer, 2.0 * OBS, rtol=1e-2)
+    rows = as_robot(lambda obs: [torch.tensor(row) * weight for row in obs])(OBS)
+    np.testing.assert_allclose(rows, 2.0 * OBS)
