@@ -135,6 +135,7 @@ def compare_named(
         compared = comparable([results[task, method], results[task, baseline]])
         split = compared.methods[0].summary.split
         pairs[task, method, baseline] = Pair(*compared.records, split.id if split else None)
-        notes += compared.notes
+        notes += [f"{method} less {baseline} on {task}: {note}" for note in compared.about]
+        notes += [note for note in compared.notes if note not in compared.about]
     figures = contrast_figures(file, digest, path.name, pairs, seed=seed)
     return dataclasses.replace(figures, notes=tuple(dict.fromkeys((*figures.notes, *notes))))

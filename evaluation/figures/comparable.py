@@ -127,10 +127,7 @@ def comparable(
     check_starts({m.name: r.returns for m, r in zip(methods, records, strict=True)})
     about = []
     if any(_own_partners(m) - common for m in methods if m.name not in parts):
-        about.append(
-            f"{listing((m.name for m in methods), 3)}: compared on the "
-            f"{counted(len(common), 'partner')} that all of them have in common"
-        )
+        about.append(f"compared on the {counted(len(common), 'partner')} that all have in common")
     about += comparison_notes(met, len(methods))
     if unknown := [method.name for method in methods if method.name not in identities]:
         about.append(
