@@ -33,6 +33,7 @@ class Reach:
     tiles: int
     episodes: int  # of the figure, that were not played
     hidden: float | None  # see `hidden_bias`; None where none of its episodes were played
+    difference: float | None = None  # of the figure, found less kept, in those that were played
 
     @property
     def found(self) -> float:
@@ -56,14 +57,18 @@ def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
     return Headline("self-play mean", summary.self_play.mean, together)
 
 
-def share_of(bias: float | None, value: float) -> float | None:
-    """Return a bias as a share of a figure; None where the bias is unknown or the figure is 0."""
-    return None if bias is None or value == 0 else abs(bias / value)
+def hidden_share(headline: Headline, reach: Reach) -> float | None:
+    """Return what could be hidden as a share of the figure; None where that is unknown, or of 0.
+
+    The figure is the smaller of the folder's and the one found here: a forger raises the first.
+    """
+    least = min(abs(headline.value), abs(headline.value + (reach.difference or 0.0)))
+    return None if reach.hidden is None or least == 0 else reach.hidden / least
 
 
 def verdict_of(headline: Headline, reach: Reach, *, same_bits: bool) -> Verdict:
     """Return the verdict on a folder in which nothing was found that its job does not give."""
     if same_bits:
         return "sampled" if reach.episodes else "same"
-    share = share_of(reach.hidden, headline.value)
+    share = hidden_share(headline, reach)
     return "cannot be told" if share is None or share > MOST_HIDDEN else "within noise"

@@ -105,8 +105,10 @@ def noise_problems(
     return problems
 
 
-def hidden_bias(task: str, played: pl.DataFrame, figure: pl.Expr) -> float | None:
-    """Return the largest bias of the mean return that `noise_problems` lets pass.
+def hidden_bias(
+    task: str, played: pl.DataFrame, figure: pl.Expr, name: str = "return"
+) -> float | None:
+    """Return the largest bias of a column's mean that `noise_problems` lets pass.
 
     It is that of a forger who changed all episodes of the figure alike, those that were not played
     too. None where none of them were played.
@@ -115,12 +117,12 @@ def hidden_bias(task: str, played: pl.DataFrame, figure: pl.Expr) -> float | Non
         task: Whose noise is meant.
         played: Episodes that were played again.
         figure: Which of them the headline figure is the mean of.
+        name: The column.
     """
     rows = _rows_of(played, figure)
     if not rows.size:
         return None
-    scale = read_noise(task)["return"]
-    return float(_largest_mean(scale, _rounding(played, "return")[rows]))
+    return float(_largest_mean(read_noise(task)[name], _rounding(played, name)[rows]))
 
 
 def _largest_mean(scale: dict[str, Any], rounding: np.ndarray) -> float:

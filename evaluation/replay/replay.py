@@ -34,7 +34,7 @@ from evaluation.record.manifest import processor
 from evaluation.record.record import Record
 from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
-from evaluation.replay.headline import Headline, Reach, Verdict, share_of, verdict_of
+from evaluation.replay.headline import Headline, Reach, Verdict, hidden_share, verdict_of
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
 from evaluation.replay.noise import hidden_bias, noise_problems
 from zoo.lock import apply_lock, read_lock
@@ -60,7 +60,8 @@ class ReplayReport:
     value: float = 0.0  # and value, in the folder
     difference: float | None = None  # of it, found less kept, in its episodes that were played
     hidden: float | None = None  # bias of these that would pass; None where none were played
-    hidden_share: float | None = None  # of the value
+    hidden_share: float | None = None  # of the smaller of the value and the one found
+    hidden_flags: Mapping[str, float] = dataclasses.field(default_factory=dict)  # share of episodes
     tiles: int = 0  # of the job, played again
     of_tiles: int = 0
     found: float = 0.0  # chance that one tile which somebody changed is among them
@@ -129,7 +130,7 @@ def replay_folder(
         return report
     rng = np.random.default_rng(seed)
     chosen = [_choose(part.tiles, sample, rng) for part in parts]
-    played = [_play(rebuilt.env, part, tiles) for part, tiles in zip(parts, chosen, strict=True)]
+    played = [_play(rebuilt.env, *row) for row in zip(parts, chosen, strict=True)]
     report = dataclasses.replace(report, tiles=len(chosen[0]))
     return _judge(report, record.manifest, rebuilt, parts, played)
 
@@ -299,13 +300,21 @@ def _with_verdict(
         report.of_tiles,
         whole.filter(headline.rows).height - kept.len(),
         0.0 if same else hidden_bias(task, pair[1], headline.rows),
+        None if kept.is_empty() else float(np.mean((found - kept).to_numpy())),
+    )
+    flags = [name for name in ("success", "violated") if name in whole.columns]
+    biases = (
+        {}
+        if report.exact
+        else {name: hidden_bias(task, pair[1], headline.rows, name) for name in flags}
     )
     return dataclasses.replace(
         report,
         verdict=verdict_of(headline, reach, same_bits=report.exact) if report.ok else "differs",
-        difference=None if kept.is_empty() else float(np.mean((found - kept).to_numpy())),
+        difference=reach.difference,
         hidden=reach.hidden,
-        hidden_share=share_of(reach.hidden, headline.value),
+        hidden_share=hidden_share(headline, reach),
+        hidden_flags={name: bias for name, bias in biases.items() if bias is not None},
         found=reach.found,
     )
 

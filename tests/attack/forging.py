@@ -347,7 +347,9 @@ def elsewhere(forger: Forger) -> None:
     elif kind == 1:
         forger.identity["software"] = {**forger.identity["software"], "jax": "0.4.1"}
     elif kind == 2:
-        forger.identity["engine"] = {**forger.identity["engine"], "version": "0.0.1"}
+        engine = {**forger.identity["engine"], "version": "0.0.1"}
+        forger.identity["engine"] = engine
+        forger.context = dataclasses.replace(forger.context, engine=engine)
     else:
         forger.manifest["made_with"]["versions"]["jaxlib"] = "0.4.1"
 

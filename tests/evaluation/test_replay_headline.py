@@ -13,7 +13,7 @@ from assistax_zoo.shell.main import run
 from evaluation.play.evaluator import MAX_ENVS
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
 from evaluation.record.manifest import file_sha256
-from evaluation.replay.headline import Headline, Reach, verdict_of
+from evaluation.replay.headline import Headline, Reach, hidden_share, verdict_of
 from evaluation.replay.job import tile_envs_of
 from evaluation.replay.received import received_robots
 from evaluation.replay.replay import ReplayReport, differing_rows
@@ -43,6 +43,14 @@ def test_verdict_follows_what_could_be_hidden(
 def test_figure_of_zero_is_never_confirmed_elsewhere() -> None:
     figure = dataclasses.replace(FIGURE, value=0.0)
     assert verdict_of(figure, Reach(1, 1, 0, 0.1), same_bits=False) == "cannot be told"
+
+
+def test_raised_figure_makes_no_smaller_share() -> None:
+    """A forger who raises the figure would else make what is hidden look small."""
+    raised = dataclasses.replace(FIGURE, value=250.0)
+    reach = Reach(1, 1, 0, 12.0, difference=-50.0)
+    assert hidden_share(raised, reach) == pytest.approx(0.06)
+    assert verdict_of(raised, reach, same_bits=False) == "cannot be told"
 
 
 @pytest.mark.parametrize("cut", [1, 7, 512, 32768, 98304])
@@ -114,6 +122,7 @@ REPORT = ReplayReport(
     difference=-180.2,
     hidden=240.0,
     hidden_share=0.243,
+    hidden_flags={"success": 0.071},
     tiles=4,
     of_tiles=9,
     found=4 / 9,
@@ -130,6 +139,7 @@ REPORT = ReplayReport(
             "cannot be told from another processor: up to 240.0 of it, 24.3%, could be hidden",
             "the same",
         ),
+        ({}, 3, "could be hidden, success of 7.1% of episodes", "violated"),
         ({"verdict": "within noise", "hidden": 9.9, "hidden_share": 0.01}, 0, "up to 9.9", "same"),
         ({"difference": None, "hidden": None}, 3, "no episode of M_test was played", "same"),
         ({"verdict": "sampled", "exact": True}, 0, "a chance of 44%", "hidden"),

@@ -127,10 +127,11 @@ def _verdict(report: "ReplayReport") -> str:
     if report.hidden is None or report.difference is None:
         return f"{report.verdict} from another processor: no episode of {report.figure} was played"
     share = "" if report.hidden_share is None else f", {report.hidden_share:.1%},"
+    flags = [f", {name} of {bias:.1%} of episodes" for name, bias in report.hidden_flags.items()]
     told = "within what processors differ by"
     if report.verdict == "cannot be told":
         told = "which cannot be told from another processor"
     return (
         f"{report.figure} is {report.value:.1f} in the folder, {report.difference:+.1f} from it "
-        f"here, {told}: up to {report.hidden:.1f} of it{share} could be hidden"
+        f"here, {told}: up to {report.hidden:.1f} of it{share} could be hidden" + "".join(flags)
     )
