@@ -128,8 +128,7 @@ def replay_folder(
     )
     if report.problems:
         return report
-    rng = np.random.default_rng(seed)
-    chosen = [_choose(part.tiles, sample, rng) for part in parts]
+    chosen = _choose(parts, sample, seed)
     played = [_play(rebuilt.env, *row) for row in zip(parts, chosen, strict=True)]
     report = dataclasses.replace(report, tiles=len(chosen[0]))
     return _judge(report, record.manifest, rebuilt, parts, played)
@@ -225,13 +224,14 @@ def _less_than_same(inner: ReplayReport | None) -> list[str]:
     return [f"best responses, of a cross-play whose verdict is {inner.verdict!r}: {inner.why}"]
 
 
-def _choose(tiles: Sequence[Tile], sample: int, rng: np.random.Generator) -> list[Tile]:
-    """Choose tiles by chance, until there are enough episodes."""
-    chosen: list[Tile] = []
-    for place in rng.permutation(len(tiles)):
-        chosen.append(tiles[place])
-        if sum(tile.rows for tile in chosen) >= sample:
-            break
+def _choose(parts: Sequence[_Part], sample: int, seed: int) -> list[list[Tile]]:
+    """Choose tiles of each job by chance, until there are enough episodes."""
+    rng, chosen = np.random.default_rng(seed), [[] for _ in parts]
+    for part, tiles in zip(parts, chosen, strict=True):
+        for place in rng.permutation(len(part.tiles)):
+            tiles.append(part.tiles[place])
+            if sum(tile.rows for tile in tiles) >= sample:
+                break
     return chosen
 
 
