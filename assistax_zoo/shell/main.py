@@ -84,6 +84,8 @@ AUDIENCES = {
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 error, 2 wrong usage, 130 interrupted.
 
+    `replay` exits with 3 where it can neither confirm nor refute a figure.
+
     An error is one message on standard error; ASSISTAX_ZOO_DEBUG=1 raises it instead, with its
     traceback.
 

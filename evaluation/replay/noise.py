@@ -81,7 +81,7 @@ def noise_problems(
         parts = (
             (table.filter(rows) for table in (kept, played)) for rows in (of_random, ~of_random)
         )
-        return [text for part in parts for text in noise_problems(task, *part)]
+        return [text for old, new in parts for text in noise_problems(task, old, new)]
     noise, problems = read_noise(wild(task) if of_random.all() else task), []
     for name in measured_columns(kept):
         scale = noise.get(name)
