@@ -5,8 +5,9 @@ identity, which has the digests of all parameters. So a part of another job is r
 lies and whatever it is called. A damaged part is simulated again.
 """
 
+import contextlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import polars as pl
 
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
-from assistax_base.errors import counted, printable, shorten
+from assistax_base.errors import counted, printable
 from assistax_base.files import METADATA_KEY
 from assistax_base.parquet import check_readable, read_metadata
 from evaluation.play.tiles import Chunk
@@ -86,13 +87,13 @@ def merge_parts(paths: Sequence[Path]) -> tuple[pl.DataFrame, dict[str, Any]]:
 
     Parts of several machines have the list of them as `machines`.
     """
-    made = [_about(path).get("made_with") for path in paths]
+    made: list[Any] = [_about(path).get("made_with") for path in paths]
     machines = [machine for place, machine in enumerate(made) if machine not in made[:place]]
     table = pl.concat([tables.read_parquet(path) for path in paths])
     return table, machines[0] if len(machines) == 1 else {"machines": machines}
 
 
-def _names(folder: Path, pattern: str) -> Iterable[Path]:
+def _names(folder: Path, pattern: str) -> Iterator[Path]:
     return iter(sorted((folder / PARTS_FOLDER).glob(pattern)))
 
 
@@ -109,15 +110,14 @@ def _whole(paths: Iterable[Path]) -> list[Path]:
 
 def _about(path: Path) -> Mapping[str, Any]:
     """Return what a part says of itself; nothing where it says nothing."""
-    try:
+    about: Any = None
+    with contextlib.suppress(ValueError, RecursionError):
         about = parse_json(read_metadata(path).get(METADATA_KEY, "{}"))
-    except (ValueError, RecursionError):
-        about = None
     return about if isinstance(about, dict) else {}
 
 
 def _refusal(paths: Sequence[Path], key: Any, job: str) -> str:
-    of = f"of the job {printable(shorten(str(key)))[:12]}" if key else "without a job's key"
+    of = f"of the job {printable(str(key)[:12])}" if key else "without a job's key"
     return (
         f"{counted(len(paths), 'part')} {of}, this job is {job[:12]}, first {paths[0]}: other "
         "policies, settings or versions played them; move them into a folder of their own job, or "

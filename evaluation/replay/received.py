@@ -13,7 +13,7 @@ from typing import Any
 from assistax_base.errors import shorten
 from evaluation.cast.egos import read_egos
 from evaluation.cast.robot_names import parse_reference
-from evaluation.cast.roster import Roster
+from evaluation.cast.roster import HostEgo, Roster
 from evaluation.record.manifest import received_sha256
 from zoo.registry import Registry
 
@@ -112,10 +112,12 @@ def _renamed(robots: Roster, names: Mapping[str, str]) -> Roster:
     def name_of(old: str) -> str:
         return names.get(old, old)
 
-    stacks = []
-    for stack in robots.stacks:
-        ids = {"ids": tuple(map(name_of, stack.ids))} if hasattr(stack, "spec") else {}
-        stacks.append(dataclasses.replace(stack, **(ids or {"id": name_of(stack.id)})))
+    stacks = [
+        dataclasses.replace(stack, id=name_of(stack.id))
+        if isinstance(stack, HostEgo)
+        else dataclasses.replace(stack, ids=tuple(map(name_of, stack.ids)))
+        for stack in robots.stacks
+    ]
     members = {
         name_of(old): dataclasses.replace(member, id=name_of(old))
         for old, member in robots.members.items()

@@ -8,7 +8,7 @@ import csv
 import io
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -358,7 +358,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Home]:
 
 
 @contextlib.contextmanager
-def prepared(folder: Path) -> Iterator[Home]:
+def prepared(folder: Path) -> Generator[Home]:
     """Lend a home whose commands play a toy environment and keep what they keep in it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)

@@ -30,6 +30,7 @@ from evaluation.report.page import templates
 from tests.board.browser import browsing
 from tests.evaluation.episode_tables import CONTEXT, clustered_matrix, episode_table, team_id, teams
 from tests.system import CHROMIUM, needs
+from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
 HOSTILE = "python:my</script><script>alert(1)</script>&amp;:f"
@@ -123,18 +124,12 @@ def test_a_report_plays_episodes_that_it_is_given(
         assert loads_from_elsewhere(text) == []
 
 
-def test_the_pair_that_earns_least_is_chosen_with_its_first_episode(
-    crossplay: Path, tmp_path: Path
-):
-    pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE).sort("return")
-    pair = worst_pair(crossplay)
-    assert (pair["robot"], pair["human"]) == pairs.select("ego", "partner").row(0)
-    assert (pair["task"], pair["seed"], pair["preference"]) == ("scratch", 5, None)
+def test_a_pair_without_named_episodes_is_refused(crossplay: Path, tmp_path: Path):
     folder = Path(shutil.copytree(crossplay, tmp_path / "xp"))
     write_manifest(folder, {"identity": {**IDENTITY, "apart": False}})
     seal(folder)
     with pytest.raises(ValueError, match="does not name the episodes that it played"):
-        worst_pair(folder)
+        worst_pair(folder, load_registry())
 
 
 def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
