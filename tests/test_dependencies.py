@@ -1,6 +1,7 @@
 """The core declares what it imports, and asks little of those who take partners and evaluate."""
 
 import ast
+import itertools
 import re
 import sys
 import tomllib
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("assistax_base", "assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
@@ -102,3 +104,18 @@ def test_every_core_dependency_is_imported() -> None:
             names = {module.partition(".")[0] for module, _ in imports(ast.parse(path.read_text()))}
             used |= {NAMES.get(name, name.replace("_", "-")) for name in names}
     assert CORE - used == {"mujoco-mjx"}  # imported as mujoco.mjx
+
+
+def test_the_lock_keeps_every_bound() -> None:
+    lock = (ROOT / "requirements.lock").read_text()
+    locked = dict(re.findall(r"^([\w-]+)==([\w.]+)", lock, re.MULTILINE))
+    bounds: list[Requirement] = []
+    for folder in ("", "workshop", "board"):
+        project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
+        extras = project.get("optional-dependencies", {}).values()
+        bounds += map(
+            Requirement, (*project["dependencies"], *(text for e in extras for text in e))
+        )
+    kept = {bound.name: bound for bound in bounds if bound.name in locked}
+    assert {"filelock", "fastapi", "uvicorn", "optax"} <= kept.keys()
+    assert [str(b) for b in bounds if b.name in locked and locked[b.name] not in b.specifier] == []
