@@ -1,10 +1,13 @@
 """Compares what this installation declares that it needs with what is installed."""
 
+import contextlib
 import dataclasses
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+
+from assistax_zoo.shell.installed import ELSEWHERE
 
 NAME = "assistax-zoo"
 
@@ -49,17 +52,22 @@ def extras() -> list[str]:
 
 
 def missing_of(extra: str) -> list[Missing]:
-    """Return what an extra needs and is not there; "" is what is always needed.
+    """Return what an extra needs and is not there, or is not in a version that does.
+
+    "" is what is always needed, by the workshop and the board too where they are installed.
 
     Raises:
         ValueError: This is a checkout that is not installed, and nothing says what it needs.
     """
     try:
-        needs = requires(NAME) or ()
+        needs = [*(requires(NAME) or ())]
     except PackageNotFoundError:
         raise ValueError(f"{NAME} is not installed; install it with: pip install -e .") from None
+    for other in () if extra else ELSEWHERE:
+        with contextlib.suppress(PackageNotFoundError):
+            needs += requires(other) or ()
     missing = []
-    for text in needs:
+    for text in dict.fromkeys(needs):
         requirement = Requirement(text)
         always = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
         needed = always if not extra else _only_with(requirement, extra)

@@ -97,6 +97,7 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(
     package = re.match(r"[\w-]+", PROJECT["optional-dependencies"][name][-1])
     assert package is not None
     version_of = requirements.version_of
+    monkeypatch.setattr(requirements, "ELSEWHERE", ())  # the board always needs some of them
     monkeypatch.setattr(
         requirements,
         "version_of",
@@ -129,6 +130,17 @@ def test_a_package_that_is_too_old_is_broken(
     assert broken[0] == "mujoco-mjx 3.16.0; install it with: pip install 'mujoco-mjx>=3.17'"
     assert broken[1] == "polars 1.0.0; install it with: pip install 'polars>=2'"
     assert broken[2].endswith("mujoco-mjx 3.16.0 must be of the same minor release")
+
+
+def test_an_old_package_of_the_board_is_broken(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    version_of = requirements.version_of
+    monkeypatch.setattr(
+        requirements, "version_of", lambda name: {"uvicorn": "0.1"}.get(name) or version_of(name)
+    )
+    texts = [finding["text"] for finding in examined(capsys, 1)["packages"]]
+    assert texts[0].startswith("uvicorn 0.1; install it with: pip install 'uvicorn>=")
 
 
 def test_a_checkout_that_is_not_installed_is_named(
