@@ -67,7 +67,8 @@ class Comparable:
     methods: tuple[Evaluated, ...]
     records: tuple[Record, ...]  # of the methods, with the common partners alone
     met: MetSummary  # of all methods: no record has a partner that a robot of one of them met
-    about: tuple[str, ...]  # which partners these are, and what is not known of the folders
+    # Which partners these are where a method's own figures are of others, and what is not known.
+    about: tuple[str, ...]
     notes: tuple[str, ...]  # that, and what else a reader has to know
 
 
@@ -125,16 +126,16 @@ def comparable(
             "every common partner was trained with a robot of one of the methods; choose others"
         )
     check_starts({m.name: r.returns for m, r in zip(methods, records, strict=True)})
-    about = []
+    about, whom = [], comparison_notes(met, len(methods))
     if any(_own_partners(m) - common for m in methods if m.name not in parts):
-        about.append(f"compared on the {counted(len(common), 'partner')} that all have in common")
-    about += comparison_notes(met, len(methods))
+        remaining = counted(len(common), "partner")
+        about = [f"compared on the {remaining} that all have in common", *whom]
     if unknown := [method.name for method in methods if method.name not in identities]:
         about.append(
             f"no manifest says how {listing(unknown)} played: whether actions were drawn, and with "
             "which parameters of the partners, is not checked"
         )
-    notes = [*about, *(note for method in methods for note in unchecked(method.record.folder))]
+    notes = [*about, *whom, *(note for m in methods for note in unchecked(m.record.folder))]
     notes += software_notes({m.name: _made_with(m, identities.get(m.name)) for m in methods})
     return Comparable(tuple(methods), records, met, tuple(about), tuple(dict.fromkeys(notes)))
 
