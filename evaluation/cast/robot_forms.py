@@ -96,11 +96,11 @@ def as_robot(robot: Any) -> Robot:
     made_of = robot
     if _method(robot, "predict"):
         robot = _Predicting(robot)
-    act = robot
+    act: Any = robot
     if is_torch_module(robot):
         act = _torch(robot)
     elif is_module(robot):
-        act = functools.partial(robot, **_evaluation_arguments(robot))
+        act = functools.partial(act, **_evaluation_arguments(robot))
     act = _method(robot, "act") or act
     if not callable(act) or hasattr(robot, "unbind"):
         raise TypeError(f"{type(robot).__name__} is not a robot; expected {FORMS}")

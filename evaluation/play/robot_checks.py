@@ -18,7 +18,6 @@ from evaluation.cast.onnx_robots.program import OnnxProgram
 from evaluation.cast.policy_process import PolicyError
 from evaluation.cast.roster import HostEgo, Roster
 from evaluation.record.manifest import file_sha256, read_manifest, write_manifest
-from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, flatten
 from population.networks.tensors import row_sha256
@@ -62,6 +61,8 @@ def _network(stack: PolicyStack, row: int) -> list[Any]:
 
 def _exported(spec: PolicySpec, params: Mapping[str, Any]) -> list[Any]:
     """Return what the export of a network is made of, as ONNX files are read."""
+    from population.networks.onnx_export import to_onnx  # loads Flax
+
     try:
         program, weights = read_program(to_onnx(spec, params))
     except ValueError:  # no file could be of it

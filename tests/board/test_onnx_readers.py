@@ -1,5 +1,6 @@
 """One reader of ONNX files: at home and at a board a file is the same robot, or is refused."""
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,5 @@ def session(data: bytes) -> Any:
 
 
 def onnxruntime_errors() -> tuple[type[Exception], ...]:
-    from onnxruntime.capi import onnxruntime_pybind11_state as state
-
-    errors: Any = (state.Fail, state.InvalidGraph, state.NotImplemented, state.InvalidArgument)
-    return errors
+    state: Any = importlib.import_module("onnxruntime.capi.onnxruntime_pybind11_state")
+    return state.Fail, state.InvalidGraph, state.NotImplemented, state.InvalidArgument

@@ -136,7 +136,7 @@ def test_a_probe_leaves_a_network_as_it_was() -> None:
 
 
 def test_a_network_comes_back_from_a_job(tmp_path: Any) -> None:
-    dropout = nnx.Dropout(0.5, rngs=nnx.Rngs(0))
+    dropout: Any = nnx.Dropout(0.5, rngs=nnx.Rngs(0))
 
     def act(obs: np.ndarray) -> Any:
         modes.append(dropout.deterministic)
