@@ -50,7 +50,8 @@ def _parts(robot: Any) -> list[Any]:
         part = queue.popleft()
         if id(part) not in found:
             found[id(part)] = part
-            queue.extend(_inside(part))
+            with contextlib.suppress(Exception):  # some objects are not what they seem
+                queue.extend(_inside(part))
     return list(found.values())
 
 
@@ -90,10 +91,18 @@ Restoring = Iterable[Callable[[], Any]]
 
 
 def _keep_chance(parts: list[Any]) -> Restoring:
-    """Keep the state of the generators that all code of a process shares."""
+    """Keep the state of generators: those that all code of a process shares, and the robot's."""
     torch: Any = sys.modules.get("torch")
     yield functools.partial(random.setstate, random.getstate())
     yield functools.partial(np.random.set_state, np.random.get_state())
+    for part in parts:
+        if isinstance(part, np.random.Generator):
+            bits = part.bit_generator
+            yield functools.partial(setattr, bits, "state", bits.state)
+        elif isinstance(part, random.Random):
+            yield functools.partial(part.setstate, part.getstate())
+        elif isinstance(part, np.random.RandomState):
+            yield functools.partial(part.set_state, part.get_state())
     if torch is not None:
         yield functools.partial(torch.set_rng_state, torch.get_rng_state())
         if torch.cuda.is_available() and torch.cuda.is_initialized():

@@ -112,6 +112,23 @@ def test_shared_chance_comes_back_and_goes_on_within_a_play(
     assert [len(one) for one in restored] == [len(before)]
 
 
+def test_generators_of_a_robot_come_back() -> None:
+    class Drawing:
+        def __init__(self) -> None:
+            self.new, self.old = np.random.default_rng(0), np.random.RandomState(0)
+            self.plain = random.Random(0)
+
+        def act(self, obs: np.ndarray) -> np.ndarray:
+            return self.new.normal(size=(len(obs), 7)) + self.old.normal() + self.plain.random()
+
+    net = Drawing()
+    robot = as_robot(net)
+    with robot.playing():
+        first, second = robot(OBS), robot(OBS)
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(net.act(OBS), first)
+
+
 def test_a_play_that_fails_gives_all_back() -> None:
     net = FlaxNet(nnx.Rngs(0))
     before = flax_state(net)
