@@ -17,6 +17,7 @@ from assistax_envs.physics.fused.expressions import Block
 from assistax_envs.physics.fused.forces import joint_forces
 from assistax_envs.physics.fused.program import derive
 from assistax_envs.physics.fused.tree import read_tree
+from evaluation.plots.style import own_style
 
 PATH = Path(__file__).parents[1] / "docs/images/engine.png"
 ROBOT, HUMAN, EMPTY = "#3b6ea5", "#c8743c", "#f2f2f2"
@@ -77,10 +78,16 @@ def draw_statements(axes, model) -> None:
     axes.set_xticks([])
 
 
-if __name__ == "__main__":
+@own_style()
+def main() -> None:
+    """Draw the picture."""
     scratch = build_model("scratch")
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
     draw_matrix(left, scratch)
     draw_statements(right, scratch)
     figure.savefig(PATH, dpi=150)
     print(PATH)
+
+
+if __name__ == "__main__":
+    main()

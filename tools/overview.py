@@ -14,6 +14,7 @@ import polars as pl
 from PIL import Image
 
 from assistax_base.parquet import read_parquet
+from evaluation.plots.style import own_style
 from zoo.registry import load_registry
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -66,6 +67,7 @@ def draw_returns(axes, returns: dict[str, float]) -> None:
     axes.set_title("3  New robots meet the test humans", loc="left", fontsize=11)
 
 
+@own_style()
 def main() -> Path:
     """Draw the picture and return where it is."""
     split = load_registry().split("gentle_scratch")

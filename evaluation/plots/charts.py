@@ -23,6 +23,7 @@ _LEFT, _NARROWEST = 0.75, 1.2  # inches: left of axes, and their least width
 References = Mapping[str, Mapping[int, float]]  # name -> place of a method -> height of its line
 
 
+@style.own_style()
 def zsc_dots(
     summaries: Summaries,
     lines: Mapping[str, float] = types.MappingProxyType({}),
@@ -104,6 +105,7 @@ def _references(summaries: Summaries, lines: Mapping[str, float]) -> References:
     return {textwrap.fill(f"{name} {spans[name]}", 16): means[name] for name in means}
 
 
+@style.own_style()
 def trait_points(
     summaries: Summaries, trait: str = "disability", *, width: float | None = None, note: str = ""
 ) -> Figure:
@@ -136,6 +138,7 @@ def trait_points(
     return figure
 
 
+@style.own_style()
 def performance_profile(
     profiles: Mapping[str, pl.DataFrame], *, task: str, caption: str, width: float | None = None
 ) -> Figure:
@@ -171,6 +174,7 @@ def _label_falls(
         axes.annotate(style.spelled(name), (place, share), (7.0, 0.0), **offset, **font)
 
 
+@style.own_style()
 def learning_curves(
     curves: pl.DataFrame, *, title: str, caption: str, width: float | None = None
 ) -> Figure:
@@ -196,6 +200,7 @@ def learning_curves(
     return figure
 
 
+@style.own_style()
 def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -> Figure:
     """Draw environment steps per second against the batch size, both axes logarithmic.
 

@@ -62,6 +62,7 @@ class _Layout:
     size: tuple[float, float]  # of all, width and height, without the caption
 
 
+@style.own_style()
 def crossplay_heatmap(
     matrix: Matrix, summary: Mapping[str, Any], *, width: float | None = None
 ) -> Figure:

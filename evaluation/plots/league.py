@@ -9,6 +9,7 @@ from evaluation.figures.league import FIRST, LAST
 from evaluation.plots import style
 
 
+@style.own_style()
 def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
     """Draw the mean of each row with its 95% interval, the first row on top, a panel for each task.
 

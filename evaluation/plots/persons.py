@@ -25,6 +25,7 @@ def described_panels(summary: Mapping[str, Any]) -> Figure:
     return person_panels(summary, caption=caption)
 
 
+@style.own_style()
 def person_panels(summary: Mapping[str, Any], *, caption: str) -> Figure:
     """Draw what `evaluation.figures.by_parameter.summarise_parameters` returns.
 

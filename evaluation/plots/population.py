@@ -13,6 +13,7 @@ _LEFT, _HEAD, _GAP, _FOOT = 0.75, 0.35, 0.75, 0.4  # the gap holds a task's name
 _ACROSS = 3  # tasks side by side
 
 
+@style.own_style()
 def population_grid(teams: pl.DataFrame, *, caption: str, width: float | None = None) -> Figure:
     """Draw the number of partners by task, algorithm and disability setting (paper, Figure 2).
 

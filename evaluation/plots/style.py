@@ -1,12 +1,14 @@
 """What all figures share: colours, and writing files without pyplot's global state."""
 
+import contextlib
 import io
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.style
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
@@ -26,6 +28,7 @@ _UNDATED: dict[str, dict[str, Any]] = {
     ".svg": {"Date": None, "Creator": None},
 }
 _TEXT_STAYS_TEXT = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "assistax-zoo"}
+_SETTINGS: list[Any] = ["default", _TEXT_STAYS_TEXT]  # all of Matplotlib's
 WIDEST = 40.0  # inches of a figure
 INK = "#222222"
 MUTED = "#555555"
@@ -60,10 +63,23 @@ _DISABILITY = {
 }
 
 
+@contextlib.contextmanager
+def own_style() -> Generator[None]:
+    """Draw what is inside, or a decorated function, under our settings of Matplotlib alone.
+
+    Whatever a matplotlibrc or the user's process says, equal figures give equal bytes. The user's
+    settings are back afterwards.
+    """
+    with matplotlib.style.context(_SETTINGS):
+        yield
+
+
 def titled_figure(
     title: str, caption: str, width: float, height: float, *, drop: float = 0.14, size: float = 12
 ) -> Figure:
     """Return a white figure with a title at its head and a caption, broken into lines, at its foot.
+
+    For functions that draw in `own_style`.
 
     Args:
         title: Written `drop` inches below the upper edge, in letters of `size` points.
@@ -164,6 +180,7 @@ def check_path(path: Path) -> None:
         )
 
 
+@own_style()
 def save_figure(figure: Figure, path: Path, dpi: int = 200, *, bare: bool = False) -> Figure:
     """Write a figure as PNG, PDF or SVG, by its ending, whole or not at all.
 
@@ -186,16 +203,15 @@ def _without_head_and_foot(figure: Figure) -> Bbox:
     )
 
 
+@own_style()
 def figure_bytes(figure: Figure, ending: str, dpi: int, part: Bbox | None = None) -> bytes:
     """Return a figure, or a part of it in inches, as a file of one of `FORMATS`.
 
     Equal figures give equal bytes. Text stays text, also in SVG.
     """
     content = io.BytesIO()
-    fixed: dict[Any, Any] = dict(_TEXT_STAYS_TEXT)
     how: dict[str, Any] = {"metadata": _UNDATED[ending], "format": ending[1:], "bbox_inches": part}
-    with matplotlib.rc_context(fixed):
-        figure.savefig(content, dpi=dpi, **how)
+    figure.savefig(content, dpi=dpi, **how)
     return content.getvalue()
 
 

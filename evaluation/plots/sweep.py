@@ -15,6 +15,7 @@ _SIDE, _LEAST, _COLUMNS = 2.6, 1.8, 3  # inches of a panel, its least width; pan
 _DECADES = 1.5  # values that span more than this many powers of ten are drawn on a logarithmic axis
 
 
+@style.own_style()
 def sweep_panels(
     results: pl.DataFrame, *, title: str, caption: str, width: float | None = None
 ) -> Figure:

@@ -14,6 +14,7 @@ from evaluation.plots.league import panels_of
 FAILED = 0.25  # of the best row's return with a partner: below it a row fails with the partner
 
 
+@style.own_style()
 def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figure:
     """Draw the IQM over seeds with the validation side against steps, and its 95% band.
 
@@ -63,6 +64,7 @@ def failures(by_partner: pl.DataFrame) -> pl.DataFrame:
     return joined.with_columns(share.alias("share"), (share < FAILED).alias("fails"))
 
 
+@style.own_style()
 def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
     """Draw who fails with whom: rows by partners, that of the lowest mean share on the left.
 

@@ -17,6 +17,7 @@ _WIDTH, _HEIGHT, _GAP = (
 _LEFT, _TOP, _BOTTOM = 0.65, 0.65, 0.81
 
 
+@style.own_style()
 def training_panels(
     curves: pl.DataFrame, bounds: Mapping[str, Mapping[str, float]], *, caption: str
 ) -> Figure:

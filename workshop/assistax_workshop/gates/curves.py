@@ -25,6 +25,7 @@ WIDTH, ROW = 9.0, 2.1  # inches: letters are read in the 700 pixels of a page
 LINES = dict(zip(ALGORITHMS, ("-", "--", ":", "-."), strict=True))  # told apart in grey too
 
 
+@style.own_style()
 def draw_curves(curves: Path, out: Path) -> None:
     """Draw return, success, violations and the cost of force against steps, by task.
 
