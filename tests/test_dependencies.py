@@ -112,10 +112,8 @@ def test_the_lock_keeps_every_bound() -> None:
     bounds: list[Requirement] = []
     for folder in ("", "workshop", "board"):
         project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
-        extras = project.get("optional-dependencies", {}).values()
-        bounds += map(
-            Requirement, (*project["dependencies"], *(text for e in extras for text in e))
-        )
+        texts = [project["dependencies"], *project.get("optional-dependencies", {}).values()]
+        bounds += map(Requirement, itertools.chain(*texts))
     kept = {bound.name: bound for bound in bounds if bound.name in locked}
     assert {"filelock", "fastapi", "uvicorn", "optax"} <= kept.keys()
     assert [str(b) for b in bounds if b.name in locked and locked[b.name] not in b.specifier] == []

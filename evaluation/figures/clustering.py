@@ -131,16 +131,33 @@ def conventions(matrix: np.ndarray) -> np.ndarray:
     1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
     because one episode in which somebody is pressed for 20 s outweighs all others of a human.
 
+    One who ranks them as everybody does is like those who do so too, and uncorrelated with others.
+
     Better is the greater median return of robots with humans of their own group.
 
     Args:
         matrix: Mean returns [T, T] of robots with humans, by team.
+
+    Raises:
+        ValueError: A return is not finite, or the humans form no two groups, as where all of them
+            rank the robots alike.
     """
     from scipy import stats  # half a second, hence not at every start
 
+    if not np.isfinite(matrix).all():
+        raise ValueError("the cross-play has returns that are not finite; run it again")
     ranks = stats.rankdata(matrix, axis=0)
-    apart = distance.pdist((ranks - ranks.mean(axis=1, keepdims=True)).T, "correlation")
+    own = (ranks - ranks.mean(axis=1, keepdims=True)).T
+    usual = ~own.any(axis=1)  # who ranks the robots as everybody does
+    apart = distance.pdist(own, "correlation")
+    unlike = distance.squareform(usual[:, None] != usual, checks=False)
+    apart = np.where(np.isnan(apart), unlike, apart)  # of theirs there is no correlation
     first = hierarchy.fcluster(hierarchy.average(apart), 2, "maxclust") == 1
+    if first.all():
+        raise ValueError(
+            f"the {len(first)} humans form no two groups: they rank the robots alike, or each in a "
+            "way of its own; make the split without convention groups, or play other teams"
+        )
     within = [np.median(matrix[np.ix_(group, group)]) for group in (first, ~first)]
     return first if within[0] > within[1] else ~first
 
@@ -149,7 +166,8 @@ def convention_groups(pairs: pl.DataFrame) -> dict[str, str]:
     """Return the convention group, "a" or "b", of each team of a cross-play's table of pairs.
 
     Raises:
-        ValueError: It is no cross-play of teams, each with its robot and its human.
+        ValueError: It is no cross-play of teams, each with its robot and its human, or its humans
+            form no two groups.
     """
     played = pairs.filter(pl.col("ego_team").is_in(pairs["partner_team"].drop_nulls().to_list()))
     wide = played.pivot("partner_team", index="ego_team", values="return").sort("ego_team")

@@ -129,3 +129,35 @@ def test_convention_groups_are_those_in_which_the_same_robots_suit() -> None:
     assert [groups[name] for name in names] == ["a", "b"] * 3
     with pytest.raises(ValueError, match="convention groups need every robot"):
         convention_groups(pairs[1:])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.ones((3, 3)), "form no two groups"),
+        (np.outer([1.0, 2.0, 3.0], np.ones(3)), "form no two groups"),
+        (np.outer([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 5.0, 9.0]), "form no two groups"),
+        (np.full((4, 4), np.nan), "returns that are not finite"),
+        (np.diag([np.inf, 1.0, 2.0]), "returns that are not finite"),
+    ],
+    ids=["one return", "a column for all", "one order", "nan", "infinity"],
+)
+def test_humans_without_groups_are_refused(matrix: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        clustering.conventions(matrix)
+
+
+def test_a_usual_human_joins_the_nearer_group() -> None:
+    """The last human ranks all robots as everybody does on average: it has no correlation."""
+    matrix = np.array([[9.0, 9, 1, 1, 5], [8, 8, 2, 2, 4], [2, 2, 8, 8, 4], [1, 1, 9, 9, 5]])
+    matrix = np.vstack([matrix, [5.0, 5, 5, 5, 5]])
+    groups = clustering.conventions(matrix)
+    assert groups[0] == groups[1] != groups[2] == groups[3]
+
+
+def test_the_same_robot_twice_changes_nothing() -> None:
+    matrix = clustered_matrix(6, 2)
+    twice = matrix[np.ix_([*range(6), 5], [*range(6), 5])]
+    assert clustering.conventions(twice)[:6].tolist() == clustering.conventions(matrix).tolist()
+    clusters = clustering.cluster_teams(twice)
+    assert clusters.labels[5] == clusters.labels[6]
