@@ -135,6 +135,7 @@ def comparable(
             f"no manifest says how {listing(unknown)} played: whether actions were drawn, and with "
             "which parameters of the partners, is not checked"
         )
+    about += _series_notes(identities)
     notes = [*about, *whom, *(note for m in methods for note in unchecked(m.record.folder))]
     notes += software_notes({m.name: _made_with(m, identities.get(m.name)) for m in methods})
     return Comparable(tuple(methods), records, met, tuple(about), tuple(dict.fromkeys(notes)))
@@ -243,9 +244,20 @@ def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, d
         if (identity := read_identity(method.record.folder)) is not None:
             identities[method.name] = _untold(identity) if told else identity
     check_alike(described, advice=ADVICE)
-    check_alike({name: conditions(job) for name, job in identities.items()}, advice=ADVICE)
+    # With and without series the same episodes are played: what a memory is worth.
+    how = {name: {**conditions(job), "series": 1} for name, job in identities.items()}
+    check_alike(how, advice=ADVICE)
     check_members(identities, "partners", advice=ADVICE)
     return identities
+
+
+def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Say which methods remembered a partner for how many episodes, where that differs."""
+    lengths = {name: job.get("series", 1) for name, job in identities.items()}
+    if len(set(lengths.values())) < 2:
+        return []
+    listed = ", ".join(f"{length} in {name}" for name, length in lengths.items())
+    return [f"episodes in which a robot remembers its partner: {listed}"]
 
 
 def _untold(about: dict[str, Any]) -> dict[str, Any]:

@@ -179,7 +179,6 @@ OTHER: dict[str, tuple[dict[str, Any], str]] = {
     "preferences": ({"preferences": ["p9"]}, r'preferences is \["p1"\] in .*a and \["p9"\] in'),
     "no preferences": ({"preferences": None}, r'preferences is \["p1"\] in .*a and none in'),
     "wishes of a side": ({"side_preferences": {"test": ["p1"]}}, "side_preferences is none in"),
-    "series": ({"series": 3}, "series is none in .*a and 3 in .*b"),
     "drawn actions": ({"stochastic": True}, "stochastic is false in .*a and true in .*b"),
     "seed": ({"seed": 1}, "seed is 0 in .*a and 1 in .*b"),
     "evaluator": ({"evaluator_version": 5}, "evaluator_version is none in .*a and 5 in .*b"),
@@ -236,6 +235,16 @@ def test_a_folder_without_a_manifest_is_told(reader: str, tmp_path: Path) -> Non
     found = READERS[reader](tmp_path)
     notes = found.about if reader == "figures" else found.notes
     assert any(re.search(r"no manifest says how (\S*/)?b played: ", note) for note in notes)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_series_beside_single_episodes_are_told(reader: str, tmp_path: Path) -> None:
+    """Both play the same episodes: the difference is what a memory is worth."""
+    method(tmp_path / "a", identity={"series": 3})
+    method(tmp_path / "b", identity={})
+    found = READERS[reader](tmp_path)
+    notes = found.about if reader == "figures" else found.notes
+    assert any("remembers its partner: 3 in" in note for note in notes)
 
 
 def test_other_software_and_processors_are_notes(tmp_path: Path) -> None:
