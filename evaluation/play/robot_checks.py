@@ -78,7 +78,7 @@ def check_files(egos: Roster) -> dict[str, dict[str, str]]:
     """
     loaded: dict[str, dict[str, str]] = {}
     for ego in egos.hosts:
-        known = dict(egos.members[ego.id].files)
+        known = {path.resolve(): sha256 for path, sha256 in egos.members[ego.id].files}
         try:
             now = ego.loaded()
         except PolicyError as error:

@@ -64,6 +64,18 @@ def test_a_helper_that_is_loaded_late_is_not_reused_changed(folder: Path) -> Non
     assert play("python:mine.py:make", folder / "new") != first
 
 
+def test_a_declared_helper_is_of_the_digest(folder: Path) -> None:
+    (folder / "sub").mkdir()
+    code = (LAZY % 2).replace("DEPENDS = []", "DEPENDS = ['sub/../helper.py']")
+    (folder / "mine.py").write_text(code)
+    (folder / "helper.py").write_text("GAIN = -0.5\n")
+    play("python:mine.py:make", folder / "out")
+    assert "robots" not in (read_manifest(folder / "out") or {})
+    (folder / "helper.py").write_text("GAIN = 0.5\n")
+    with pytest.raises(ValueError, match="holds another job"):
+        play("python:mine.py:make", folder / "out")
+
+
 def test_parts_of_a_helper_that_changed_are_not_joined(folder: Path) -> None:
     (folder / "mine.py").write_text(LAZY % 2)
     (folder / "helper.py").write_text("GAIN = -0.5\n")
