@@ -43,6 +43,16 @@ def open_context(width: int, height: int) -> tuple[str, Any]:
     )
 
 
+def told_choice(message: str) -> str:
+    """Return MuJoCo's words about MUJOCO_GL with what to do; other messages as they are."""
+    if CHOICE not in message:
+        return message
+    return (
+        f"{CHOICE} is {os.environ.get(CHOICE)!r}, which MuJoCo does not know; set it to "
+        f"{' or '.join(PLATFORMS)}, or unset it"
+    )
+
+
 @contextlib.contextmanager
 def functions_from(platform: str) -> Generator[None]:
     """Let MuJoCo's C code load OpenGL's functions from the platform that the environment names."""

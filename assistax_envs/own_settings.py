@@ -8,7 +8,7 @@ back afterwards. JAX keeps them for each thread, so a thread enters them for its
 import contextlib
 import os
 from collections.abc import Generator
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -87,7 +87,7 @@ def check_settings() -> None:
         ValueError: Names it.
     """
     for name, value in _changed(OURS).items():
-        if not hasattr(jax, _switch(name)):
+        if fate(name) == "refused":
             raise ValueError(
                 f"JAX's {name} is {value!r} in this process, and episodes need {OURS[name][0]!r}; "
                 f"set it back with jax.config.update, or unset {name.upper()}"
@@ -134,6 +134,32 @@ def check_generator(keys: jax.Array) -> None:
             f"the keys are of the generator {found}, and episodes need {GENERATOR}; make them with "
             f"jax.random.key(seed, impl={GENERATOR!r})"
         )
+
+
+def fate(name: str) -> Literal["replaced", "refused", "kept"]:
+    """Return what becomes of a found setting where our programs run."""
+    if name not in OURS:
+        return "kept"
+    return "replaced" if hasattr(jax, _switch(name)) else "refused"
+
+
+def check_platforms() -> None:
+    """Refuse devices that JAX was told to use and that are not here.
+
+    Raises:
+        ValueError: Names JAX_PLATFORMS, and what to do.
+    """
+    platforms = jax.config.values["jax_platforms"]
+    if platforms in (None, "", "cpu"):
+        return
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # without a GPU "cuda" fails an assertion
+        reason = str(error).partition("\n")[0].partition(" (set JAX_PLATFORMS")[0]
+        raise ValueError(
+            f"JAX has no device of JAX_PLATFORMS={platforms}{f' ({reason})' if reason else ''}; "
+            "unset JAX_PLATFORMS to use this machine's devices, or set it to cpu"
+        ) from None
 
 
 def found_settings() -> dict[str, Any]:

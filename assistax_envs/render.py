@@ -21,6 +21,7 @@ from assistax_envs.gl import functions_from, open_context
 from assistax_envs.models import build_dressed
 from assistax_envs.models.gentle_scenes import touching
 from assistax_envs.models.looks import palettes
+from assistax_envs.mujoco_warnings import warnings_logged
 from assistax_envs.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.preferences import WISHES
@@ -137,7 +138,8 @@ class Renderer:
         self._data.qpos[:] = one.physics.qpos[0]
         self._data.qvel[:] = one.physics.qvel[0]
         self._data.qacc_warmstart[:] = one.physics.warmstart[0]
-        mujoco.mj_forward(self.model, self._data)
+        with warnings_logged():
+            mujoco.mj_forward(self.model, self._data)
 
     def _figures(self, one: "EnvState") -> Figures:
         seconds = float(one.step[0]) * SUBSTEPS * self.model.opt.timestep
@@ -273,7 +275,8 @@ def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> di
     data, values = mujoco.MjData(model), []
     for pose in poses:
         data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
+        with warnings_logged():
+            mujoco.mj_forward(model, data)
         values.append(data.sensordata.copy())
     _, targets = _locate(task, task.sensors, joined, jnp.asarray(np.stack(values), jnp.float32))
     columns = {"pose": poses, "velocity": velocities}

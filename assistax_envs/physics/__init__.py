@@ -3,6 +3,7 @@
 import jax
 import mujoco
 
+from assistax_envs.own_settings import check_platforms
 from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
 
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
@@ -28,7 +29,7 @@ def resolve_backend(backend: str) -> str:
     Raises:
         ValueError: There is no such backend, or JAX was told to use devices that are not here.
     """
-    _check_platforms(jax.config.values["jax_platforms"])
+    check_platforms()
     if backend == "auto":
         return _fastest_backend()
     if backend not in BACKENDS:
@@ -49,19 +50,6 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     from assistax_envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
-
-
-def _check_platforms(platforms: str | None) -> None:
-    if platforms in (None, "", "cpu"):
-        return
-    try:
-        jax.devices()
-    except (RuntimeError, AssertionError) as error:  # without a GPU "cuda" fails an assertion
-        reason = str(error).partition("\n")[0].partition(" (set JAX_PLATFORMS")[0]
-        raise ValueError(
-            f"JAX has no device of JAX_PLATFORMS={platforms}{f' ({reason})' if reason else ''}; "
-            "unset JAX_PLATFORMS to use this machine's devices, or set it to cpu"
-        ) from None
 
 
 def _fastest_backend() -> str:

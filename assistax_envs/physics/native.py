@@ -9,6 +9,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
+from assistax_envs.mujoco_warnings import warnings_logged
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState, felt_sensors, values_width
 
 # A Batch must not be entered by two threads, and uses all cores: programs on several devices take
@@ -51,7 +52,7 @@ class NativePhysics:
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> np.ndarray:
         values = _values(state, control, joint_range)
-        with _LOCK:
+        with _LOCK, warnings_logged():
             batch = self._load(values)
             batch.forward()
             sensors = np.asarray(batch.bind("sensordata"), np.float32)
@@ -61,7 +62,7 @@ class NativePhysics:
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
         values = _values(state, control, joint_range)
-        with _LOCK:
+        with _LOCK, warnings_logged():
             batch = self._load(values)
             peaks = self._advance(batch)
             names = ("qpos", "qvel", "qacc_warmstart", "sensordata")

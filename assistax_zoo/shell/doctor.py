@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from assistax_base.errors import ZooError, counted, printable, shorten
 from assistax_envs import compiled
+from assistax_envs.gl import CHOICE
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
 from zoo.history.merkle import root_problems
@@ -37,6 +38,11 @@ LITTLE_ROOM, NO_ROOM = 2_000_000_000, 100_000_000  # bytes of a disk
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "flax", "numpy", "polars")
 # Extras that are not advised: for work on this project, and for a GPU, of which `jax` speaks.
 NOT_ADVISED = ("dev", "docs", "cuda12", "cuda13")
+_FATES = {
+    "replaced": "no matter, since our programs run without it; robots from outside have it",
+    "refused": "our programs do not run under it; unset it",
+    "kept": "may change the last bits of a return; manifests name it",
+}
 _GPU = Path("/proc/driver/nvidia/version")
 
 
@@ -105,12 +111,25 @@ def _machine() -> Iterator[Finding]:
     yield _jax(probed["jax"])
     if "error" in probed["jax"]:
         return
+    yield from _settings(probed["settings"].get("found", {}))
     if error := probed["backend"].get("error"):
         yield Finding("backend", "broken", f"auto: {error}")
+        if CHOICE in error:
+            return  # MuJoCo is not imported under it, which is said once
     else:
         auto = probed["backend"]["found"]
         yield Finding("backend", "ok", f"auto is {auto}", {"auto": auto})
     yield from _compilers(probed)
+
+
+def _settings(found: Mapping[str, tuple[Any, str]]) -> Iterator[Finding]:
+    """Yield which settings of the process change JAX, and whether they matter."""
+    for name, (value, fate) in found.items():
+        details = {"name": name, "value": value, "fate": fate}
+        text = f"{name} is {shorten(str(value))}: {_FATES[fate]}"
+        yield Finding("settings", "broken" if fate == "refused" else "ok", text, details)
+    if not found:
+        yield Finding("settings", "ok", "none of the environment changes what JAX computes")
 
 
 def _compilers(probed: Mapping[str, Any]) -> Iterator[Finding]:
@@ -129,7 +148,8 @@ def _jax(probed: Mapping[str, Any]) -> Finding:
     chosen = os.environ.get("JAX_PLATFORMS", "")
     setting = f" (JAX_PLATFORMS is {shorten(chosen)})" if chosen else ""
     if "error" in probed:
-        return Finding("jax", "broken", f"{probed['error']}{setting}")
+        named = "JAX_PLATFORMS" in probed["error"]
+        return Finding("jax", "broken", f"{probed['error']}{'' if named else setting}")
     platform, devices = probed["found"]["platform"], probed["found"]["devices"]
     text = f"{len(devices)} {platform} device{'s' * (len(devices) > 1)}: {devices[0]}{setting}"
     if platform == "cpu" and _GPU.exists() and not chosen:

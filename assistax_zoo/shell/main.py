@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError, Group, Parameter
 
 from assistax_base.errors import ZooError, printable
+from assistax_envs.gl import told_choice
 from assistax_zoo.shell.console import remember_command
 from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
 from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
@@ -223,6 +224,8 @@ def _message(error: Exception) -> str:
     if isinstance(error, MemoryError) or "can't start new thread" in str(error):
         return "this process may take no more memory, or start no more threads; see `ulimit -a`"
     first_line = printable(str(error).partition("\n")[0])
+    if (told := told_choice(first_line)) != first_line:
+        return printable(told)
     hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
     return f"{type(error).__name__}: {first_line}\n{hint}"
 

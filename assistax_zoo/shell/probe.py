@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from assistax_envs.gl import told_choice
 from assistax_envs.stdout import stdout_is_data
 
 
@@ -23,8 +24,18 @@ def probe() -> dict[str, Any]:
 def _jax() -> dict[str, Any]:
     import jax
 
+    from assistax_envs.own_settings import check_platforms
+
+    check_platforms()
     kinds = [device.device_kind for device in jax.devices()]
     return {"platform": jax.default_backend(), "devices": kinds}
+
+
+def _settings() -> dict[str, list[Any]]:
+    """Return the value of each setting that is not JAX's own, and what becomes of it."""
+    from assistax_envs.own_settings import fate, found_settings
+
+    return {name: [value, fate(name)] for name, value in found_settings().items()}
 
 
 def _backend() -> str:
@@ -72,6 +83,7 @@ def _nvrtc() -> float | None:
 
 PARTS: dict[str, Callable[[], Any]] = {
     "jax": _jax,
+    "settings": _settings,
     "backend": _backend,
     "fused": _fused,
     "clang": _clang,
@@ -83,7 +95,11 @@ def _tried(work: Callable[[], Any]) -> dict[str, Any]:
     try:
         return {"found": work()}
     except Exception as error:
-        return {"error": f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"}
+        [line, *_] = str(error).splitlines() or [""]
+        told = told_choice(line)
+        if isinstance(error, ValueError) or told != line:
+            return {"error": told}
+        return {"error": f"{type(error).__name__}: {line}"}
 
 
 if __name__ == "__main__":

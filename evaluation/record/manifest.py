@@ -198,8 +198,10 @@ def describe_sources(
 
 
 def describe_machine() -> dict[str, Any]:
-    """Return what decides the last bits of a value: processor, devices and versions."""
+    """Return what decides the last bits of a value: processor, devices, versions and settings."""
     import jax
+
+    from assistax_envs.own_settings import found_settings
 
     on_cpu = jax.default_backend() == "cpu"
     return {
@@ -209,6 +211,7 @@ def describe_machine() -> dict[str, Any]:
         # Of CPU devices there may be one for each core; they are one processor all the same.
         "devices": [device.device_kind for device in jax.devices()][: 1 if on_cpu else None],
         "versions": {name: number for name in PACKAGES if (number := installed(name))},
+        "settings": found_settings(),
     }
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import sys
 import tomllib
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -16,9 +17,11 @@ from assistax_zoo.shell import doctor, main, requirements
 from tests.zoo.conftest import put, trained_teams
 
 ROOT = Path(__file__).parents[2]
+PROBE = doctor._probe  # the real one, which is replaced for most tests
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 WELL = {
     "jax": {"found": {"platform": "cpu", "devices": ["cpu"]}},
+    "settings": {"found": {}},
     "backend": {"found": "fused"},
     "fused": {"found": None},
     "clang": {"found": 0.1},
@@ -240,7 +243,7 @@ def test_programs_that_others_may_write_are_broken(
 @pytest.mark.parametrize(
     ("variable", "value", "words"),
     [
-        ("JAX_PLATFORMS", "nothing", "JAX_PLATFORMS is 'nothing'"),
+        ("JAX_PLATFORMS", "nothing", "JAX_PLATFORMS=nothing"),
         ("XLA_FLAGS", "--xla_of_no_kind=1", "xla_of_no_kind"),
     ],
 )
@@ -302,3 +305,72 @@ def test_no_secret_is_printed(
     main.run(["doctor"])
     assert "azt_secret" not in capsys.readouterr().out
     assert os.environ["HF_TOKEN"] == "azt_secret"
+
+
+def separately(monkeypatch: pytest.MonkeyPatch, **variables: str) -> None:
+    """Let `doctor` start its real probe, in a process with these variables."""
+    monkeypatch.setattr(doctor, "_probe", PROBE)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("variable", "value", "topic", "text"),
+    [
+        ("MUJOCO_GL", "nonsense", "backend", r"MUJOCO_GL is 'nonsense'.*; set it to egl or osmesa"),
+        ("JAX_PLATFORMS", "nonsense", "jax", r"no device of JAX_PLATFORMS=nonsense.*; unset"),
+        (*("JAX_HIGH_DYNAMIC_RANGE_GUMBEL", "1"), "settings", r"do not run under it; unset it"),
+    ],
+)
+def test_a_wrong_variable_is_one_clear_line(
+    variable: str,
+    value: str,
+    topic: str,
+    text: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    separately(monkeypatch, **{variable: value})
+    topics = examined(capsys, 1)
+    broken = [f["text"] for found in topics.values() for f in found if f["state"] == "broken"]
+    assert len(broken) == 1 and broken[0] == topics[topic][0]["text"]
+    assert re.search(text, broken[0]) and "Error" not in broken[0]
+
+
+@pytest.mark.slow
+def test_settings_are_named_with_what_they_matter(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    separately(monkeypatch, JAX_ENABLE_X64="1", JAX_OPTIMIZATION_LEVEL="O1")
+    found = {f["details"]["name"]: f for f in examined(capsys)["settings"]}
+    assert "our programs run without it" in found["jax_enable_x64"]["text"]
+    assert "manifests name it" in found["jax_optimization_level"]["text"]
+    assert {f["state"] for f in found.values()} == {"ok"}
+
+
+def test_no_gpu_is_told_without_an_assertion(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = "JAX has no device of JAX_PLATFORMS=cuda; unset JAX_PLATFORMS"
+    monkeypatch.setattr(doctor, "_probe", lambda: {"jax": {"error": words}})
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    assert examined(capsys, 1)["jax"][0]["text"] == words
+
+
+@pytest.mark.parametrize("remote", ["https://127.0.0.1:9/zoo", "hf://org/name"])
+def test_a_proxy_of_another_protocol_names_its_package(
+    remote: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from huggingface_hub.utils import close_session
+
+    monkeypatch.setitem(sys.modules, "socksio", None)
+    monkeypatch.setenv("ALL_PROXY", "socks5://127.0.0.1:9")
+    monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", remote)
+    close_session()  # which keeps the proxies of its beginning
+    [finding] = examined(capsys)["remote"]
+    close_session()
+    assert finding["state"] == "advice" and "pip install socksio, or unset" in finding["text"]
+    main.run(["fetch", "--from", remote])
+    said = capsys.readouterr().err
+    assert "pip install socksio" in said and "unexpected" not in said

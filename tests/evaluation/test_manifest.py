@@ -8,6 +8,7 @@ import tracemalloc
 from pathlib import Path
 from typing import Any
 
+import jax
 import polars as pl
 import pytest
 
@@ -349,3 +350,11 @@ def test_the_commands_say_what_they_found(
     with pytest.raises(SystemExit, match="1"):
         run(["verify", str(folder), "--json"])
     assert "summary.json" in json.loads(capfd.readouterr().out)["problems"][0]
+
+
+def test_a_machine_names_the_settings_that_are_not_jaxs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    usual = provenance.describe_machine()["settings"]
+    assert usual["XLA_FLAGS"] == "--xla_cpu_multi_thread_eigen=false"
+    with jax.enable_x64(True):
+        assert provenance.describe_machine()["settings"] == usual | {"jax_enable_x64": True}

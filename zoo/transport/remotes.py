@@ -282,6 +282,13 @@ def network_errors(remote: Remote) -> Generator[None]:
         raise OfflineError(remote.name, "its files in the cache, or a network", found) from None
     except HfHubHTTPError:
         raise
+    except ImportError as error:  # of the HTTP client, for a proxy of another protocol
+        raise RemoteError(
+            remote.name,
+            "a proxy that is reached by HTTP",
+            shorten(str(error).partition(". ")[0]),
+            "install socksio with: pip install socksio, or unset ALL_PROXY and HTTPS_PROXY",
+        ) from None
     except httpx2.TransportError as error:
         raise TransientError(
             f"{type(error).__name__}: {shorten(str(error) or 'no answer')}"
