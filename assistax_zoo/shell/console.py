@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assistax_base.errors import printable
+from assistax_base.errors import counted, printable
 from assistax_envs.stdout import stdout_is_data as stdout_is_data
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from population.runs.train import Progress as TrainingProgress
 
 SECONDS_BETWEEN_LINES = 10.0
+MOST_LINES = 20  # of one kind, such as problems
 _COMMAND: list[str] = []
 
 
@@ -53,6 +54,23 @@ def answer(json: bool, content: Any, *lines: str) -> None:
         print_json(content)
     else:
         print("\n".join(map(_harmless, lines)))
+
+
+def first_lines(start: str, texts: Sequence[str], what: str) -> list[str]:
+    """Return a line for each of the first texts, and how many more there are.
+
+    A folder that was received may have hundreds of thousands of problems.
+
+    Args:
+        start: Beginning of each line.
+        texts: All of them.
+        what: One of them is called so.
+    """
+    lines = [f"{start}{text}" for text in texts[:MOST_LINES]]
+    if len(texts) > MOST_LINES:
+        more = counted(len(texts) - MOST_LINES, f"more {what}")
+        lines.append(f"and {more}; --json prints all")
+    return lines
 
 
 def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from assistax_zoo.shell.main import run
+from evaluation.record import manifest
 from population.networks.spec import PolicySpec
 from population.networks.tensors import encode
 from tests.zoo.conftest import put, trained_team
@@ -146,6 +147,36 @@ def test_verify_passes_then_fails_with_both_hashes(zoo: Path, capsys) -> None:
     with pytest.raises(SystemExit):
         run(["verify", "--json"])
     assert json.loads(capsys.readouterr().out)["ok"] is False
+
+
+@pytest.mark.parametrize("name", ["NOFOLDER", "NOFOLDER/", "registry.json"])
+def test_verify_names_a_folder_that_is_absent(name: str, zoo: Path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(zoo.parent)
+    assert f"error: '{name}' " in (line := refusal(capsys, "verify", name))
+    assert "is no folder here; name a folder of results, or add --deep" in line
+
+
+def test_verify_prints_some_of_many_problems(tmp_path: Path, capsys) -> None:
+    lost = {f"file-{number}.parquet": "0" * 64 for number in range(10_000)}
+    manifest.write_manifest(tmp_path, {"files": lost})
+    with pytest.raises(SystemExit, match="1"):
+        run(["verify", str(tmp_path)])
+    out = capsys.readouterr().out
+    assert len(out) < 10_000 and "and 9980 more problems; --json prints all" in out
+    assert "10000 problems in" in out
+    with pytest.raises(SystemExit):
+        run(["verify", str(tmp_path), "--json"])
+    assert len(json.loads(capsys.readouterr().out)["problems"]) == 10_000
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["list", "x" * 100_000], ["x" * 100_000], ["show", "a/b" * 40_000], ["list", "--x" * 40_000]],
+    ids=["glob", "command", "id", "option"],
+)
+def test_an_error_of_any_length_is_cut(words: list[str], zoo: Path, capsys) -> None:
+    assert run(words) in (1, 2)
+    assert 10 < len(capsys.readouterr().err) < 10_000
 
 
 def test_publish_twice_is_a_no_op_and_changed_bytes_are_refused(

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from assistax_base.errors import UnknownIdError, counted, printable
+from assistax_base.errors import UnknownIdError, counted, listing, printable, shorten
 from assistax_zoo.commands.partners.provenance import verify_results
-from assistax_zoo.shell.console import answer, progress, stdout_is_data
+from assistax_zoo.shell.console import MOST_LINES, answer, first_lines, progress, stdout_is_data
 from population.networks.spec import Role
 from zoo.exports.card import find_cards, write_card
 from zoo.persons.registered import person_glob, person_tables
@@ -134,10 +134,14 @@ def verify(
         if not verify_results(Path(pattern), registry, json):
             raise SystemExit(1)
         return
-    if (pattern or release) and not deep:
+    if pattern and not deep:
         raise ValueError(
-            "a pattern and --release choose what --deep replays; bytes are always checked all: add "
-            "--deep"
+            f"{shorten(pattern)} is no folder here; name a folder of results, or add --deep to "
+            "choose policies by a pattern"
+        )
+    if release and not deep:
+        raise ValueError(
+            "--release chooses what --deep replays; bytes are always checked all: add --deep"
         )
     from zoo.verify import verify as verify_registry
 
@@ -164,7 +168,7 @@ def _person_lines(registry: Registry, task: str | None, release: str | None) -> 
 def _report_lines(report: "Report") -> list[str]:
     done = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
     return [
-        *(f"problem: {problem}" for problem in report.problems),
+        *first_lines("problem: ", report.problems, "problem"),
         *(f"note: {note}" for note in report.notes),
         *(f"root of {release}: {root}" for release, root in report.roots.items()),
         f"{done} {counted(report.shards, 'shard')} ({report.bytes} bytes), "
@@ -235,11 +239,11 @@ def _replay_lines(result: "SelfPlayReport") -> list[str]:
     """Return expected and found returns of each team, the versions, and a verdict."""
     done = "replayed" if result.ok else f"{counted(len(result.problems), 'problem')} in"
     start = "not replayed, trained on another version of the environment: "
-    outdated = [start + ", ".join(result.outdated)] if result.outdated else []
+    outdated = [start + listing(result.outdated, MOST_LINES)] if result.outdated else []
     return [
         ", ".join(f"{name} {version}" for name, version in result.versions.items()),
         *(_team_line(team, result.episodes) for team in result.teams),
-        *(f"problem: {problem}" for problem in result.problems),
+        *first_lines("problem: ", result.problems, "problem"),
         *outdated,
         *(
             f"{drift.task}: mean difference {drift.found:+.2%}, allowed {drift.tolerance:.2%}"

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 from assistax_base.errors import counted, printable
 from assistax_zoo.commands.options import Source
-from assistax_zoo.shell.console import answer, stdout_is_data
+from assistax_zoo.shell.console import answer, first_lines, stdout_is_data
 from zoo.registry import load_registry
 
 if TYPE_CHECKING:
     from evaluation.replay.replay import ReplayReport
 
-SHOWN = 8  # problems; --json has all
 UNDECIDED = 3  # exit code of `replay`: neither the same nor another
 
 
@@ -23,8 +22,8 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
     report = verify_folder(folder)
     if report.ok:
         report = dataclasses.replace(check_sources(folder, registry), files=report.files)
-    lines = [f"not here, and not checked: {absent}" for absent in report.absent]
-    lines += [f"problem: {problem}" for problem in report.problems]
+    lines = first_lines("not here, and not checked: ", report.absent, "source")
+    lines += first_lines("problem: ", report.problems, "problem")
     verdict = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
     files = f"{counted(report.files, 'file')} of {folder}, and {report.sources} that they depend on"
     content = {"ok": report.ok, **vars(report)}
@@ -90,9 +89,7 @@ def replay(
 def _replay_lines(report: "ReplayReport") -> list[str]:
     """Return what was found, what was not checked, and how to choose the same sample again."""
     lines = [f"not checked: {what}" for what in report.unchecked]
-    lines += [f"problem: {problem}" for problem in report.problems[:SHOWN]]
-    if len(report.problems) > SHOWN:
-        lines.append(f"and {counted(len(report.problems) - SHOWN, 'more problem')}")
+    lines += first_lines("problem: ", report.problems, "problem")
     if not report.episodes:
         return [*lines, f"{report.folder}: {report.why}; nothing was played"]
     return [

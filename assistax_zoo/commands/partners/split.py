@@ -7,7 +7,7 @@ from assistax_base.errors import ZooError, counted, listing
 from assistax_envs.versions import TASKS
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
-from assistax_zoo.shell.console import answer
+from assistax_zoo.shell.console import answer, first_lines
 from zoo.persons.registered import person_splits
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
@@ -169,7 +169,7 @@ def verify(id: str | None = None, *, registry: Path | None = None, json: bool = 
             problems[name] = str(error)
     verdict = f"{len(names) - len(problems)} of {counted(len(names), 'split')} verified"
     content = {"ok": not problems, "splits": names, "problems": problems}
-    answer(json, content, *problems.values(), verdict)
+    answer(json, content, *first_lines("", [*problems.values()], "problem"), verdict)
     if problems:
         raise SystemExit(1)
 
