@@ -13,7 +13,7 @@ from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.transport import remotes
 from zoo.transport.fetch import Report, fetch, remote_registry
-from zoo.transport.remotes import open_remote
+from zoo.transport.remotes import open_remote, read_file
 from zoo.verify import verify
 
 FILES = "GET /org/zoo/resolve/.*safetensors"
@@ -232,3 +232,18 @@ def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch)
     bare = cached_registry("hf://org/zoo@v0")
     assert run(["fetch", "--role", "robot", "--registry", str(bare)]) == 0
     assert run(["verify", "--registry", str(bare)]) == 0
+
+
+@pytest.mark.parametrize("address", ["hub.example", "https://", "ftp://hub.example", ""])
+def test_a_hub_without_a_scheme_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "ENDPOINT", address)
+    with pytest.raises(RemoteError, match=r"HF_ENDPOINT.*https://hub\.example.*or unset it"):
+        open_remote("hf://org/zoo")
+
+
+@pytest.mark.parametrize("address", ["http:///zoo", "https://"])
+def test_an_address_without_a_host_is_not_tried_again(address: str) -> None:
+    with pytest.raises(RemoteError, match="check the address"):
+        read_file(open_remote(address), "registry.json", 100)

@@ -1,13 +1,14 @@
 """A hub's model repository as a remote, and what its client raises as errors of the zoo."""
 
 import contextlib
+import re
 from collections.abc import Generator
 from typing import NoReturn
 
 from huggingface_hub import HfApi, constants, errors, hf_hub_url
 from huggingface_hub.utils import build_hf_headers
 
-from assistax_base.errors import MissingRepositoryError, RemoteError, listing, nearest
+from assistax_base.errors import MissingRepositoryError, RemoteError, listing, nearest, shorten
 from zoo.transport.remotes import HttpRemote, network_errors, refuse_status, with_retries
 
 
@@ -16,6 +17,7 @@ class HubRemote(HttpRemote):
 
     def __init__(self, name: str, repo: str, ref: str) -> None:
         super().__init__(name)
+        _check_endpoint()
         self.repo, self.ref = repo, ref
         self._commit: str | None = None
 
@@ -65,6 +67,16 @@ def hub_errors(remote: HubRemote) -> Generator[None]:
         _refuse_repository(remote)
     except errors.HfHubHTTPError as error:
         refuse_status(error.response, remote.name)
+
+
+def _check_endpoint() -> None:
+    if not re.match(r"https?://[^/]", constants.ENDPOINT):
+        raise RemoteError(
+            "HF_ENDPOINT, the address of the hub",
+            "https:// or http:// and a host, as in https://hub.example",
+            shorten(constants.ENDPOINT),
+            "set HF_ENDPOINT so, or unset it",
+        )
 
 
 def _refuse_revision(remote: HubRemote) -> NoReturn:

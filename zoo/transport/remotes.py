@@ -289,13 +289,13 @@ def network_errors(remote: Remote) -> Generator[None]:
             shorten(str(error).partition(". ")[0]),
             "install socksio with: pip install socksio, or unset ALL_PROXY and HTTPS_PROXY",
         ) from None
+    except (httpx2.InvalidURL, httpx2.TooManyRedirects, httpx2.UnsupportedProtocol) as error:
+        raise RemoteError(
+            remote.name, "an address that leads somewhere", shorten(str(error)), "check the address"
+        ) from None
     except httpx2.TransportError as error:
         raise TransientError(
             f"{type(error).__name__}: {shorten(str(error) or 'no answer')}"
-        ) from None
-    except (httpx2.InvalidURL, httpx2.TooManyRedirects) as error:
-        raise RemoteError(
-            remote.name, "an address that leads somewhere", shorten(str(error)), "check the address"
         ) from None
 
 
