@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any, NoReturn
 
-from assistax_base.errors import ZooError
+from assistax_base.errors import ZooError, lacks_memory, shorten
 
 MAX_REGISTRY_BYTES = 16 * 1024 * 1024  # of 30 times the paper's teams
 MAX_VALUES = 250_000  # commas; the registry of the 434 teams of the paper has a tenth
@@ -32,21 +32,23 @@ def read_text(path: Path, limit: int, error: type[ZooError], what: str, remedy: 
     except FileNotFoundError:
         found = "no such file"
     except (OSError, ValueError) as problem:
+        if lacks_memory(problem):
+            raise MemoryError(f"{path} was not read, and may be whole") from None
         found = str(problem)
     expected = f"a readable file of at most {limit} bytes"
     raise error(f"{what} {path}", expected, found, remedy, "nothing was loaded")
 
 
-def parse_json(text: str) -> Any:
-    """Return the value of JSON text.
+def parse_json(text: str, most: int = MAX_VALUES) -> Any:
+    """Return the value of JSON text of `most` values or fewer.
 
     Raises:
         ValueError: It is no JSON, has a key twice in one object, a number that is NaN or infinite,
             or too many values.
         RecursionError: It is nested too deeply.
     """
-    if text.count(",") > MAX_VALUES:
-        raise ValueError(f"more than {MAX_VALUES} values")
+    if text.count(",") > most:
+        raise ValueError(f"more than {most} values")
     return json.loads(text, object_pairs_hook=unique, parse_constant=_refuse_constant)
 
 
@@ -55,7 +57,7 @@ def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) != len(pairs):
         counts = collections.Counter(name for name, _ in pairs)
-        raise ValueError(f"key {counts.most_common(1)[0][0]!r} twice in one object")
+        raise ValueError(f"key {shorten(counts.most_common(1)[0][0])} stands twice in one object")
     return table
 
 

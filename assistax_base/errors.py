@@ -1,12 +1,14 @@
 """Errors of the zoo: each says what was expected and found, what was done, what to do next."""
 
 import difflib
+import errno
 import reprlib
 from collections.abc import Iterable
 
 _REPR = reprlib.Repr()  # containers: their first few items alone
 _REPR.maxstring = _REPR.maxother = 200
 _LONGEST = 120  # characters of a value in an error
+_MEMORY = ("cannot allocate memory", "out of memory", "resource_exhausted", "bad_alloc")
 
 
 class ZooError(Exception):
@@ -205,6 +207,14 @@ def shorten(value: object) -> str:
     """Return the value's `repr`, cut where it is too long for an error line; never all of it."""
     text = _REPR.repr(value)
     return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Return whether an error says that memory is short, which is no fault of any file."""
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+        return True
+    words = str(error).lower()  # of Rust's and C++'s libraries, which have no class for it
+    return any(word in words for word in _MEMORY)
 
 
 def printable(text: str) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from assistax_base.errors import ZooError, printable
+from assistax_base.errors import ZooError, lacks_memory, printable
 from assistax_envs.gl import told_choice
 from assistax_zoo.shell.console import remember_command
 from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
@@ -23,6 +23,7 @@ from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
 EXIT_ERROR, EXIT_USAGE, EXIT_BROKEN_PIPE = 1, 2, 141
+MOST_CHARACTERS = 8_000  # of an error that is printed
 
 COMMANDS = {
     "list": "assistax_zoo.commands.partners.listing:list_policies",
@@ -217,13 +218,15 @@ def _version() -> str:
 
 
 def _message(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return printable(f"{error.strerror}: {error.filename}")
-    if isinstance(error, ZooError | ValueError | TypeError | OSError):
-        return printable(str(error)) + in_options(error)  # it may name what a stranger wrote
-    if isinstance(error, MemoryError) or "can't start new thread" in str(error):
-        return "this process may take no more memory, or start no more threads; see `ulimit -a`"
     first_line = printable(str(error).partition("\n")[0])
+    if isinstance(error, ZooError | ValueError | TypeError):
+        return printable(str(error)) + in_options(error)  # it may name what a stranger wrote
+    if lacks_memory(error) or "can't start new thread" in first_line:
+        limits = "this process may take no more memory, or start no more threads; see `ulimit -a`"
+        return f"{limits} ({first_line[:300]})" if first_line else limits
+    if isinstance(error, OSError):
+        named = error.strerror and error.filename
+        return printable(f"{error.strerror}: {error.filename}" if named else str(error))
     if (told := told_choice(first_line)) != first_line:
         return printable(told)
     hint = f"this is unexpected: {DEBUG_VARIABLE}=1 shows where it happened"
@@ -231,6 +234,8 @@ def _message(error: Exception) -> str:
 
 
 def _fail(message: str, code: int) -> int:
+    if len(message) > MOST_CHARACTERS:  # a name or a list may be of any length
+        message = f"{message[: MOST_CHARACTERS // 2]} [...] {message[-MOST_CHARACTERS // 4 :]}"
     print(f"error: {message}", file=sys.stderr)
     return code
 

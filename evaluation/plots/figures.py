@@ -1,6 +1,5 @@
 """Figures of finished folders: read what was saved, draw it, write the file."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import polars as pl
 from matplotlib.figure import Figure
 
+from assistax_base.bounded_reading import parse_json
 from evaluation.figures.comparable import method_figures
 from evaluation.figures.metrics import curves
 from evaluation.figures.summary import read_summary
@@ -152,7 +152,7 @@ def speed_figure(
     if not measured:
         raise ValueError(f"no file was given; give one or more that {printed}")
     names = ("task", "backend", "device", "batch", "env_steps_per_second")
-    rows = [row for file in measured for row in json.loads(file.read_text(encoding="utf-8"))]
+    rows = [row for file in measured for row in parse_json(file.read_text(encoding="utf-8"))]
     if bad := [row for row in rows if not isinstance(row, dict) or set(names) - set(row)]:
         raise ValueError(f"{bad[0]!r} is not a row that {printed}; it needs {', '.join(names)}")
     table = pl.DataFrame([{name: row[name] for name in names} for row in rows])

@@ -113,7 +113,11 @@ def check_width(width: float | None, least: float) -> None:
 
 
 def spelled(name: str) -> str:
-    """Return the name of a method as figures write it: IPPO, whatever a folder or an id says."""
+    """Return the name of a method as figures write it: IPPO, whatever a folder or an id says.
+
+    What a folder's name has that is no UTF-8, and no font could write, becomes a question mark.
+    """
+    name = name.encode("utf-8", "replace").decode()
     return name.upper() if name.lower() in ALGORITHMS else name
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import polars as pl
 
 from assistax_base import parquet
+from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
 from evaluation.record.columns import SCHEMA, term_columns, validate_episodes
 
@@ -109,7 +110,7 @@ def read_json(path: Path) -> dict:
     try:
         if (size := path.stat().st_size) > LARGEST_JSON:
             raise ValueError(f"it has {size} bytes; at most {LARGEST_JSON} are read")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"), LARGEST_JSON)
     except (ValueError, RecursionError) as error:
         raise ValueError(
             f"{path} is not readable JSON ({error}); delete it and run again"

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import polars as pl
 
-from assistax_base.errors import ZooError, printable, shorten
+from assistax_base.errors import ZooError, lacks_memory, printable, shorten
 from assistax_base.parquet import check_readable
 from evaluation.record import tables
 from evaluation.record.manifest import (
@@ -106,6 +106,8 @@ def strange_tables_refused(folder: Path, *others: type[Exception]) -> Generator[
         *(ArithmeticError, AttributeError, LookupError, TypeError),
         *(pl.exceptions.PolarsError, *others),
     ) as error:
+        if lacks_memory(error):
+            raise
         raise ValueError(
             f"{folder} is damaged, or of another version ({shorten(error)}); run again"
         ) from None

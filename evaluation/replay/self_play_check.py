@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_base.errors import ZooError
+from assistax_base.errors import ZooError, lacks_memory
 from assistax_envs.own_settings import own_settings
 from assistax_envs.versions import PLAYABLE
 from evaluation.cast.roster import paired_rosters
@@ -217,6 +217,8 @@ def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
     try:
         actions = np.asarray(jax.jit(lambda params: jax.lax.map(act, params))(stack.params))
     except Exception as error:  # flax has exceptions of its own for parameters of another network
+        if lacks_memory(error):
+            raise
         message = " ".join(str(error).split())[:200]
         others = f"{stack.ids[0]} and {len(stack.ids) - 1} more of its spec"
         return [(stack.ids, f"{others} cannot be stepped: {message}")]

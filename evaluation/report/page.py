@@ -74,7 +74,7 @@ def write_report(
         )
     with strange_tables_refused(folder, jinja2.UndefinedError):
         text = _league_page(folder, contrasts) if league else _page(folder, episodes)
-    tables.write_bytes(text.encode(), path)
+    tables.write_bytes(text.encode("utf-8", "replace"), path)  # a folder may be called otherwise
 
 
 def figures_html(

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
+from assistax_base.errors import lacks_memory
+
 KEEP = 2  # newest checkpoints that stay on disk: one to go on from, one if that is damaged
 _DIGEST, _RUN = "sha256", "run"
 
@@ -32,6 +34,13 @@ class Checkpoints:
 
     def __init__(self, folder: Path, key: str | None = None) -> None:
         self.folder = folder.resolve()
+        try:
+            str(self.folder).encode()
+        except UnicodeEncodeError:
+            raise ValueError(
+                f"{folder} has a name that is not UTF-8, under which no checkpoint can be written; "
+                "choose another folder"
+            ) from None
         self._key = np.frombuffer(bytes.fromhex(key or "00" * 32), np.uint8)
         options = ocp.CheckpointManagerOptions(
             max_to_keep=KEEP, enable_async_checkpointing=False, cleanup_tmp_directories=True
@@ -53,6 +62,8 @@ class Checkpoints:
         try:
             self._manager.save(update, args=ocp.args.StandardSave(arrays))
         except Exception as error:
+            if lacks_memory(error):
+                raise
             reason = str(error).strip().partition("\n")[0]
             kept = (
                 f"the last good one is of update {last}"
@@ -68,7 +79,7 @@ class Checkpoints:
         """Return the newest checkpoint that is whole, as updates and state; None without any.
 
         A damaged one is warned of and removed, and the one before it is taken: the run repeats the
-        updates between them.
+        updates between them. With too little memory to read it, nothing is removed.
 
         Args:
             like: A state of the same structure, on the devices that the result is to lie on.
@@ -84,6 +95,8 @@ class Checkpoints:
             except OtherRunError:
                 raise
             except Exception as error:
+                if lacks_memory(error):
+                    raise
                 reason = reason or str(error).strip().partition("\n")[0]
                 continue
             for damaged in (newer for newer in updates if newer > update):

@@ -232,8 +232,8 @@ class RunFolder:
 
     def _read_config(self) -> dict[str, Any]:
         try:
-            return json.loads(self._config.read_text())
-        except ValueError as error:
+            return parse_json(self._config.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"{self._config} is not JSON ({error}); choose a new folder") from None
 
 

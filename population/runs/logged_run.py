@@ -1,12 +1,12 @@
 """Training of a configured run: what the command line and the Python interface call."""
 
 import contextlib
-import json
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assistax_base.bounded_reading import parse_json
 from assistax_base.extras import optional
 from population.config import TrainConfig
 from population.networks.spec import ROLES
@@ -98,7 +98,7 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
         ValueError: The file is no preset, or one of another algorithm than was asked for.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
         preset_of, changes = content["algorithm"], dict(content["hyperparameters"])
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(

@@ -88,11 +88,32 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     fake: Callable, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(main.DEBUG_VARIABLE, raising=False)
-    fake(raises(RuntimeError("out of memory\nframes\nof the compiler")))
+    fake(raises(RuntimeError("a shape is wrong\nframes\nof the compiler")))
     assert main.run(["fake"]) == 1
     first, second = capsys.readouterr().err.splitlines()
-    assert first == "error: RuntimeError: out of memory"
+    assert first == "error: RuntimeError: a shape is wrong"
     assert "ASSISTAX_ZOO_DEBUG=1" in second
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (MemoryError(), ""),
+        (MemoryError("table.parquet was not read"), " (table.parquet was not read)"),
+        (
+            RuntimeError("RESOURCE_EXHAUSTED: out of memory\nframes"),
+            " (RESOURCE_EXHAUSTED: out of ",
+        ),
+        (OSError(12, "Cannot allocate memory", "/out"), " ([Errno 12] Cannot allocate memory"),
+    ],
+)
+def test_too_little_memory_is_expected(
+    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, reason: str
+) -> None:
+    fake(raises(error))
+    assert main.run(["fake"]) == 1
+    text = "error: this process may take no more memory, or start no more threads; see `ulimit -a`"
+    assert capsys.readouterr().err.startswith(f"{text}{reason}")
 
 
 def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

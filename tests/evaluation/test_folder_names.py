@@ -1,7 +1,9 @@
 """No name of a folder is a pattern: each is read as it is spelled, whatever lies beside it."""
 
 import ast
+import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,6 +40,9 @@ NEIGHBOURS = {
     "two\nlines": "two",
 }
 
+
+if sys.platform == "linux":
+    NEIGHBOURS[os.fsdecode(b"no utf-8 \xff")] = "no utf-8 "
 
 OTHERS, SLOW = [name for name in NEIGHBOURS if name != "run[1]"], pytest.mark.slow
 

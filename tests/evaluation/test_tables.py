@@ -269,6 +269,20 @@ def test_json_that_is_deep_or_large_is_refused(tmp_path: Path, monkeypatch: pyte
         tables.read_json(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('{"mean": 1.0, "mean": 2.0}', "key 'mean' stands twice"),
+        ('{"sides": {"test": {"mean": 1.0, "mean": 2.0}}}', "key 'mean' stands twice"),
+        ('{"mean": NaN}', "NaN, which is not a JSON number"),
+    ],
+)
+def test_json_of_two_readings_is_refused(text: str, problem: str, tmp_path: Path):
+    (path := tmp_path / "summary.json").write_text(text)
+    with pytest.raises(ValueError, match=rf"summary\.json is not readable JSON \({problem}"):
+        tables.read_json(path)
+
+
 def test_a_small_file_that_claims_gigabytes_is_refused(tmp_path: Path):
     """A run of one value is some kilobytes, and 400 MB once it is read."""
     path = tmp_path / "t.parquet"

@@ -234,6 +234,30 @@ def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, copy
     assert_same_policies(folder, finished)
 
 
+@pytest.mark.parametrize(
+    "error", [MemoryError("too large"), RuntimeError("RESOURCE_EXHAUSTED: Out of memory")]
+)
+def test_too_little_memory_removes_no_checkpoint(error, tmp_path, monkeypatch):
+    checkpoints, state = Checkpoints(tmp_path / "checkpoints"), {"x": jax.numpy.ones(3)}
+    for update in (1, 2):
+        checkpoints.save(update, state)
+
+    def fail(*_):
+        raise error
+
+    with monkeypatch.context() as patch, pytest.raises(type(error)):
+        patch.setattr("orbax.checkpoint.args.StandardRestore", fail)
+        checkpoints.restore_latest(state)
+    assert checkpoints.restore_latest(state)[0] == 2
+    checkpoints.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of bytes are Linux's")
+def test_a_folder_that_is_no_utf8_keeps_no_checkpoints(tmp_path):
+    with pytest.raises(ValueError, match="not UTF-8, under which no checkpoint can be written"):
+        Checkpoints(tmp_path / os.fsdecode(b"run \xff"))
+
+
 def test_a_run_whose_checkpoints_are_all_damaged_is_refused(copy_of_killed):
     cut_off(copy_of_killed / "checkpoints")
     with pytest.raises(
