@@ -18,6 +18,7 @@ from assistax_envs.physics import (
     GIVES_CONTACT_FRAMES,
     SUBSTEPS,
     PhysicsState,
+    diverged,
     make_physics,
     resolve_backend,
 )
@@ -29,7 +30,6 @@ from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
-LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
 
 
 @jax.tree_util.register_dataclass
@@ -114,11 +114,9 @@ class Env:
         """Start episodes.
 
         Args:
-            keys: [N] typed JAX keys; the same key gives the same start on every backend.
+            keys: [N] typed JAX keys of `GENERATOR`; the same key gives the same start on every
+                backend.
             params: [N] impairments, for example from `disability_params`.
-
-        Raises:
-            ValueError: the keys are of another generator than threefry2x32.
         """
         check_generator(keys)
         n = keys.shape[0]
@@ -168,7 +166,7 @@ class Env:
         physics, values = self._physics.step(state.physics, control, ranges)
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
         measures = self._touched(measures, physics, ranges)
-        nonfinite = state.nonfinite | _diverged(physics, values, control)
+        nonfinite = state.nonfinite | diverged(physics, values, control)
         physics, task, obs, measures = select(
             nonfinite,
             (state.physics, state.task, state.obs, state.measures),
@@ -209,7 +207,6 @@ class Env:
         """Return the joint angles of each role, rad: "robot" [N, 7] and "human" [N, 9]."""
         return {role: state.physics.qpos[:, addresses] for role, addresses in self._joints.items()}
 
-    @own_settings()
     def render(
         self,
         state: EnvState,
@@ -240,7 +237,6 @@ class Env:
             self._renderers[size] = Renderer(self._task, width, height)
         return self._renderers[size].frame(state, index, camera, caption)
 
-    @own_settings()
     def shown(self, states: Sequence[EnvState]) -> dict[str, np.ndarray]:
         """Return by column what players show of T states of one simulation; see `render.shown`."""
         from assistax_envs.render import shown
@@ -331,15 +327,6 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
         return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
 
     return jax.tree.map(choose, on_true, on_false)
-
-
-def _diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:
-    """Return [N]: whether anything left what MuJoCo calls stable; NaN compares as diverged.
-
-    Controls count because MuJoCo's C engine takes a NaN among them for zeros without a word.
-    """
-    rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
-    return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)
 
 
 def _check_scene(task: str, backend: str) -> None:

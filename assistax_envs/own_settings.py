@@ -6,13 +6,18 @@ back afterwards. JAX keeps them for each thread, so a thread enters them for its
 """
 
 import contextlib
+import functools
+import operator
 import os
-from collections.abc import Generator
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Shaped
+
+P, T = ParamSpec("P"), TypeVar("T")
 
 GENERATOR = "threefry2x32"  # of every key of ours
 _UNGUARDED = ("allow", None, "log", "log_explicit")
@@ -56,11 +61,13 @@ FREE: dict[str, Any] = {
     "jax_optimization_level": "UNKNOWN",
     "jax_use_direct_linearize": True,
 }
+# An ordinary process is told by one comparison.
+_READ = operator.attrgetter(*OURS)
+_USUAL = tuple(None if ours is _UNGUARDED else ours[0] for ours in OURS.values())
 VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # of the environment, free as well
 
 
-@contextlib.contextmanager
-def own_settings() -> Generator[None]:
+class own_settings:
     """Run what is inside, or a decorated function, under our settings.
 
     Where a process has them already, nothing is entered, and nothing is compiled again.
@@ -68,16 +75,34 @@ def own_settings() -> Generator[None]:
     Raises:
         ValueError: The process has a setting under which our programs cannot run.
     """
-    config = jax.config
-    theirs = [name for name, ours in OURS.items() if getattr(config, name, ours[0]) not in ours]
-    if not theirs:
-        yield
-        return
+
+    def __enter__(self) -> None:
+        self._entered = None if _READ(jax.config) == _USUAL else _entered()
+
+    def __exit__(self, *error: Any) -> None:
+        if self._entered is not None:
+            self._entered.__exit__(*error)
+
+    def __call__(self, function: Callable[P, T]) -> Callable[P, T]:
+        """Return the function, which enters our settings in each call and in its own thread."""
+
+        @functools.wraps(function)
+        def inside(*args: P.args, **kwargs: P.kwargs) -> T:
+            if _READ(jax.config) == _USUAL:  # in each step of an environment: microseconds
+                return function(*args, **kwargs)
+            with _entered():
+                return function(*args, **kwargs)
+
+        return inside
+
+
+def _entered() -> contextlib.ExitStack:
+    """Enter our values of those settings that have others."""
     check_settings()
     with contextlib.ExitStack() as stack:
-        for name in theirs:
+        for name in _changed(OURS):
             stack.enter_context(getattr(jax, _switch(name))(OURS[name][0]))
-        yield
+        return stack.pop_all()
 
 
 def check_settings() -> None:
@@ -118,7 +143,7 @@ def key_of(seed: int | Shaped[np.ndarray, "..."]) -> jax.Array:
     """
     low = np.asarray(seed if isinstance(seed, np.ndarray) else seed % 2**32).astype(np.uint32)
     words = np.stack([np.zeros_like(low), low], axis=-1)
-    return jax.random.wrap_key_data(words, impl=GENERATOR)
+    return jax.random.wrap_key_data(jnp.asarray(words), impl=GENERATOR)
 
 
 def check_generator(keys: jax.Array) -> None:

@@ -23,6 +23,7 @@ from assistax_envs.models.gentle_scenes import touching
 from assistax_envs.models.looks import palettes
 from assistax_envs.mujoco_warnings import warnings_logged
 from assistax_envs.overlay import Figures, force_colour, panel, panel_height
+from assistax_envs.own_settings import own_settings
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.preferences import WISHES
 from assistax_envs.tasks.base import TOUCHABLE, Sensors, Task
@@ -80,6 +81,7 @@ class Renderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
         self._size = width, height
 
+    @own_settings()
     def frame(
         self,
         state: "EnvState",
@@ -261,6 +263,7 @@ def pressing(
     return points, ways, newtons / given.sum() * given
 
 
+@own_settings()
 def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> dict[str, np.ndarray]:
     """Return what players show of T states of one simulation.
 

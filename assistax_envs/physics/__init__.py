@@ -4,7 +4,7 @@ import jax
 import mujoco
 
 from assistax_envs.own_settings import check_platforms
-from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState
+from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState, diverged
 
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
 # Backends whose contact sensors give a contact's frame beside its force.
@@ -18,6 +18,7 @@ __all__ = [
     "SUBSTEPS",
     "Physics",
     "PhysicsState",
+    "diverged",
     "make_physics",
     "resolve_backend",
 ]

@@ -4,11 +4,13 @@ import dataclasses
 from typing import Protocol
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 FELT_NUMBERS = 9  # of a felt contact: force, normal and tangent
 SUBSTEPS = 4  # physics steps of 5 ms in one control step of 20 ms
+LARGEST_STATE = 1e10  # beyond this MuJoCo itself calls a state unstable (mjMAXVAL)
 
 
 @jax.tree_util.register_dataclass
@@ -57,3 +59,12 @@ def values_width(model: mujoco.MjModel) -> int:
     """Return how many numbers a simulation's sensor values are."""
     felt = len(felt_sensors(model))
     return model.nsensordata + (felt + 1 if felt else 0)
+
+
+def diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:
+    """Return [N]: whether anything left what MuJoCo calls stable; NaN compares as diverged.
+
+    Controls count because MuJoCo's C engine takes a NaN among them for zeros without a word.
+    """
+    rows = jnp.concatenate([physics.qpos, physics.qvel, values, control], axis=-1)
+    return ~jnp.all(jnp.abs(rows) < LARGEST_STATE, axis=-1)

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -122,7 +122,7 @@ def _machine() -> Iterator[Finding]:
     yield from _compilers(probed)
 
 
-def _settings(found: Mapping[str, tuple[Any, str]]) -> Iterator[Finding]:
+def _settings(found: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
     """Yield which settings of the process change JAX, and whether they matter."""
     for name, (value, fate) in found.items():
         details = {"name": name, "value": value, "fate": fate}

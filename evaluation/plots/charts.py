@@ -1,6 +1,5 @@
 """Figures with one pair of axes: returns as dots, profiles, learning curves, speed."""
 
-import math
 import textwrap
 import types
 from collections.abc import Mapping
@@ -233,7 +232,7 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_ylabel("environment steps / s", fontsize=9)
-    _whole_decades(axes, measured["env_steps_per_second"])
+    style.whole_decades(axes, measured["env_steps_per_second"])
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.tick_params(axis="x", labelsize=7)
     axes.yaxis.set_major_formatter(EngFormatter(sep=""))
@@ -243,12 +242,6 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     return figure
 
 
-def _whole_decades(axes: Axes, values: pl.Series) -> None:
-    """Let a logarithmic axis begin and end at a power of ten, so that nothing is cut."""
-    known = [value for value in values.to_list() if value and value > 0]
-    if known:
-        low, high = math.floor(math.log10(min(known))), math.ceil(math.log10(max(known)))
-        axes.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
 
 
 def _returns(

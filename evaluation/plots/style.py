@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import textwrap
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -246,6 +247,14 @@ def bare(axes: Axes, sides: Sequence[str] = (), *, ticks: bool = True) -> None:
     axes.tick_params(colors=INK, length=3, width=0.6)
     if not ticks:
         axes.set(xticks=[], yticks=[])
+
+
+def whole_decades(axes: Axes, values: pl.Series) -> None:
+    """Let a logarithmic axis begin and end at a power of ten, so that nothing is cut."""
+    known = [value for value in values.to_list() if value and value > 0]
+    if known:
+        low, high = math.floor(math.log10(min(known))), math.ceil(math.log10(max(known)))
+        axes.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
 
 
 def ink_on(colour: ColorType) -> str:

@@ -125,7 +125,8 @@ def digest(parts: Any) -> str:
 
 
 def main() -> None:
-    backend, env.EPISODE_LENGTH, names = sys.argv[1], int(sys.argv[2]), sys.argv[3:]
+    backend, length, *names = sys.argv[1:]
+    vars(env)["EPISODE_LENGTH"] = int(length)
     print(json.dumps({name: outcome(name, backend) for name in names}))
 
 

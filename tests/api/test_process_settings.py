@@ -5,7 +5,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ TOGETHER = {name: value for name, value in CHANGED.items() if name not in FOR_HO
 
 
 @contextlib.contextmanager
-def configured(**changes: Any) -> Iterator[None]:
+def configured(**changes: Any) -> Generator[None]:
     """Change settings as a user does, and set them back."""
     before = {name: jax.config.values[name] for name in changes}
     for name, value in changes.items():
