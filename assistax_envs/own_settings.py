@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Shaped
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 GENERATOR = "threefry2x32"  # of every key of ours
 _UNGUARDED = ("allow", None, "log", "log_explicit")
