@@ -62,9 +62,10 @@ FREE: dict[str, Any] = {
     "jax_optimization_level": "UNKNOWN",
     "jax_use_direct_linearize": True,
 }
-# An ordinary process is told by one comparison.
-_READ = operator.attrgetter(*OURS)
-_USUAL = tuple(None if ours is _UNGUARDED else ours[0] for ours in OURS.values())
+# An ordinary process is told by one comparison. Another JAX may lack a setting of these.
+_KNOWN = {name: ours for name, ours in OURS.items() if hasattr(jax.config, name)}
+_READ = operator.attrgetter(*_KNOWN)
+_USUAL = tuple(None if ours is _UNGUARDED else ours[0] for ours in _KNOWN.values())
 VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # of the environment, free as well
 
 

@@ -242,8 +242,6 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     return figure
 
 
-
-
 def _returns(
     summaries: Summaries, title: str, width: float, note: str, right: float = 0.2, marks: int = 2
 ) -> tuple[Figure, Axes]:
