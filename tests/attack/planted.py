@@ -93,7 +93,7 @@ DEFECTS = {
     ),
     "paths are patterns": Defect(
         "assistax_base/parquet.py",
-        r"pl\.read_parquet\(path\.absolute\(\), glob=False\)",
+        r"pl\.read_parquet\(_source\(path\), glob=False\)",
         "pl.read_parquet(path)",
         "tests/evaluation/test_folder_names.py::test_a_result_is_that_of_its_folder",
     ),
