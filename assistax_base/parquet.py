@@ -130,7 +130,7 @@ def check_size(path: Path) -> None:
 
 
 def _source(path: Path) -> Path | io.BytesIO:
-    """Return what Polars reads a file from: its absolute path, or its bytes.
+    """Return the source that Polars reads: the file's absolute path, or its bytes.
 
     Polars takes no path that is not UTF-8.
     """

@@ -1,4 +1,4 @@
-"""What MuJoCo warns of, in Python's log instead of a file of the user's folder.
+"""MuJoCo's warnings go to Python's log instead of a file in the user's folder.
 
 By itself MuJoCo prints a warning, and appends it to MUJOCO_LOG.TXT wherever the process works.
 """
@@ -15,7 +15,7 @@ UNSTABLE = "The simulation is unstable"  # every such simulation is flagged, cou
 
 @contextlib.contextmanager
 def warnings_logged() -> Generator[None]:
-    """Log what MuJoCo warns of inside; a handler of the user's own hears it instead."""
+    """Log MuJoCo's warnings of the block; a handler of the user's own hears them instead."""
     if mujoco.get_mju_user_warning() is not None:
         yield
         return

@@ -70,7 +70,7 @@ VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # of the environment, free as
 
 
 class own_settings:
-    """Run what is inside, or a decorated function, under our settings.
+    """Run a block, or a decorated function, under our settings.
 
     Where a process has them already, nothing is entered, and nothing is compiled again.
 
@@ -122,7 +122,7 @@ def check_settings() -> None:
 
 
 def _switch(name: str) -> str:
-    """Return what JAX calls the context manager of a setting, which it has of most."""
+    """Return JAX's name of a setting's context manager; most settings have one."""
     return name.removeprefix("jax_")
 
 
@@ -164,7 +164,7 @@ def check_generator(keys: jax.Array) -> None:
 
 
 def fate(name: str) -> Literal["replaced", "refused", "kept"]:
-    """Return what becomes of a found setting where our programs run."""
+    """Return the fate of a setting where our programs run."""
     if name not in OURS:
         return "kept"
     return "replaced" if hasattr(jax, _switch(name)) else "refused"
@@ -190,7 +190,7 @@ def check_platforms() -> None:
 
 
 def found_settings() -> dict[str, Any]:
-    """Return by name what this process has set otherwise than JAX does by itself.
+    """Return the settings of this process, by name, that differ from JAX's own.
 
     Our programs run without those of `OURS`. They matter to robots from outside, which act under
     the user's settings.

@@ -37,7 +37,7 @@ def keys_of(data: Path, registry: Registry) -> dict[str, Any]:
 
 
 def check_keys(data: Path, registry: Registry) -> list[str]:
-    """Return the folders whose tables are not those of `keys.json`, and what differs."""
+    """Return the folders whose tables differ from `keys.json`, with the differing fields."""
     known, found = tables.read_json(data / FILE), keys_of(data, registry)
     problems = []
     for name in sorted(known | found):
@@ -79,7 +79,7 @@ def _policies(pairs: pl.DataFrame) -> set[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the keys, or print what differs and return the exit code."""
+    """Write the keys, or print the differences and return the exit code."""
     registry = load_registry()
     if arguments == ["write"]:
         write_json(DATA / FILE, keys_of(DATA, registry))

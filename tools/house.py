@@ -210,7 +210,7 @@ def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the count of dependencies, then what misses its bar; or write the picture."""
+    """Print the count of dependencies and every missed bar; or write the picture."""
     if arguments == ["picture"]:
         write_picture()
         return 0

@@ -62,7 +62,7 @@ def values_width(model: mujoco.MjModel) -> int:
 
 
 def diverged(physics: PhysicsState, values: jax.Array, control: jax.Array) -> jax.Array:
-    """Return [N]: whether anything left what MuJoCo calls stable; NaN compares as diverged.
+    """Return [N]: whether a value left MuJoCo's stable range; NaN counts as diverged.
 
     Controls count because MuJoCo's C engine takes a NaN among them for zeros without a word.
     """

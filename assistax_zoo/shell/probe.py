@@ -32,7 +32,7 @@ def _jax() -> dict[str, Any]:
 
 
 def _settings() -> dict[str, list[Any]]:
-    """Return the value of each setting that is not JAX's own, and what becomes of it."""
+    """Return the value and the fate of each setting that is not JAX's own."""
     from assistax_envs.own_settings import fate, found_settings
 
     return {name: [value, fate(name)] for name, value in found_settings().items()}

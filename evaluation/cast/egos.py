@@ -275,7 +275,7 @@ def _started(
 
 
 def _made_of(reference: PolicyReference, robot: PolicyProcess) -> Any:
-    """Return what makes a robot of code: its files, its factory, and what that is given."""
+    """Return the files, the factory and the arguments that make a robot of code."""
     contents = {str(path): sha256 for path, sha256 in robot.inputs}
     given = {name: contents.get(value, value) for name, value in reference.arguments.items()}
     hashes = (*robot.files.values(), *contents.values())
@@ -301,7 +301,7 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
 
 
 def _sha256(path: str) -> str:
-    """Return a file's sha256, empty where there is none: its reader says what is wrong."""
+    """Return a file's sha256, empty if there is no file: its reader names the problem."""
     return file_sha256(Path(path)) if Path(path).is_file() else ""
 
 

@@ -43,7 +43,7 @@ def as_used(robot: Any) -> Generator[None]:
 
 
 def _parts(robot: Any) -> list[Any]:
-    """Return what a robot is made of, by its attributes and what its code refers to."""
+    """Return the objects that a robot refers to, by its attributes and its code."""
     found: dict[int, Any] = {}
     queue = collections.deque([robot])
     while queue and len(found) < _MOST_PARTS:
@@ -56,7 +56,7 @@ def _parts(robot: Any) -> list[Any]:
 
 
 def _inside(part: Any) -> Iterator[Any]:
-    """Yield what an object directly holds; no code of its own runs."""
+    """Yield the objects that an object directly holds; no code of its own runs."""
     kind = type(part)
     if issubclass(kind, types.ModuleType | type | np.ndarray | str | bytes | int | float):
         return

@@ -206,7 +206,7 @@ def both_met(*results: tuple[MetSummary | None, pl.DataFrame]) -> MetSummary:
 
 
 def comparison_notes(met: MetSummary, methods: int) -> list[str]:
-    """Say whom a comparison of so many methods leaves out, and where that is not known."""
+    """Return the notes on partners that a comparison leaves out, and on unknown training."""
     notes = []
     if met.left_out:
         names = listing(met.left_out, 3)

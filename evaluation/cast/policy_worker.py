@@ -120,7 +120,7 @@ def serve() -> None:
 
 
 def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
-    """Make the robot; return with it what its result depends on, and its code."""
+    """Make the robot; return it with the files and the code that its results depend on."""
     forms = _import_ours("evaluation_mode", "robot_forms")
     sys.path[:] = header["path"]
     name, factory, code = header["module"], header["factory"], _OwnCode(header["foreign"])

@@ -172,7 +172,7 @@ def _array(answer: Any) -> np.ndarray:
 
 
 def _several(answer: Any, rows: list[np.ndarray]) -> str:
-    """Say what an answer is made of that is no array."""
+    """Return the kinds of an answer's parts, for an answer that is no array."""
     parts = [
         f"{type(part).__name__}{list(row.shape) if row.ndim else ''}"
         for part, row in zip(answer, rows, strict=True)

@@ -74,7 +74,7 @@ class Comparable:
 
 @dataclasses.dataclass(frozen=True)
 class MethodFigures:
-    """What figures of several methods draw, each by the method's name."""
+    """The content of figures of several methods, by the method's name."""
 
     summaries: dict[str, EvaluationSummary]
     profiles: dict[str, pl.DataFrame]  # empty where they were not asked for
@@ -261,7 +261,7 @@ def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _untold(about: dict[str, Any]) -> dict[str, Any]:
-    """Return fields as of an engine whose robots are told nothing."""
+    """Return the fields without the engine's condition that robots are told."""
     engine = dict(about.get("engine") or {})
     engine.pop("condition", None)
     return {**about, "engine": engine}

@@ -26,7 +26,7 @@ PARTS_FOLDER = "parts"
 
 
 def label(job: str) -> dict[str, str]:
-    """Return what parts of a job, made by this process, say of themselves in their metadata."""
+    """Return the metadata of a job's parts that this process makes."""
     about = {"job": job, "made_with": provenance.describe_machine()}
     return {METADATA_KEY: json.dumps(about)}
 
@@ -98,7 +98,7 @@ def _names(folder: Path, pattern: str) -> Iterator[Path]:
 
 
 def _whole(paths: Iterable[Path]) -> list[Path]:
-    """Return the files that are what was written; others are removed."""
+    """Return the undamaged files; damaged ones are removed."""
     whole = []
     for path in paths:
         if path.stem.rpartition("-")[2] == provenance.file_sha256(path):
@@ -109,7 +109,7 @@ def _whole(paths: Iterable[Path]) -> list[Path]:
 
 
 def _about(path: Path) -> Mapping[str, Any]:
-    """Return what a part says of itself; nothing where it says nothing."""
+    """Return a part's metadata; empty if it has none."""
     about: Any = None
     with contextlib.suppress(ValueError, RecursionError):
         about = parse_json(read_metadata(path).get(METADATA_KEY, "{}"))

@@ -1,4 +1,4 @@
-"""What holds of robots from outside while they play: their files stay, and what answers depend on.
+"""Checks of robots from outside: unchanged files, and the dependence of their answers.
 
 A robot of code may load more files as it plays, and may answer by chance, by earlier calls or by
 other episodes. All of that is allowed. It stands in the manifest under `robots`, from which a
@@ -60,7 +60,7 @@ def _network(stack: PolicyStack, row: int) -> list[Any]:
 
 
 def _exported(spec: PolicySpec, params: Mapping[str, Any]) -> list[Any]:
-    """Return what the export of a network is made of, as ONNX files are read."""
+    """Return program and weights of a network's export, as ONNX files are read."""
     from population.networks.onnx_export import to_onnx  # loads Flax
 
     try:
@@ -96,7 +96,7 @@ def check_files(egos: Roster) -> dict[str, dict[str, str]]:
 
 
 def note_files(folder: Path, egos: Roster) -> None:
-    """Check robots' files, and write into a folder's manifest what they loaded as they played."""
+    """Check robots' files, and write the files that they loaded late into a manifest."""
     if not (loaded := check_files(egos)):
         return
     manifest = read_manifest(folder) or {}
@@ -117,7 +117,7 @@ def changed_file(folder: Path) -> tuple[str, str] | None:
 
 
 def describe_robots(folder: Path, egos: Roster, observation_size: int) -> dict[str, Any]:
-    """Return what a finished folder's manifest says of robots from outside, nothing if all is well.
+    """Return a finished folder's notes on robots from outside; empty if all is well.
 
     Raises:
         EgoError: A robot's file changed.
@@ -131,7 +131,7 @@ def describe_robots(folder: Path, egos: Roster, observation_size: int) -> dict[s
 
 
 def varying(egos: Roster, observation_size: int) -> dict[str, str]:
-    """Return which robots answer by more than their own episode, and by what: words of `NOTES`.
+    """Return the robots whose answers depend on more than their episode, with a key of `NOTES`.
 
     They are asked between two resets, so that nothing of it stays with them.
     """
@@ -140,7 +140,7 @@ def varying(egos: Roster, observation_size: int) -> dict[str, str]:
 
 
 def robot_notes(about: Any, egos: Roster) -> list[str]:
-    """Return the notes of a summary, from what a manifest says; it may be anybody's."""
+    """Return the notes of a summary from a manifest's content, which may be a stranger's."""
     parts = [about.get(name) if isinstance(about, dict) else None for name in ("varies", "loaded")]
     varies, loaded = (part if isinstance(part, dict) else {} for part in parts)
     notes = [f"{name} {NOTES[what]}" for name in egos.ids if (what := varies.get(name)) in NOTES]

@@ -93,7 +93,7 @@ def context_of(
 
 
 def read_best_responses(crossplay: Path, job: Job) -> pl.DataFrame:
-    """Return the pairs of a finished cross-play, whose best robots are partners' best responses.
+    """Return the pairs of a finished cross-play; its best robots are best responses.
 
     Its partners must be those of the job wherever they have the same ids, and have played alike.
     Seed and number of episodes may be others.

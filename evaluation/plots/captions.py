@@ -1,4 +1,4 @@
-"""What a caption says of the evaluations that a figure shows."""
+"""Captions: the evaluations behind a figure."""
 
 from collections.abc import Mapping
 from typing import Any

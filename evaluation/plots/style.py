@@ -66,7 +66,7 @@ _DISABILITY = {
 
 @contextlib.contextmanager
 def own_style() -> Generator[None]:
-    """Draw what is inside, or a decorated function, under our settings of Matplotlib alone.
+    """Run a block, or a decorated function, under our settings of Matplotlib alone.
 
     Whatever a matplotlibrc or the user's process says, equal figures give equal bytes. The user's
     settings are back afterwards.

@@ -198,7 +198,7 @@ def describe_sources(
 
 
 def describe_machine() -> dict[str, Any]:
-    """Return what decides the last bits of a value: processor, devices, versions and settings."""
+    """Return processor, devices, versions and settings: they decide the last bits of a value."""
     import jax
 
     from assistax_envs.own_settings import found_settings

@@ -1,4 +1,4 @@
-"""A folder's headline figure, and what a replay can say of it."""
+"""A folder's headline figure, and the verdict of a replay on it."""
 
 import dataclasses
 from typing import Literal
@@ -58,7 +58,7 @@ def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
 
 
 def hidden_share(headline: Headline, reach: Reach) -> float | None:
-    """Return what could be hidden as a share of the figure; None where that is unknown, or of 0.
+    """Return the hidden part as a share of the figure; None if unknown, or if the figure is 0.
 
     The figure is the smaller of the folder's and the one found here: a forger raises the first.
     """

@@ -60,7 +60,7 @@ def received_robots(
 
 
 def source_of(name: str, folder: Path, registry: Registry, *, run_code: bool = False) -> str:
-    """Return what is read in place of a name: an id of the registry, or a file of the folder.
+    """Return the source behind a name: an id of the registry, or a file of the folder.
 
     Args:
         name: Of a robot, as the folder has it.

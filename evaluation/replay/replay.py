@@ -136,7 +136,7 @@ def replay_folder(
 
 @contextlib.contextmanager
 def _strange_manifest_refused(folder: Path) -> Generator[None]:
-    """Refuse a manifest whose fields are of other kinds than ours, by what using them leads to."""
+    """Refuse a manifest whose fields have other types than ours."""
     try:
         yield
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -144,7 +144,7 @@ def _strange_manifest_refused(folder: Path) -> Generator[None]:
 
 
 def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
-    """Say what robots from outside do here and the folder does not say of them."""
+    """Return notes on robots from outside that hold here and that the folder lacks."""
     egos = rebuilt.job.egos
     found = varying(egos, rebuilt.env.observation_size["robot"])
     said = robot_notes(manifest.get("robots"), egos)
@@ -218,7 +218,7 @@ def _written_problems(
 
 
 def _less_than_same(inner: ReplayReport | None) -> list[str]:
-    """Say so if the cross-play whose robots are best responses is not confirmed to the last bit."""
+    """Return a note if the cross-play of best responses is not confirmed to the last bit."""
     if inner is None or inner.verdict in ("same", "differs"):
         return []
     return [f"best responses, of a cross-play whose verdict is {inner.verdict!r}: {inner.why}"]
@@ -292,7 +292,7 @@ def _with_verdict(
     pair: tuple[pl.DataFrame, pl.DataFrame],
     task: str,
 ) -> ReplayReport:
-    """Add how much of the headline figure was reached, and what that confirms."""
+    """Add the reached part of the headline figure, and the verdict."""
     kept, found = (table.filter(headline.rows)["return"].cast(pl.Float64) for table in pair)
     same = report.exact and not kept.is_empty()
     reach = Reach(

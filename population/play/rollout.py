@@ -152,7 +152,7 @@ class Rollout:
 
     @own_settings()
     def _begin(self, block: Block, device: jax.Device) -> tuple[Loop, Callable[..., Loop]]:
-        """Start a block, and return it with what advances it."""
+        """Start a block, and return it with the function that advances it."""
         began = time.perf_counter()
         start, advance = self._compile(block, device)
         self.compile_seconds[device] += time.perf_counter() - began

@@ -112,7 +112,7 @@ class RunFolder:
 
     @property
     def key(self) -> str | None:
-        """The digest of what the folder trains, on what, with whom; None without configuration.
+        """The digest of configuration, environment and partners; None without configuration.
 
         What may change when a run goes on is left out.
         """

@@ -1,4 +1,4 @@
-"""What this package computes for a user, each a digest, in a process with settings of its own.
+"""Digests of this package's results in a process with settings of its own.
 
 Run it to print the digests as JSON: `python -m tests.api.settings_entries BACKEND LENGTH NAMES...`.
 """

@@ -32,7 +32,7 @@ STEPS = {"train": ("--disability", "d1", "--self-play-episodes", "0"), "train-eg
 
 
 class Home:
-    """Two zoos of equal ids with other parameters, and what commands made of them."""
+    """Two zoos of equal ids with other parameters, and the folders that commands made."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -87,7 +87,7 @@ CASES: dict[str, Case] = {}
 
 
 def case(name: str, reads: str, given: str, says: str) -> Callable[..., Any]:
-    """Note what a function gives a command to read, and what the command has to say."""
+    """Register a case: the words of a command, and the expected message."""
 
     def note(words: Callable[[Home], list[str]]) -> Callable[[Home], list[str]]:
         CASES[f"{name}: {reads}, {given}"] = (name, f"{reads}|{given}", words, says)
@@ -359,7 +359,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Home]:
 
 @contextlib.contextmanager
 def prepared(folder: Path) -> Generator[Home]:
-    """Lend a home whose commands play a toy environment and keep what they keep in it."""
+    """Lend a home whose commands play a toy environment and use a cache of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
         patch.setattr("evaluation.play.baselines.SCRIPTS", {})  # they read true observations
@@ -378,7 +378,7 @@ def test_a_command_notices_another_job(home: Home, name: str) -> None:
 
 
 def rows() -> list[list[str]]:
-    """Return the table: command, what it reads, what was given in its place, what it says."""
+    """Return the table's rows: command, input, its replacement, the message."""
     return [[name, *what.split("|"), says] for name, what, _, says in CASES.values()]
 
 

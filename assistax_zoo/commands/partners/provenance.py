@@ -114,7 +114,7 @@ def _chance(report: "ReplayReport") -> list[str]:
 
 
 def _verdict(report: "ReplayReport") -> str:
-    """Say what was found of the headline figure, and how much of it could be hidden."""
+    """Return the lines about the headline figure and the part of it that could be hidden."""
     if not report.ok:
         within = "not all within what processors differ by"
         return f"{report.differing} differ" if report.exact else within

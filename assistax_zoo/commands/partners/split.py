@@ -205,7 +205,7 @@ def _groups(folder: Path | None, registry: Registry, task: str) -> dict[str, str
 
 
 def _check_partners(folder: Path, registry: Registry, task: str) -> None:
-    """Refuse a finished folder whose partners are other ones than the registry's."""
+    """Refuse a finished folder that was played with other partners than the registry's."""
     from evaluation.record.alike import read_identity
     from evaluation.record.verification import check_whole
 

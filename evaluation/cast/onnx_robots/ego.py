@@ -107,7 +107,7 @@ def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> An
 
 
 def parse(data: bytes) -> Any:
-    """Return what may be an ONNX model; nothing of it is checked.
+    """Return the bytes of a possible ONNX model, unchecked.
 
     Raises:
         UntrustedModelError: The bytes are no model.

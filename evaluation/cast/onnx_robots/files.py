@@ -57,7 +57,7 @@ def read_model(path: Path) -> tuple[bytes, Files]:
 
 
 def read_claims(data: bytes) -> Mapping[str, Any]:
-    """Return what a model's metadata claims of the robot in JSON, nothing where it is no object."""
+    """Return the claims in a model's JSON metadata; empty if it is no object."""
     try:
         content = parse_json(read_metadata(data) or "{}")
     except (ValueError, RecursionError):  # of others, in a form of their own

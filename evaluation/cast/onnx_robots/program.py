@@ -182,7 +182,7 @@ def _layer_norm(attributes: Attributes, x: Any, scale: Any, bias: Any = None) ->
 def _batch_norm(
     attributes: Attributes, x: Any, scale: Any, bias: Any, mean: Any, variance: Any
 ) -> Any:
-    """Normalise by statistics of the training; what would look at a batch is refused before."""
+    """Normalise by the statistics of training; statistics of a batch are refused before."""
     channels = (1, -1, *(1,) * (x.ndim - 2))
     scale, bias, mean, variance = (
         value.reshape(channels) for value in (scale, bias, mean, variance)
