@@ -190,7 +190,7 @@ def _from_files(
     if not names:
         raise ValueError(f"policy {text!r} matches no file; list the folder with ls")
     for name in names:
-        sha256 = _sha256(name)  # first: a file that changes from then on is found out
+        sha256 = _file_hash(name)  # first: a file that changes from then on is found out
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))
         robots = [entry for entry in registry.policies if entry.role == "robot"]
@@ -300,7 +300,7 @@ def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -
     )
 
 
-def _sha256(path: str) -> str:
+def _file_hash(path: str) -> str:
     """Return a file's sha256, empty if there is no file: its reader names the problem."""
     return file_sha256(Path(path)) if Path(path).is_file() else ""
 
