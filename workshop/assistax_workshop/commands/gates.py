@@ -1,4 +1,4 @@
-"""Training for the gates of tasks: teams for an audit, told robots, curves."""
+"""Training for the gates of tasks: teams for an audit, robots with persons, curves."""
 
 from pathlib import Path
 from typing import Annotated
@@ -53,58 +53,6 @@ def train(
         changes=parse_changes(set_),
         backend=backend,
     )
-
-
-def told_egos(
-    task: str,
-    folder: Path,
-    /,
-    *,
-    split: str | None = None,
-    seeds: str = "4",
-    steps: str = "10M",
-    episodes: int = 8,
-    set_: Changes = (),
-    backend: str = "auto",
-    registry: Path | None = None,
-) -> None:
-    """Train robots that are told what their partners like, and evaluate them.
-
-    FOLDER/training is as of `train-ego`, FOLDER/evaluation as of `evaluate --split both`; an
-    interrupted command continues.
-
-    Args:
-        task: Gentle task.
-        folder: Folder of the run and the evaluation.
-        split: Split whose training side they learn with; default that of the release.
-        seeds: How many, or which.
-        steps: Environment steps of each robot.
-        episodes: Episodes of each pair.
-        set_: Hyperparameter, such as num_envs=512; repeat it for more.
-        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
-        registry: Registry to read instead of the installed one.
-
-    Example:
-        assistax-zoo gates told-egos gentle_scratch runs/told --seeds 16 --set torso=gru
-    """
-    from assistax_workshop.gates.told_egos import train_told_egos
-    from assistax_zoo.shell.console import command_line
-    from zoo.registry import load_registry
-
-    summary = train_told_egos(
-        load_registry(registry),
-        task,
-        folder,
-        command_line(),
-        split=split,
-        seeds=parse_seeds(seeds),
-        steps=parse_steps(steps),
-        episodes=episodes,
-        changes=parse_changes(set_),
-        backend=backend,
-    )
-    for side, figure in (("train", summary.m_train), ("test", summary.m_test)):
-        print(f"{side}: {figure.mean:.1f}" if figure else f"{side}: nobody")
 
 
 def curves(folder: Path, /, *, out: Path) -> None:
