@@ -512,7 +512,9 @@ def test_a_folder_that_is_no_finished_one_is_refused(
         collect(crossplay_folder, tmp_path / "data")
 
 
-@pytest.mark.parametrize("task", ["../../x", "/tmp/x", "scratch/..", ["scratch"], None])
+@pytest.mark.parametrize(
+    "task", ["../../x", "/tmp/x", "scratch/..", ["scratch"], None, "gentle_bath"]
+)
 def test_a_received_folder_cannot_write_outside(
     crossplay_folder: Path, tmp_path: Path, task: Any
 ) -> None:

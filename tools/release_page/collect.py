@@ -4,39 +4,31 @@
 |---|---|
 | `assistax-zoo crossplay --out` | `crossplay/TASK/`: pairs, order, strategies, summary, run |
 | `assistax-zoo evaluate --split both --out` | `egos/TASK-METHOD/`: a row a pair, summary, run |
-| the same of a gentle task | `egos/TASK/SPLIT/METHOD/`: pairs by preference, summary, run |
-| the same with `--series` | `egos/TASK/SPLIT/METHOD-series/`, with the place in the series |
 | `assistax-zoo train-ego --out` | `training.json` there: steps, device and seconds |
 """
 
 from pathlib import Path
 from typing import Any
 
-from assistax_envs.versions import GENTLE_TASKS
 from evaluation.record import tables
 from tools.release_page.data import CROSSPLAY, EGOS, TRAINING_FILE
 from tools.release_page.folders import check_unchanged, how_it_ran, known_task, read_training, small
-from tools.release_page.gentle import evaluations as gentle
-from tools.release_page.paper import evaluations as paper
+from tools.release_page.paper.evaluations import collect_evaluation
 
 
-def collect(folder: Path, data: Path, method: str | None = None, split: str | None = None) -> Path:
+def collect(folder: Path, data: Path) -> Path:
     """Condense one finished folder into the data of a release; return the folder that was written.
 
     Args:
         folder: Of evaluate, train-ego or crossplay.
         data: Of the release.
-        method: Name of the robots' method on a gentle task; without it, their files'.
-        split: Under which split a training is filed, where it is not the one trained with.
 
     Raises:
         ValueError: The folder is none that can be condensed, is unfinished or changed, or names no
-            task or split of ours.
+            task of the paper.
     """
-    if method is not None:
-        gentle.checked_name(method, "method")
     if (folder / "policies").is_dir():
-        return _collect_training(folder, data, method, split)
+        return _collect_training(folder, data)
     if not (folder / tables.SUMMARY_FILE).is_file():
         raise ValueError(
             f"{folder} holds no {tables.SUMMARY_FILE} and no policies; give a finished folder of "
@@ -51,25 +43,19 @@ def collect(folder: Path, data: Path, method: str | None = None, split: str | No
             f"{folder / tables.SUMMARY_FILE} is of neither crossplay nor evaluate; give a finished "
             "folder of one"
         )
-    if known_task(summary, folder) in GENTLE_TASKS:
-        return gentle.collect_evaluation(folder, summary, data, method)
-    return paper.collect_evaluation(folder, summary, data)
+    known_task(summary, folder)
+    return collect_evaluation(folder, summary, data)
 
 
-def _collect_training(folder: Path, data: Path, method: str | None, split: str | None) -> Path:
+def _collect_training(folder: Path, data: Path) -> Path:
     first, content = read_training(folder)
-    task, name = first["task"], method or first["algorithm"]
-    if task in GENTLE_TASKS:
-        name = gentle.checked_name(name, "method")
-        out = gentle.place_of(data, task, split or first.get("split"), name)
-    else:
-        out = data / EGOS / f"{task}-{name}"
+    out = data / EGOS / f"{first['task']}-{first['algorithm']}"
     tables.write_json(content, out / TRAINING_FILE)
     return out
 
 
 def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
-    """Condense a finished cross-play of published teams of one of the tasks."""
+    """Condense a finished cross-play of published teams."""
     out = data / CROSSPLAY / known_task(summary, folder)
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():

@@ -1,7 +1,7 @@
-"""What is kept of a finished folder, of whichever release; nothing that it says names a place.
+"""What is kept of a finished folder; nothing that it says names a place.
 
 Folders may have been received from anybody: what they say names a folder only where it is one of
-our tasks, or fits a strict pattern.
+the paper's tasks, or fits a strict pattern.
 """
 
 import re
@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 import polars.selectors as cs
 
-from assistax_envs.versions import VERSIONS
+from assistax_envs.versions import PAPER_TASKS
 from evaluation.record import tables
 from evaluation.record.verification import verify_folder
 
@@ -64,23 +64,18 @@ def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def known_task(metadata: Mapping[str, Any], folder: Path) -> str:
-    """Return the task that a received folder names: one of ours, since a folder is named so."""
-    if metadata.get("task") not in tuple(VERSIONS):  # it may be no text
+    """Return the task that a received folder names: one of the paper's, as a folder is named so."""
+    if metadata.get("task") not in PAPER_TASKS:  # it may be no text
         raise ValueError(
-            f"{folder} names the task {metadata.get('task')!r}; allowed are {', '.join(VERSIONS)}"
+            f"{folder} names the task {metadata.get('task')!r}; allowed are "
+            f"{', '.join(PAPER_TASKS)}"
         )
     return metadata["task"]
 
 
-def how_it_ran(
-    folder: Path, summary: Mapping[str, Any], steps: int | None = None
-) -> dict[str, Any]:
-    """Return how the folder came about: without paths, with the seconds of simulation.
-
-    `steps` are those of the simulation; without them, those of its episodes.
-    """
-    if steps is None:
-        steps = int(tables.read_parquet(folder / tables.EPISODES_FILE)["steps"].sum())
+def how_it_ran(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how the folder came about: without paths, with the seconds of simulation."""
+    steps = int(tables.read_parquet(folder / tables.EPISODES_FILE)["steps"].sum())
     rate = summary["env_steps_per_second"]
     return {
         **_run_of(folder),

@@ -47,17 +47,18 @@ def csv_table(headings: Sequence[object], rows: Iterable[Sequence[object]]) -> s
     return out.getvalue()
 
 
-def csv_of(tables: Mapping[str, Table | None], heading: str) -> str:
-    """Return tables as one table of CSV, whose first column says of what each is.
+def csv_of(found: Table | None, heading: str, name: str) -> str:
+    """Return a table as CSV with a column before its own; None is a table without rows.
 
-    Other headings than the first table's stand before their rows; None is a table without rows.
+    Args:
+        found: Headings and rows.
+        heading: Of the column before them.
+        name: Its value in every row.
     """
-    lines: list[list[object]] = []
-    for name, (headings, rows) in ((name, found) for name, found in tables.items() if found):
-        titles: list[object] = [heading, *headings]
-        lines += [titles] * (lines[:1] != [titles])
-        lines += ([name, *row] for row in rows)
-    return csv_table(lines[0], lines[1:]).replace("`", "") if lines else ""
+    if found is None:
+        return ""
+    headings, rows = found
+    return csv_table([heading, *headings], ([name, *row] for row in rows)).replace("`", "")
 
 
 def code(text: str) -> str:

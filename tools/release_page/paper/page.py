@@ -66,7 +66,7 @@ def tables(results: Results) -> dict[str, str]:
         "curves.csv": sections.curve_table(results),
         "egos.csv": sections.zero_shot_table(results),
     }
-    return {name: csv_of({results.release: found}, "release") for name, found in beside.items()} | {
+    return {name: csv_of(found, "release", results.release) for name, found in beside.items()} | {
         "minutes.csv": csv_table(HEADINGS, cost_rows(results.humans, trained, played)),
         "commands.txt": "".join(f"{line}\n" for line in lines),
     }
