@@ -1,4 +1,4 @@
-"""Training for the gates of tasks: teams for an audit, robots with persons, curves."""
+"""Training for the gates of tasks: teams for an audit, robots with persons."""
 
 from pathlib import Path
 from typing import Annotated
@@ -53,22 +53,6 @@ def train(
         changes=parse_changes(set_),
         backend=backend,
     )
-
-
-def curves(folder: Path, /, *, out: Path) -> None:
-    """Draw how the teams of the gentle tasks learned.
-
-    Args:
-        folder: Folder of curves, as `train population --curves` writes it.
-        out: Picture to write.
-
-    Example:
-        assistax-zoo gates curves docs/data/v2/curves --out docs/images/curves_gentle.png
-    """
-    from assistax_workshop.gates.curves import draw_curves
-
-    draw_curves(folder, out)
-    print(out)
 
 
 def persons(
