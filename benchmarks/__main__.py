@@ -18,8 +18,7 @@ from benchmarks.timing import check_seconds
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    commands = env, evaluate, train, adapters, fetch, ladder, ranks, pages, service, storm, starts
-    for command in commands:
+    for command in (env, evaluate, train, adapters, fetch, pages, service, storm):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -227,101 +226,6 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
         f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; "
         f"{row['fetch_mb_per_second']:.0f} MB/s at best"
     )
-
-
-def ladder(*, attempts: int = 1000, submitters: int = 20, json: bool = False) -> None:
-    """Let submitters climb by a board's answers, with the Ladder and without.
-
-    Args:
-        attempts: Attempts of each submitter.
-        submitters: How many there are; the figures are their means.
-        json: Print JSON.
-
-    Example:
-        python -m benchmarks ladder
-    """
-    from benchmarks.ladder import attack_all
-
-    rows = attack_all(attempts, submitters)
-    if json:
-        print_json(rows)
-        return
-    print(f"{attempts} attempts, {submitters} submitters; gains in points of return")
-    print("shared  attack  board   answers  shown on A  gain on B  largest  half-width on B")
-    for row in rows:
-        print(
-            f"{row['shared']:6.2f}  {row['attack']:6}  {row['board']:6}  {row['answers']:7.1f}  "
-            f"{row['shown']:10.1f}  {row['gain_b']:9.2f}  {row['largest_gain_b']:7.2f}  "
-            f"{row['half_width']:15.2f}"
-        )
-
-
-def ranks(*, lists: int = 400, seed_sds: bool = False, json: bool = False) -> None:
-    """Measure how often a list of ranks is wrong, and how much of the true order it finds.
-
-    Args:
-        lists: Lists drawn for each figure.
-        seed_sds: Instead, show how far the seeds of the zoo's egos differ, by task.
-        json: Print JSON.
-
-    Example:
-        python -m benchmarks ranks
-    """
-    from benchmarks import ranks as simulation
-
-    if seed_sds:
-        deviations = simulation.measure_seed_sds(Path("docs/data"))
-        answer = {task: simulation.root_mean_square(sds) for task, sds in deviations.items()}
-        print_json(answer) if json else print(
-            *(f"{t:16} {v:8.1f}" for t, v in answer.items()), sep="\n"
-        )
-        return
-    rows = []
-    for row in simulation.simulate(lists):
-        rows.append(dataclasses.asdict(row))
-        shares = "".join(f"{share:8.1%}" for share in row.shares.values())
-        if not json:
-            print(f"{row.figure:20} {row.world:22} known {row.known:7}{shares}", flush=True)
-    if json:
-        print_json(rows)
-
-
-def starts(
-    *,
-    task: str = "gentle_scratch",
-    robot: str = "gentle_scratch/ppo-ego-s0-v2/robot",
-    seeds: int = 20,
-    backend: str = "auto",
-    json: bool = False,
-) -> None:
-    """Play one robot under many seeds: does M_test's interval hold the luck of the starts?
-
-    Args:
-        task: Task.
-        robot: Id of the robot.
-        seeds: How many seeds' episodes it plays with the test partners.
-        backend: fused, native or auto.
-        json: Print JSON.
-
-    Example:
-        python -m benchmarks starts --task gentle_scratch --seeds 20
-    """
-    with stdout_is_data():
-        from benchmarks.starts import measure_luck
-
-        luck = measure_luck(task, robot, seeds, backend=backend)
-        rows = [dataclasses.asdict(row) for row in luck]
-    if json:
-        print_json(rows)
-        return
-    print(f"{robot} under {seeds} seeds; M_test and its 95% interval")
-    for row in rows:
-        covered = "" if row["covered"] is None else f", of drawn ones {row['covered']:.1%}"
-        kind = f"{row['starts']} starts" + ", resampled" * row["resampled"]
-        print(
-            f"{kind:26} SD over seeds {row['sd']:7.2f}, half-width {row['half_width']:7.2f}, holds "
-            f"the mean: {row['held']:.0%}{covered}"
-        )
 
 
 def _tasks(task: str) -> tuple[str, ...]:

@@ -134,14 +134,6 @@ def test_fetch_measures_whole_commands(
     assert "policies is 1; allowed is 2 to 20000" in capfd.readouterr().err
 
 
-def test_ladder_lets_submitters_climb(capfd: pytest.CaptureFixture[str]):
-    assert run(["ladder", "--attempts", "20", "--submitters", "1", "--json"]) == 0
-    rows = json.loads(capfd.readouterr().out)
-    boards = {(row["shared"], row["attack"], row["board"]): row for row in rows}
-    assert len(boards) == len(rows) == 18
-    assert boards[0.0, "climb", "exact"]["answers"] > boards[0.0, "climb", "ladder"]["answers"]
-
-
 @pytest.mark.slow
 def test_pages_reads_every_kind_of_page(tmp_path: Path):
     from tests.board.board_data import make_app

@@ -1,14 +1,30 @@
 """The Ladder: what it shows, what it keeps to itself, and what a climber gains."""
 
+import dataclasses
+from typing import Literal
+
 import numpy as np
 import pytest
 import scipy.stats
 
 from assistax_board.places.ladder import ladder_release
-from benchmarks.ladder import attack
+from evaluation.figures.bootstrap import estimate
 
 RNG = np.random.default_rng(0)
 BASE = RNG.normal(900, 30, 60)
+
+# A submitter's robot is a point x, and its mean return with partner p is ease_p + w_p . x. Each w_p
+# has a part that all hidden partners share and a part of its own. The submitter tries steps and
+# believes the board. The sizes are those of release v1's scratch, from its 16 PPO egos.
+PARTNERS = 60  # of panel A, and of panel B
+EPISODES = 16
+DIMENSIONS = 1000  # directions in which a robot may change; networks have 20,000
+BETWEEN_PARTNERS = 3.9  # standard deviations of returns
+BY_A_STEP = 2.7
+BETWEEN_EPISODES = 13.0
+
+Board = Literal["exact", "ladder"]
+Attack = Literal["climb", "gather"]
 
 
 def test_the_first_attempt_is_shown_rounded_to_its_error() -> None:
@@ -40,6 +56,59 @@ def test_a_team_that_only_has_luck_is_shown_nothing_in_95_of_100_seasons() -> No
         answers = (ladder_release(first, scores, attempt=2 + i) for i, scores in enumerate(others))
         fooled += any(answer is not None for answer in answers)
     assert fooled <= 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Attacked:
+    """What a submitter gained over where it began, in points of return."""
+
+    shown: float  # on panel A, as the board says
+    gain_b: float  # on panel B, the truth
+    half_width: float  # of the 95% interval of the last robot's mean on panel B
+
+
+def attack(how: Attack, board: Board, attempts: int, shared: float, seed: int) -> Attacked:
+    """Let one submitter attack.
+
+    Args:
+        how: "climb" tries a step from the best robot so far and keeps it if the board shows more;
+            "gather" tries steps from where it began and takes all those together that it did.
+        board: "exact" shows every score, "ladder" what the Ladder releases.
+        attempts: how many the submitter has.
+        shared: part of a step's variance that all hidden partners have in common.
+        seed: of everything.
+    """
+    rng = np.random.default_rng(seed)
+    common = rng.normal(size=DIMENSIONS)
+    own = rng.normal(size=(2, PARTNERS, DIMENSIONS))
+    weights = BY_A_STEP * (np.sqrt(shared) * common + np.sqrt(1 - shared) * own)
+    ease = rng.normal(0, BETWEEN_PARTNERS, (2, PARTNERS))
+
+    def play(robot: np.ndarray, panel: int) -> np.ndarray:
+        noise = rng.normal(0, BETWEEN_EPISODES / np.sqrt(EPISODES), PARTNERS)
+        return ease[panel] + weights[panel] @ robot + noise
+
+    best = kept = np.zeros(DIMENSIONS)
+    best_scores = play(best, 0)
+    first = best_shown = answer_of(board, None, best_scores, 1) or 0.0
+    for attempt in range(2, attempts + 1):
+        step = rng.normal(size=DIMENSIONS) / np.sqrt(DIMENSIONS)
+        scores = play(kept + step if how == "climb" else step, 0)
+        shown = answer_of(board, best_scores, scores, attempt)
+        bar = first if how == "gather" and board == "exact" else best_shown
+        if shown is not None and shown > bar:
+            kept = kept + step
+            if shown > best_shown:
+                best_scores, best_shown = scores, shown
+    on_b = estimate(play(kept, 1)[None], resamples=500, seed=seed).mean_ci
+    width = (on_b[1] - on_b[0]) / 2 if on_b else 0.0
+    return Attacked(best_shown - first, float((weights[1] @ kept).mean()), width)
+
+
+def answer_of(board: Board, best: np.ndarray | None, new: np.ndarray, attempt: int) -> float | None:
+    if board == "exact":
+        return float(new.mean())
+    return ladder_release(best, new, attempt=attempt)
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.02])

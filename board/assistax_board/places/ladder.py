@@ -8,7 +8,7 @@ other attempt is answered with silence, which tells next to nothing.
 Blum and Hardt ask for one standard error of the paired losses. Here the bar is higher, because it
 must hold for all attempts together: 5% is the chance that any answer in a whole season is luck, and
 attempt t may spend a share 1 / (t (t + 1)) of it. The sum of all shares is 1, however many follow.
-What that buys is measured by `python -m benchmarks ladder`.
+What that buys is in docs/board.md.
 """
 
 import math

@@ -34,8 +34,8 @@ can spoil it.
 `seed_sd`, where it is given, is no less than half of the truth for most methods. A method with one
 seed is that robot: its rank speaks of new partners, not of new seeds of its training.
 
-**Measured** by `python -m benchmarks ranks`; docs/board.md has the whole table. Six methods, seeds
-of standard deviation 40; true orders found with methods 100 apart, and lists with a wrong rank with
+**Measured** in made-up worlds; docs/tables/ranks.csv has the whole table. Six methods, seeds of
+standard deviation 40; true orders found with methods 100 apart, and lists with a wrong rank with
 equal ones, the worst of several worlds:
 
 | seeds                                        | 2  | 3  | 4  | 5  | 10  |
@@ -63,7 +63,7 @@ _INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are compu
 
 
 # Standard deviation between seeds of one method of their means over partners: root mean square over
-# the zoo's PPO and SAC egos of each task (`python -m benchmarks ranks --seed-sds`).
+# the zoo's PPO and SAC egos of each task; tests/evaluation/test_ranks.py computes them.
 SEED_SDS: Mapping[str, float] = {
     "scratch": 5.8,
     "bed_bath": 15.7,
