@@ -6,13 +6,15 @@ Exit code 1 if an entry that an earlier state published is gone or changed. A sh
 earlier states, or none, which is said.
 """
 
+import json
 import subprocess
 from pathlib import Path
 
 from assistax_base.errors import ImmutableError
+from zoo.history.merkle import with_roots
 from zoo.registry import load_registry, parse_registry
 from zoo.saving import check_grown
-from zoo.schema import RegistryFile
+from zoo.schema import SCHEMA_VERSION, RegistryFile
 
 FILE = "registry.json"
 # Roots of v2 before its teams were trained anew under their ids, see docs/releases.md.
@@ -34,8 +36,22 @@ def earlier_states(folder: Path) -> dict[str, RegistryFile]:
     for commit in dict.fromkeys([*parent, *commits]):
         text = _git(folder, "show", f"{commit}:{FILE}")
         if text:  # a commit before there was one, or that removed it
-            states[commit] = parse_registry(text, f"{FILE} of {commit[:12]}")
+            states[commit] = parse_state(text, f"{FILE} of {commit[:12]}")
     return states
+
+
+def parse_state(text: str, source: str) -> RegistryFile:
+    """Return an earlier state's registry, one of schema 1 in today's schema.
+
+    Schema 1 had no roots, and called the interval of self-play's mean `ci`.
+    """
+    data = json.loads(text)
+    if data["schema_version"] != 1:
+        return parse_registry(text, source)
+    for team in data["teams"].values():
+        if figures := team.get("self_play"):
+            figures["mean_ci"] = figures.pop("ci")
+    return with_roots(parse_registry(json.dumps(data | {"schema_version": SCHEMA_VERSION}), source))
 
 
 def check(new: RegistryFile, states: dict[str, RegistryFile]) -> list[str]:

@@ -25,11 +25,8 @@ from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team
 from zoo.splits import check_split
 from zoo.splitting.sides import parse_split
 
-# 2: one digest of all disability settings, and shards apart; 1: without the root and the leaves
 LOCK_VERSION = 3
 MAX_LOCK_BYTES = 16 * 1024 * 1024
-# By version, which of the fields that came and went a lock has: the version is not in its sha256.
-_FIELDS = {1: {"disability_settings"}, 2: {"root", "disability_settings"}, 3: {"root"}}
 _REMEDY = "restore it, or make it again with `assistax-zoo lock`"
 
 
@@ -43,17 +40,15 @@ class PinnedSplit(StrictModel):
 class Lock(StrictModel):
     """What a lock file holds."""
 
-    lock_version: Literal[1, 2, 3]
+    lock_version: Literal[3]
     sha256: Sha256  # of all the rest
     release: str
-    root: Sha256 | None = None  # of the release when the lock was made; it may have grown since
-    leaves: dict[str, Sha256] = Field(default={})  # by name, see `zoo.history.merkle`
+    root: Sha256  # of the release when the lock was made; it may have grown since
+    leaves: dict[str, Sha256]  # by name, see `zoo.history.merkle`
     registry: Sha256  # of the registry.json that it was made of, to tell it from a grown one
-    disability_settings: Sha256 | None = None  # of all that the registry had; not in version 3
     environments: dict[Name, Annotated[int, Field(ge=1)]]
     splits: dict[Name, PinnedSplit]  # by task
     own_splits: tuple[Split, ...] = ()  # those of them that the release does not publish
-    shards: dict[str, Sha256] = Field(default={})  # among the leaves since version 3
     policies: Annotated[dict[str, Sha256], Field(min_length=1)]
 
     @property
@@ -67,12 +62,9 @@ class Lock(StrictModel):
         """What a registry must have, by name, as `_pinnable` gives it."""
         own = {split.id for split in self.own_splits}
         splits = {split.id: split.sha256 for split in self.splits.values() if split.id not in own}
-        settings = {"disability settings": self.disability_settings}
         return {
             **_named("environment version of", self.environments),
-            **(settings if self.lock_version == 1 else {}),
             **_named("split", splits),
-            **_named("shard", self.shards),
             **_named("policy", self.policies),
             **_named("entry", self.leaves),
         }
@@ -82,23 +74,20 @@ def read_lock(path: Path) -> Lock:
     """Return the lock of a file.
 
     Raises:
-        LockError: It is missing, malformed, of a newer version, or was edited.
+        LockError: It is missing, malformed, of another version, or was edited.
     """
     text = read_text(path, MAX_LOCK_BYTES, LockError, "lock file", _REMEDY)
     try:
         version = parse_json(text)["lock_version"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _bad(path, "a lock file", f"{type(error).__name__}: {shorten(str(error))}") from None
-    if version not in _FIELDS:
-        expected, found = f"lock version {LOCK_VERSION} or older", f"version {shorten(version)}"
-        raise _bad(path, expected, found, "upgrade assistax-zoo")
+    if version != LOCK_VERSION:
+        expected, found = f"lock version {LOCK_VERSION}", f"version {shorten(version)}"
+        raise _bad(path, expected, found, "upgrade assistax-zoo, or make the lock again")
     try:
         lock = Lock.model_validate_json(text)
     except ValidationError as error:
         raise _bad(path, "a lock file", first_problem(error)) from None
-    fields = {name for name in ("root", "disability_settings") if getattr(lock, name) is not None}
-    if fields != _FIELDS[lock.lock_version]:
-        raise _bad(path, f"content of version {version}", "another's: it was edited")
     if (digest := lock.content_sha256) != lock.sha256:
         raise _bad(path, f"content of sha256 {lock.sha256}", f"sha256 {digest}: it was edited")
     return lock
@@ -173,13 +162,10 @@ def _check(registry: Registry, lock: Lock) -> None:
 def _pinnable(registry: Registry, release: str) -> dict[str, object]:
     """Return all that a lock of a release can pin, by the names of `Lock.pins`."""
     part, name = registry.part_of(release)  # whatever was added to it
-    settings = {key: setting.model_dump() for key, setting in part.data.disability_settings.items()}
     data = registry.data
     return {
         **_named("environment version of", data.releases[release].environments),
-        "disability settings": json_sha256(settings),
         **_named("split", {split.id: split.sha256 for split in data.splits}),
-        **_named("shard", {path: shard.sha256 for path, shard in data.shards.items()}),
         **_named("policy", {entry.id: entry.sha256 for entry in registry.policies}),
         **_named("entry", leaves(part.data, name)),
     }

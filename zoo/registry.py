@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from assistax_base.errors import (
     shorten,
 )
 from assistax_base.validated import first_problem
-from zoo.history.merkle import check_roots, release_root, with_roots
+from zoo.history.merkle import check_roots, release_root
 from zoo.history.own_splits import own_splits
 from zoo.ids import PERSONS, names_persons, parse_team
 from zoo.locations import (
@@ -274,28 +273,12 @@ def parse_registry(text: str, source: str) -> RegistryFile:
         found = f"not a registry ({type(error).__name__}: {error})"
         raise RegistryError(source, expected, found) from None
     if version > SCHEMA_VERSION:
-        raise RegistryVersionError(
-            source,
-            f"schema version {SCHEMA_VERSION} or older",
-            f"schema version {version}",
-        )
+        found = f"schema version {version}"
+        raise RegistryVersionError(source, f"schema version {SCHEMA_VERSION}", found)
     try:
-        if version == 1:  # which has no roots of its own
-            return with_roots(RegistryFile.model_validate_json(first_schema(text)))
         return RegistryFile.model_validate_json(text)
     except ValidationError as error:
         raise RegistryError(source, expected, first_problem(error)) from None
-
-
-def first_schema(text: str) -> str:
-    """Return a registry of schema 1 in the schema of today: `ci` was the mean's interval."""
-    data = {**json.loads(text), "schema_version": SCHEMA_VERSION}
-    teams = data.get("teams")
-    for team in teams.values() if isinstance(teams, dict) else ():
-        figures = team.get("self_play") if isinstance(team, dict) else None
-        if isinstance(figures, dict) and "ci" in figures:
-            figures["mean_ci"] = figures.pop("ci")
-    return json.dumps(data)
 
 
 def build_registry(data: RegistryFile, path: Path) -> Registry:

@@ -22,7 +22,7 @@ from assistax_envs.disability import Disability
 from population.networks.spec import PolicySpec, Role, spec_from_json
 from zoo.ids import parse_team, release_number
 
-SCHEMA_VERSION = 2  # 1: without egos and roots; self-play's `mean_ci` was called `ci`
+SCHEMA_VERSION = 2
 
 Scalar = float | int | bool | str | None
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

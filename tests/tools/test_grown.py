@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.zoo.conftest import put, trained_teams
-from tools.grown import REWRITTEN, check, earlier_states, main
+from tools.grown import REWRITTEN, check, earlier_states, main, parse_state
 from zoo.registry import load_registry
 
 
@@ -57,6 +57,17 @@ def test_a_clone_without_a_past_says_so(repository: Path, tmp_path: Path, capsys
     subprocess.run(words, check=True)
     assert main(tmp_path / "clone") == 0
     assert "no earlier registry.json in this clone" in capsys.readouterr().out
+
+
+def test_a_state_of_the_first_schema_is_read(repository: Path) -> None:
+    path = repository / "registry.json"
+    old = json.loads(path.read_text())
+    for release in old["releases"].values():
+        del release["root"]
+    for team in old["teams"].values():
+        team["self_play"]["ci"] = team["self_play"].pop("mean_ci")
+    text = json.dumps(old | {"schema_version": 1})
+    assert parse_state(text, "an earlier state") == load_registry(path).data
 
 
 def test_one_rewriting_is_known_and_no_other(repository: Path) -> None:

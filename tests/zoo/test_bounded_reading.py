@@ -42,7 +42,7 @@ def large(kind: str) -> bytes:
     if kind == "splits":
         return b'{"schema_version": 2, "splits": [' + b"0," * (MAX_VALUES - 9) + b"0]}"
     names = b",".join(b'"a%d":0' % n for n in range(MAX_VALUES - 9))
-    return b'{"schema_version": 2, "lock_version": 2, "teams": {' + names + b"}}"
+    return b'{"schema_version": 2, "lock_version": 3, "teams": {' + names + b"}}"
 
 
 @pytest.mark.slow_for("table", "splits")

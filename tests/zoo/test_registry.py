@@ -162,6 +162,7 @@ def test_unknown_ids_name_the_nearest(registry: Registry) -> None:
         (lambda d: d.pop("teams"), "teams is missing"),
         (lambda d: d.update(release="v9"), "release 'v9'"),
         (lambda d: d.update(schema_version=0), "it must be 2"),
+        (lambda d: d.update(schema_version=1), "it must be 2"),
         (lambda d: d.update(schema_version="1"), "schema_version '1'"),
     ],
 )
@@ -199,7 +200,7 @@ def test_newer_schema_says_upgrade(registry: Registry) -> None:
         b"null",
         b"\xff\xfe",
         b"[" * 100_000,
-        b'{"schema_version": 1, "schema_version": 1}',
+        b'{"schema_version": 2, "schema_version": 2}',
         b"{}",
     ],
 )
@@ -247,7 +248,7 @@ def _sample_text() -> str:
     row = {"shard": "a.safetensors", "row": 0, "sha256": digest}
     return json.dumps(
         {
-            "schema_version": 1,
+            "schema_version": 2,
             "release": "v0",
             "releases": {"v0": {"date": "2027-01-31", "environments": {"scratch": 1}}},
             "disability_settings": {"d1": {"strength": 1.0, "elbow_range": 1.0, "tremor": 0.0}},
