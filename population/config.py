@@ -125,7 +125,8 @@ class TrainConfig:
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
         content = {**dataclasses.asdict(self), "kind": self.trainer.kind}
-        if not self.preferences:  # as in runs of before there were any
+        # Left out where they are as usual, so that runs without them keep their digest.
+        if not self.preferences:
             del content["preferences"]
         if self.precision == "float32":
             del content["precision"]

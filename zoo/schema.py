@@ -202,7 +202,7 @@ class Split(StrictModel):
 
     @property
     def content(self) -> dict[str, Any]:
-        """What its sha256 is of: without what it has none of, as before there was any."""
+        """Fields covered by `sha256`; empty optional fields are omitted, so hashes stay valid."""
         unused = {name for name in ("preferences", "validation") if not getattr(self, name)}
         return self.model_dump(exclude={"id", "sha256", *unused})
 

@@ -151,7 +151,7 @@ class Training:
     checkpoint_every: int | None = None
     updates_per_call: int | None = None
     resume: bool = True
-    tensorboard: Annotated[str | None, Parameter(name=("--log", "--tensorboard"))] = None
+    tensorboard: Annotated[str | None, Parameter(name="--log")] = None
 
     def what(self, steps: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return what is trained, as the functions of training take it.

@@ -41,7 +41,7 @@ class PolicySpec:
     def to_json(self) -> dict:
         """Return the spec as JSON-ready values; `PolicySpec(**spec.to_json())` gives it back."""
         content = {**dataclasses.asdict(self), "hidden": list(self.hidden)}
-        if not self.latent:  # as in specs of before there were any
+        if not self.latent:  # left out, so that specs without it keep their digest
             del content["latent"]
         return content
 

@@ -143,15 +143,8 @@ def _team(
         specs=specs,
         params=params,
         training={**item["training"]},
-        self_play=_figures(item.get("self_play")),
+        self_play=item.get("self_play"),
     )
-
-
-def _figures(self_play: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Return self-play figures; older runs call the interval of the mean `ci`."""
-    if self_play and "ci" in self_play:
-        return {("mean_ci" if name == "ci" else name): value for name, value in self_play.items()}
-    return self_play
 
 
 def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFile:

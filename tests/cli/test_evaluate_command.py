@@ -115,7 +115,7 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     for i in (2, 1, 2):
         assert (
             call(
-                "crossplay", *words, "--out", tmp_path / "xp", *(["--block", f"{i}/2"] if i else [])
+                "crossplay", *words, "--out", tmp_path / "xp", *(["--share", f"{i}/2"] if i else [])
             )
             == 0
         )
@@ -180,9 +180,8 @@ def test_a_share_does_not_replace_the_others(tmp_path: Path, capfd: Any):
 
 
 @pytest.mark.parametrize("share", ["0/2", "3/2", "1", "a/b"])
-@pytest.mark.parametrize("option", ["--share", "--block"])  # its name in earlier versions
 def test_a_share_is_one_of_n(
-    registry: Path, tmp_path: Path, option: str, share: str, capfd: pytest.CaptureFixture[str]
+    registry: Path, tmp_path: Path, share: str, capfd: pytest.CaptureFixture[str]
 ):
     code = call(
         "crossplay",
@@ -192,7 +191,7 @@ def test_a_share_is_one_of_n(
         registry,
         "--out",
         tmp_path / "x",
-        option,
+        "--share",
         share,
     )
     assert "expected i/n with i from 1 to n" in failure(capfd, code)

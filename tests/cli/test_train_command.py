@@ -137,12 +137,10 @@ def test_a_tiny_run_on_the_real_task_can_be_published(tmp_path, capfd):
     ]
     assert teams[0].specs["robot"].observation_size == 34
     events = tmp_path / "events"
-    assert (
-        run([*words, "--out", str(tmp_path / "run"), "--json", "--tensorboard", str(events)]) == 0
-    )
+    assert run([*words, "--out", str(tmp_path / "run"), "--json", "--log", str(events)]) == 0
     assert len(json.loads(capfd.readouterr().out)["teams"]) == 4
     expected = [f"scratch-ippo-{setting}-s{seed}" for setting in ("d1", "d9") for seed in (0, 4)]
     assert sorted(path.name for path in events.iterdir() if any(path.iterdir())) == expected
-    assert run([*words, "--out", str(tmp_path / "other"), "--tensorboard", str(events)]) == 1
+    assert run([*words, "--out", str(tmp_path / "other"), "--log", str(events)]) == 1
     assert "holds event files of another run" in capfd.readouterr().err
     assert not (tmp_path / "other").exists()

@@ -62,7 +62,7 @@ def write_run(folder: Path, disabilities=("d1", "d9"), seeds=4) -> Path:
                 for r, s in SPECS.items()
             },
             "training": {"steps": 1000, "env_version": 1, "backend": "native"},
-            "self_play": {"mean": 900.0, "iqm": 910.0, "ci": [890.0, 915.0], "n": 8}
+            "self_play": {"mean": 900.0, "iqm": 910.0, "mean_ci": [890.0, 915.0], "n": 8}
             if seed
             else None,
         }

@@ -25,7 +25,8 @@ def write(folder: Path, precision: str = "float32") -> dict[str, Any]:
     params = {role: {"Dense_0": {"kernel": kernel + len(role)}} for role in ROLES}
     run = RunFolder(folder)
     run.open(config, {"env_version": 1}, resume=False)
-    run.write_teams(config, SPECS, params, {"steps": 100}, [{"mean": 1.0, "ci": [0.0, 2.0]}, None])
+    self_play = [{"mean": 1.0, "mean_ci": [0.0, 2.0]}, None]
+    run.write_teams(config, SPECS, params, {"steps": 100}, self_play)
     return dict(params)
 
 

@@ -92,7 +92,7 @@ def crossplay(
     partners: tuple[str, ...] = (),
     persons: int | None = None,
     release: str | None = None,
-    share: Annotated[str | None, Parameter(name=("--share", "--block"))] = None,
+    share: str | None = None,
     replace: bool = False,
     engine: Engine = Engine(),
     source: Source = Source(),
@@ -132,7 +132,7 @@ def crossplay(
         where: dict[str, Any] = {"release": release, "persons": persons, **source.given()}
         if part:
             done = vars(play_share(part, how, out, egos, partners, **where))
-            summary = {**done, "share": share, "block": share}  # its name in earlier versions
+            summary = {**done, "share": share}
         else:
             where |= {name: value for name, value in vars(how).items() if name != "series"}
             where |= {"out": out, "cluster": cluster, "replace": replace}
