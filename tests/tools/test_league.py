@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
 from population.hyperparameters import METHODS
@@ -17,6 +18,7 @@ from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put
 from tools.league.__main__ import run
+from tools.league.page import FIGURES
 from tools.league.queue import read_queue, run_queue
 from tools.league.results import ShownContrast, results_page, sentences
 from tools.league.rows import named, rows
@@ -255,6 +257,14 @@ def test_the_page_names_published_robots_of_the_methods_to_choose() -> None:
     assert "-s102-" not in line  # learned with teams
     assert "`gentle_scratch/gru-" not in line  # another method
     assert line in (REPOSITORY / "docs/results.md").read_text()
+
+
+def test_the_committed_page_is_what_the_tables_give() -> None:
+    data = REPOSITORY / "docs/data/league"
+    named, _ = read_contrasts(data / "contrasts.toml")
+    places = {"images": "images/league", "tables": "data/league"}
+    page = results_page(read_tables(data), named, places, FIGURES, load_registry())
+    assert page == (REPOSITORY / "docs/results.md").read_text(encoding="utf-8")
 
 
 def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
