@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jinja2
 import polars as pl
@@ -287,7 +287,8 @@ def _template(name: str) -> jinja2.Template:
         keep_trailing_newline=True,
     )
     environment.filters["spec"] = format
-    environment.globals.update(PPO=PPO, SCRIPT=SCRIPT, FAILED=FAILED)
+    known: dict[str, Any] = {"PPO": PPO, "SCRIPT": SCRIPT, "FAILED": FAILED}
+    environment.globals.update(known)
     return environment.get_template(f"{name}.jinja")
 
 
