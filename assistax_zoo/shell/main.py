@@ -18,7 +18,6 @@ from assistax_envs.gl import told_choice
 from assistax_zoo.shell.console import remember_command
 from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
 from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
-from assistax_zoo.shell.remedies import in_options
 from zoo.locations import cache_root
 
 DEBUG_VARIABLE = "ASSISTAX_ZOO_DEBUG"
@@ -46,9 +45,9 @@ COMMANDS = {
     "train-ego": "assistax_zoo.commands.training.train_ego:train_ego",
     "render": "assistax_zoo.commands.evaluation.render:render",
     "watch": "assistax_zoo.commands.evaluation.watch:watch",
-    "trajectories": "assistax_zoo.commands.evaluation.trajectories:trajectories",
-    "doctor": "assistax_zoo.commands.machine.doctor:doctor",
-    "cache": "assistax_zoo.commands.machine.cache:cache",
+    "trajectories": "assistax_zoo.commands.evaluation.render:trajectories",
+    "doctor": "assistax_zoo.commands.machine:doctor",
+    "cache": "assistax_zoo.commands.machine:cache",
     "split.list": "assistax_zoo.commands.partners.split:list_splits",
     "split.show": "assistax_zoo.commands.partners.split:show",
     "split.create": "assistax_zoo.commands.partners.split:create",
@@ -63,12 +62,21 @@ COMMANDS = {
     "plot.speed": "assistax_zoo.commands.evaluation.plot:speed",
     "plot.sweep": "assistax_zoo.commands.evaluation.plot:sweep",
     "plot.population": "assistax_zoo.commands.evaluation.plot:population",
-    "cache.clean": "assistax_zoo.commands.machine.cache:clean_cache",
+    "cache.clean": "assistax_zoo.commands.machine:clean_cache",
 }
 GROUPS = {  # words that are no command alone
     "split": "Which partners train robots, and which test them.",
     "config": "Settings of this machine.",
     "plot": "Figures from saved tables.",
+}
+# Which option does what an error advises, by its `remedy`, see `assistax_base.errors.ZooError`;
+# libraries name no options.
+REMEDIES = {
+    "accept changes": "--yes accepts them",
+    "fetch before": "--fetch does so in the same command",
+    "name a remote": "--from names one",
+    "new release": "--release v1, for example",
+    "replace the file": "--force replaces it, --out names another",
 }
 # What `--help` shows together, by what somebody came for: first words of commands, ours and other
 # distributions'.
@@ -180,6 +188,12 @@ def build_app() -> App:
     for flag in ("--help", "--version", "--install-completion"):
         app[flag].group = boxes[flag]
     return app
+
+
+def in_options(error: Exception) -> str:
+    """Return what a shell user adds to the command, in brackets; empty where no option helps."""
+    option = REMEDIES.get(getattr(error, "remedy", ""))
+    return f" ({option})" if option else ""
 
 
 def _add_subcommands(app: App, arguments: Sequence[str]) -> None:

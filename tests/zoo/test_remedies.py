@@ -9,7 +9,7 @@ import pytest
 
 import assistax_base.errors
 from assistax_base.errors import ExportError, UpdateError, ZooError
-from assistax_zoo.shell.remedies import REMEDIES, in_options
+from assistax_zoo.shell.main import REMEDIES, in_options
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("assistax_base", "zoo", "workshop/assistax_workshop/press")
