@@ -190,7 +190,6 @@ def _print_service(row: dict[str, Any], readers: int, submitters: int, seconds: 
 
 def storm(
     *,
-    sockets: int = 2000,
     files: int = 100,
     bodies: int = 64,
     readers: int = 200,
@@ -199,7 +198,6 @@ def storm(
     """Let many attack a new server at once, and print as JSON what it did and who was lost.
 
     Args:
-        sockets: Connections to live submissions, opened anew whenever they are closed.
         files: Hostile ONNX files.
         bodies: Bodies of requests that come a byte a second.
         readers: How many read pages at once.
@@ -211,7 +209,7 @@ def storm(
     from benchmarks.storm import measure_storm
 
     check_seconds(seconds)
-    print_json(dataclasses.asdict(measure_storm(sockets, files, bodies, readers, seconds)))
+    print_json(dataclasses.asdict(measure_storm(files, bodies, readers, seconds)))
 
 
 def _print_pages(rows: Sequence[dict[str, Any]]) -> None:

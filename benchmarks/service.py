@@ -122,11 +122,6 @@ def work_made_up(address: str, token: str) -> None:
         if work is None:
             time.sleep(0.2)
             continue
-        if work.kind == "live":
-            try:
-                _ask(client, work)
-            except ValueError:  # its client gave no answer, or is away
-                continue
         rows = [(name, k) for name in work.partners for k in range(work.episodes)]
         table = pl.DataFrame(
             {
@@ -140,18 +135,6 @@ def work_made_up(address: str, token: str) -> None:
             }
         )
         client.result(work, encode_table(table), 0.1)
-
-
-def _ask(client: Client, work: Any) -> None:
-    """Let a live robot play three steps."""
-    import numpy as np
-
-    from assistax_board.live.robot import LiveRobot
-
-    robot = LiveRobot(client, work)
-    robot.reset(2)
-    for _ in range(3):
-        robot(np.zeros((2, 34), np.float32))
 
 
 def _submit_all(

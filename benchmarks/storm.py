@@ -1,16 +1,14 @@
-"""A server under attack: sockets, hostile files, slow bodies and readers at once; who is lost?
+"""A server under attack: hostile files, slow bodies and readers at once; who is lost?
 
 The server is the real one, in a process of its own, with a worker beside it that brings made-up
-returns. Labs that hand in as they should are there all the while, one of them with a live robot.
+returns. Labs that hand in as they should are there all the while.
 """
 
-import asyncio
 import contextlib
 import dataclasses
 import http.client
 import itertools
 import os
-import random
 import socket
 import tempfile
 import threading
@@ -28,14 +26,12 @@ from benchmarks.pages import PageSpeed, read_pages
 from benchmarks.service import ROBOT, SPAWN, TASK, serving, work_made_up
 
 LABS = 20  # that attack, each with a token of its own
-ROOMS = 20  # live submissions of each
 HONEST = 5
 CALM_SECONDS = 10.0  # before memory is looked at the first time
-PAUSE = 3.0  # before a socket that was refused comes again
 LAST_SECONDS = 90.0  # for memory to come back
 WIDE = 65_536
 ELSEWHERE_NICE = 5  # of who attacks, reads and works, for which others have machines of their own
-ELSEWHERE = "127.0.0.2"  # where sockets and slow bodies come from: rates are by address
+ELSEWHERE = "127.0.0.2"  # where slow bodies come from: rates are by address
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +41,6 @@ class Storm:
     seconds: float
     health: dict[str, float]  # milliseconds: median, p99, most; and how many failed of how many
     pages: PageSpeed
-    sockets: dict[str, int]  # how attempts to connect ended
     files: dict[str, int]  # how hostile files ended
     bodies: dict[str, int]  # how slow bodies ended
     honest: dict[str, int]  # in which states submissions of honest labs ended
@@ -54,7 +49,7 @@ class Storm:
     load: tuple[float, float]
 
 
-def measure_storm(sockets: int, files: int, bodies: int, readers: int, seconds: float) -> Storm:
+def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Storm:
     """Let all of them strike a new server for a while, and look at what is left."""
     from assistax_board.serve import open_service
     from assistax_board.submitting import read_file
@@ -69,8 +64,6 @@ def measure_storm(sockets: int, files: int, bodies: int, readers: int, seconds: 
                 for name in [*names("hostile", LABS), *names("honest", HONEST)]
             }
             worker = (address, service.create_token(("work",), label="made up"))
-            rooms = [(room, tokens[lab]) for lab in names("hostile", LABS) for room in range(ROOMS)]
-            rooms = [(_live(address, token, room), token) for room, token in rooms]
             hand_in(address, tokens["honest 0"], robot, "first")
             bad = [tokens[lab] for lab in names("hostile", LABS)]
             with _alongside(work_made_up, *worker) as _:
@@ -81,7 +74,6 @@ def measure_storm(sockets: int, files: int, bodies: int, readers: int, seconds: 
                     answers = [
                         stack.enter_context(_alongside(attack, *args))
                         for attack, *args in (
-                            (hold_sockets, address, rooms, sockets, end),
                             (hand_in_hostile, address, bad, files, end),
                             (send_slowly, address, bad, bodies, end),
                             (be_honest, address, [tokens[n] for n in names("honest", HONEST)], end),
@@ -97,11 +89,11 @@ def measure_storm(sockets: int, files: int, bodies: int, readers: int, seconds: 
             if submission.submitter.startswith("honest")
         )
         service.database.close()
-    held, refused, slow, handed_in, health = ended
+    refused, slow, handed_in, health = ended
     lost = {"handed in": handed_in["handed in"] + 1, **states}
     memory = (calm / 1e6, tree.most / 1e6, tree.last / 1e6)
     load = (before, os.getloadavg()[0])
-    return Storm(seconds, health, pages, held, refused, slow, lost, memory, calm_after, load)
+    return Storm(seconds, health, pages, refused, slow, lost, memory, calm_after, load)
 
 
 def names(kind: str, count: int) -> list[str]:
@@ -156,53 +148,6 @@ def _alongside(function: Callable[..., Any], *args: Any) -> Any:
 
 def _answering(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
     answers.put(function(*args))
-
-
-def _live(address: str, token: str, number: int) -> str:
-    client = Client(address, token)
-    fields = {"task": TASK, "method": f"live {number}", "kind": "live"}
-    id = client.submit(b"", request_id=f"request-{number:04d}", **fields)["id"]
-    client.close()
-    return id
-
-
-def hold_sockets(
-    address: str, rooms: list[tuple[str, str]], count: int, end: float
-) -> dict[str, int]:
-    """Hold so many connections to live submissions, each newly opened whenever it is closed.
-
-    Whoever is asked something answers with a text, which is no answer.
-    """
-    from websockets.asyncio.client import connect
-    from websockets.exceptions import InvalidStatus
-
-    ended: Counter[str] = Counter()
-
-    async def hold(number: int) -> None:
-        id, token = rooms[number % len(rooms)]
-        to = address.replace("http", "ws", 1) + f"/api/live/{id}"
-        await asyncio.sleep(PAUSE * number / count)
-        while time.time() < end:
-            try:
-                headers = {"Authorization": f"Bearer {token}"}
-                options: dict[str, Any] = {"local_addr": (ELSEWHERE, 0), "open_timeout": 30.0}
-                async with connect(to, additional_headers=headers, **options) as connection:
-                    ended["opened"] += 1
-                    async with asyncio.timeout(max(0.0, end - time.time())):
-                        await connection.recv()
-                        await connection.send("no answer")
-                        await connection.recv()
-            except InvalidStatus as error:
-                ended[f"refused {error.response.status_code}"] += 1
-            except Exception as error:
-                ended[type(error).__name__] += 1
-            await asyncio.sleep(PAUSE * random.uniform(0.5, 1.5))  # or all would come in step
-
-    async def all_of_them() -> None:
-        await asyncio.gather(*map(hold, range(count)))
-
-    asyncio.run(all_of_them())
-    return dict(ended)
 
 
 def hand_in_hostile(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
@@ -292,8 +237,7 @@ def _drip(line: socket.socket, end: float) -> str:
 
 
 def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:
-    """Hand in robots one after another and wait for each; the last lab has a live one."""
-    from assistax_board.live.client import play_live
+    """Hand in robots one after another and wait for each."""
     from assistax_board.submitting import read_file
 
     robot, ended = read_file(Path(ROBOT)), Counter[str]()
@@ -302,13 +246,7 @@ def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:
         count = 0
         while count == 0 or time.time() < end:
             ended["handed in"] += 1
-            if number == len(tokens) - 1:
-                client = Client(address, tokens[number], patience=600.0)
-                id = _live(address, tokens[number], count)
-                ended[play_live(client, id, lambda obs: np.zeros((len(obs), 7), np.float32))] += 1
-                client.close()
-            else:
-                ended[hand_in(address, tokens[number], robot, f"robot {count}")] += 1
+            ended[hand_in(address, tokens[number], robot, f"robot {count}")] += 1
             count += 1
             time.sleep(5.0)
 

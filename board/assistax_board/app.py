@@ -5,14 +5,11 @@ from typing import Any
 from fastapi import FastAPI
 from starlette.middleware import Middleware
 
-from assistax_board.api import live as live
 from assistax_board.api import operations, public, submitting, working
 from assistax_board.api.desk import Desk
 from assistax_board.api.errors import add_error_handlers
 from assistax_board.api.guards import BodyLimit, HeadAsGet
 from assistax_board.api.rates import Limiter
-from assistax_board.live.rooms import Rooms
-from assistax_board.live.seats import Seats
 from assistax_board.pages import add_pages
 from assistax_board.pages.security import SecurityHeaders
 from assistax_board.service import Service
@@ -25,10 +22,7 @@ MIDDLEWARE = (
     Middleware(BodyLimit),
     Middleware(operations.Observe),
 )
-ROUTERS = (
-    *(public.router, submitting.router, working.router, operations.router),
-    *(live.asking, live.router),
-)
+ROUTERS = (public.router, submitting.router, working.router, operations.router)
 
 
 def create_app(service: Service, **pages: Any) -> FastAPI:
@@ -42,7 +36,6 @@ def create_app(service: Service, **pages: Any) -> FastAPI:
     )
     app.state.service, app.state.desk = service, Desk()
     app.state.limiter = Limiter(service.database, service.signer.secret("rates"))
-    app.state.rooms = Rooms(Seats(service.database, service.clock))
     app.state.metrics = operations.Metrics()
     for router in ROUTERS:
         app.include_router(router)

@@ -11,18 +11,14 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from assistax_board.checking import check_ledger, check_service
 from assistax_board.client import Client
 from assistax_board.ids import new_id
-from assistax_board.live.client import play_live
 from assistax_board.rules.release_pack import add_persons
 from assistax_board.rules.seasons import Plan
 from assistax_board.serve import open_service
@@ -97,8 +93,6 @@ def rehearse(stage: Stage) -> Iterator[str]:
             yield line
         yield "stage 3 of 6, upgrade the server"
         yield from upgrade(stage, service, server, *submitted[0])
-        submitted.append(connect_live(stage, service, client))
-        yield f"a live robot plays as {submitted[-1][1]}: it meets public partners alone"
         yield "stage 4 of 6, wait for the closing date"
         visitor, closes_at = client(), closing_date(service)
         wait("the season closes at its date", lambda: state_of(visitor) in ("closing", "closed"))
@@ -237,31 +231,6 @@ def upgrade(
     server.stop()
     server.start(stage.backend)
     yield f"upgraded while the season is open: {stage.backend} plays anew what {stage.older} scored"
-
-
-def connect_live(
-    stage: Stage, service: Service, new_client: Callable[[str], Client]
-) -> tuple[Client, str]:
-    """Let a lab play with a live robot that keeps still; return its client and submission."""
-    from zoo.registry import load_registry
-
-    client = new_client(service.create_token(("submit",), submitter="Lab of Grace"))
-    fields = {"task": stage.task, "method": "still", "kind": "live"}
-    id = client.submit(b"", request_id=new_id(20), **fields)["id"]
-    actions = load_registry(stage.registry).of_task(stage.task, "robot")[0].spec.action_size
-
-    def still(obs: np.ndarray) -> np.ndarray:
-        return np.zeros((len(obs), actions), np.float32)
-
-    def play() -> None:
-        with contextlib.suppress(ValueError):  # it has ended
-            while True:
-                with contextlib.suppress(OSError):  # the server is away for longer than a minute
-                    play_live(client, id, still)
-                    return
-
-    threading.Thread(target=play, daemon=True).start()
-    return client, id
 
 
 def scores_of(submitted: Sequence[tuple[Client, str]]) -> Iterator[str]:

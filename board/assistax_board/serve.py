@@ -19,10 +19,7 @@ from typing import Any
 
 import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from assistax_board.api.guards import Doorkeeper, denial
-from assistax_board.problems import Problem
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.service import Service
@@ -39,7 +36,6 @@ LISTENERS, TAKEN = 16, 4  # connections wait at so many, which take so many in o
 TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given back
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
-CLOSE_SECONDS = 10.0  # for a live client to take the last message
 MISSING = errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT  # what a machine says of an address it lacks
 EXTRAS = {"psycopg": "postgres", "s3fs": "s3"}  # module -> extra of this distribution
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
@@ -128,15 +124,13 @@ def run_server(
 def config_of(app: Any, proxy: str | None = None) -> uvicorn.Config:
     """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
     return uvicorn.Config(
-        Doorkeeper(app),
+        app,
         log_level="warning",
         access_log=False,  # it would hold addresses and queries; ours holds routes
         timeout_graceful_shutdown=STOP_SECONDS,
         limit_concurrency=CONNECTIONS,
         http=_IdleTimeout,
-        ws=_Brief,
-        ws_max_size=4 * 1024 * 1024,
-        ws_per_message_deflate=False,  # a third of a megabyte a connection
+        ws="none",
         server_header=False,
         proxy_headers=proxy is not None,
         forwarded_allow_ips=proxy or "",
@@ -152,43 +146,14 @@ class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
 
     def _look(self, seen: Any, looks: int) -> None:
         """Look now and then whether still the same request is under way, or none."""
-        if self.transport.is_closing() or self.transport.get_protocol() is not self:
-            return  # over, or a WebSocket now
+        if self.transport.is_closing():
+            return
         looks = looks + 1 if self.cycle is seen else 0
         waits = self.cycle is None or self.cycle.response_complete
         if looks >= (1 if waits else TAKING_LOOKS):
             self.transport.abort()
         else:
             self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
-
-    def handle_websocket_upgrade(self, *request: Any) -> None:
-        """Ask at the door first: to refuse a connection that was made costs twice as much."""
-        # Through uvicorn's own layers, which know whose word on a client's address is taken.
-        asking = self.app({**self.scope, "type": "websocket"}, None, None)
-        try:
-            asking.send(None)  # it waits for nothing
-        except StopIteration:
-            super().handle_websocket_upgrade(*request)
-        except Problem as problem:
-            answer = denial(problem)
-            fields = (b"%b: %b" % field for field in answer.raw_headers)
-            head = (b"HTTP/1.1 %d " % answer.status_code, b"Connection: close", *fields)
-            self.transport.write(b"\r\n".join((*head, b"", answer.body)))
-            self.transport.close()
-
-
-class _Brief(WebSocketsSansIOProtocol):
-    """Hangs up when a conversation is over: a peer that takes nothing would keep it for ever."""
-
-    async def run_asgi(self) -> None:
-        try:
-            await super().run_asgi()
-        finally:
-            self.loop.call_later(CLOSE_SECONDS, self.transport.abort)
-
-    async def send(self, message: Any) -> None:
-        await super().send(message)
-        self.handshake_complete |= self.close_sent  # a refusal is an answer, and no error to log
 
 
 class _Server(uvicorn.Server):

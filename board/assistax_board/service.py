@@ -8,7 +8,6 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_board.clock import Clock, system_clock
-from assistax_board.live.seats import Seats
 from assistax_board.problems import Problem
 from assistax_board.rules import (
     closing,
@@ -66,13 +65,9 @@ class Service:
         with self.database.write() as connection:
             self._reveal(connection, submission)
 
-    def lease(
-        self, worker: str, versions: Sequence[str], seats: Seats | None = None
-    ) -> Work | None:
-        """Give a worker the next job that it can do; `seats` say which live clients are gone."""
+    def lease(self, worker: str, versions: Sequence[str]) -> Work | None:
+        """Give a worker the next job that it can do."""
         closing.close_due(self.database, self.clock())
-        for submission in () if seats is None else seats.gone():
-            self.fail(submission, "client_gone")
         lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
         for submission in exhausted:
             self.fail(submission, "worker_errors")
@@ -114,45 +109,6 @@ class Service:
         return results.accept(
             store, job, secret, data, partners, episodes, preferences, seconds, self.clock()
         )
-
-    def live_action_size(self, submission: str, submitter: str | None) -> int | None:
-        """Return how many numbers an action of this lab's live robot has; None if it has no such.
-
-        The submission may have ended already.
-        """
-        where = (
-            SUBMISSION.id == submission,
-            SUBMISSION.submitter == submitter,
-            SUBMISSION.kind == "live",
-        )
-        with self.database.read() as connection:
-            task = connection.execute(sa.select(SUBMISSION.task).where(*where)).scalar()
-        return None if task is None else self.catalogue.action_size(task)
-
-    def live_submission(self, job: str, secret: str) -> str:
-        """Return the live submission of a job that this lease holds."""
-        with self.database.read() as connection:
-            row = jobs.held_job(connection, job, secret)
-        if row is None or row.state != "leased":
-            raise Problem("lease_lost", "this job is no longer yours; take the next")
-        return row.submission
-
-    def live_away(self, job: str, secret: str) -> None:
-        """Take back a job whose client is away, unless it is with hidden partners.
-
-        Playing those again from the start would show the robot the same episodes twice.
-        """
-        with self.database.read() as connection:
-            row = jobs.held_job(connection, job, secret)
-        if row is not None and row.panel == "public":
-            jobs.give_back(self.database, job, secret)
-        elif row is not None:
-            self.fail(row.submission, "client_gone")
-
-    def live_refused(self, submission: str, code: str) -> None:
-        """End a live submission whose robot gave a wrong answer."""
-        with self.database.write() as connection:
-            submissions.refuse(self.database, connection, submission, code, self.clock())
 
     def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
         """Make a season of a private release; see `seasons`."""

@@ -97,21 +97,14 @@ def check_file(
     return answer | {"version": version, "figures": results.figures(table), "note": note}
 
 
-def hand_in(
-    client: Client, file: Path | None, live: str | None, fields: dict[str, Any], *, watch: bool
-) -> dict[str, Any]:
-    """Submit a file or play a live robot, and return the submission as it then stands."""
-    data = b"" if file is None else read_file(file)
+def hand_in(client: Client, file: Path, fields: dict[str, Any], *, watch: bool) -> dict[str, Any]:
+    """Submit a file, and return the submission as it then stands."""
+    data = read_file(file)
     set_fields = {name: value for name, value in fields.items() if value is not None}
-    kind = "live" if live else "file"
-    submission = client.submit(data, request_id=new_id(20), kind=kind, **set_fields)
+    submission = client.submit(data, request_id=new_id(20), **set_fields)
     if submission["warning"]:
         print(f"warning: {submission['warning']}", file=sys.stderr, flush=True)
-    if live:
-        from assistax_board.live.client import play_live
-
-        play_live(client, submission["id"], _robot_at_home(live, fields["task"]))
-    return watch_submission(client, submission["id"]) if watch or live else submission
+    return watch_submission(client, submission["id"]) if watch else submission
 
 
 def watch_submission(client: Client, id: str) -> dict[str, Any]:
@@ -171,17 +164,6 @@ def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         count = seasons.verify_season(statement, packed, root, Path(folder))
     return {"season": statement["name"], "root": root, "partners": count, "proved": True}
-
-
-def _robot_at_home(reference: str, task: str) -> Any:
-    """Return the callable of a robot such as python:mine:make, as `evaluate` makes it."""
-    from evaluation.cast.egos import read_egos
-    from zoo.registry import load_registry
-
-    [ego] = read_egos([reference], load_registry(), task).stacks
-    if not hasattr(ego, "act"):
-        raise ValueError(f"{reference} can be submitted as a file; only robots in Python play live")
-    return ego.act
 
 
 def _try_work(task: str, format: str, partners: tuple[str, ...]) -> Work:

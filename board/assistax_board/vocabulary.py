@@ -8,7 +8,7 @@ from typing import Literal
 
 SubmissionState = Literal["queued", "running", "scored", "refused", "failed", "retracted"]
 SeasonState = Literal["draft", "open", "closing", "closed"]
-Kind = Literal["file", "live", "reference"]  # a reference is nobody's: zero actions, a script
+Kind = Literal["file", "reference"]  # a reference is nobody's: zero actions, a script
 AttemptState = Literal["free", "reserved", "spent", "refunded"]
 Scope = Literal["submit", "work", "organise"]
 
@@ -45,13 +45,11 @@ REFUSALS = {
 FAILURES = {
     "worker_errors": "the workers failed several times; ask the organiser",
     "withdrawn": "its submitter took it back",
-    "client_gone": "the live robot did not come back within the time allowed",
     "season_closed": "the season closed before it was played",
-    "time_bank": "the live robot used up its time for thinking",
     "disqualified": "the organiser disqualified its lab; ask the organiser",
     "broke_down": "it returned numbers that are not finite to hidden partners",
 }
 # Failures by the robot's own doing: after it met hidden partners they cost the attempt, or each
 # would be a free answer about them.
-OWN_FAILURES = ("withdrawn", "client_gone", "time_bank", "broke_down")
+OWN_FAILURES = ("withdrawn", "broke_down")
 REASONS = {**REFUSALS, **FAILURES}

@@ -35,9 +35,6 @@ class FakeCatalogue:
     def references(self, task: str) -> dict[str, str]:
         return {"zero-action": "zero-action", "self-play": "self-play"}
 
-    def action_size(self, task: str) -> int:
-        return 3
-
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
 
@@ -56,7 +53,7 @@ class FakeScorer:
             raise Refusal("not_finite")
         if work.kind == "reference":
             robot = b"robot 0.0" if work.format == "zero-action" else b"robot 9.0"
-        strength = play_live(work, robot) if callable(robot) else float(robot.decode().split()[1])
+        strength = float(robot.decode().split()[1])
         rows = [(name, k) for name in work.partners for k in range(work.episodes)]
         return pl.DataFrame(
             {
@@ -69,14 +66,6 @@ class FakeScorer:
                 "nonfinite": [False] * len(rows),
             }
         )
-
-
-def play_live(work: Work, robot: Any, steps: int = 6) -> float:
-    """Return the mean of a live robot's actions; it is shown who it plays with, and when."""
-    rows = len(work.partners) * work.episodes
-    robot.reset(rows)
-    actions = [robot(np.full((rows, 4), step, np.float32)) for step in range(steps)]
-    return float(np.mean(actions))
 
 
 class FakeClock:

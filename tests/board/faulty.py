@@ -13,7 +13,6 @@ from typing import Any
 from sqlalchemy import event
 
 from assistax_board.client import Client
-from assistax_board.live import seats
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import Work
 from assistax_board.service import Service
@@ -22,7 +21,6 @@ from assistax_board.work.worker import Worker
 from tests.board.fakes import FakeScorer, new_service
 
 LEASE_SECONDS = 10.0  # shorter than in earnest: who waits for a killed worker waits for this
-SEAT_SECONDS = 3.0
 PATIENCE = 300.0
 
 
@@ -37,7 +35,6 @@ class SlowScorer(FakeScorer):
 def real_service(folder: Path, url: str, version: int = 1) -> Service:
     """Return the service of the fakes by the machine's own clock."""
     jobs.LEASE_SECONDS = LEASE_SECONDS
-    seats.SEAT_SECONDS = SEAT_SECONDS
     return dataclasses.replace(new_service(folder, url, version=version), clock=time.time)
 
 

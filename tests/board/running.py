@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Generator
+from typing import Any
 
 import uvicorn
 
@@ -16,6 +17,7 @@ from assistax_board.serve import config_of, listen
 from assistax_board.service import Service
 from assistax_board.vocabulary import Scope
 
+SOON = 60.0  # seconds, also where many others use the machine
 _PLACES = itertools.count(389 * os.getpid())  # of other processes: elsewhere
 
 
@@ -28,6 +30,16 @@ def port_of_its_own() -> int:
         port = 20_000 + next(_PLACES) % 12_000
         with contextlib.suppress(ValueError), listen("127.0.0.1", port):
             return port
+
+
+def soon(condition: Callable[[], Any], seconds: float = SOON) -> bool:
+    """Wait until a condition holds; return False if it does not in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
 
 
 @dataclasses.dataclass

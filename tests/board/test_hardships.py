@@ -9,23 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
-import numpy as np
 import pytest
 from sqlalchemy import event
-from starlette.requests import HTTPConnection
+from starlette.requests import Request
 
 from assistax_board import serve
 from assistax_board.api import guards
-from assistax_board.client import Client
-from assistax_board.live import client as live_client
-from assistax_board.live.robot import LiveRobot
 from assistax_board.rules import jobs
-from assistax_board.service import Service
-from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
-from tests.board.running import Served, port_of_its_own, served
-from tests.board.test_live import FIELDS, Counting, play, soon
+from tests.board.running import Served, served, soon
 
 HALF = b"GET /api/health HTTP/1.1\r\nHost: x\r\n"
 SLOW = b"POST /api/submissions?task=scratch&method=m&request_id=12345678 HTTP/1.1\r\nHost: x\r\n"
@@ -185,82 +178,6 @@ def hung_up_before(connection: socket.socket, length: int) -> bool:
     return seen < length
 
 
-@pytest.mark.slow
-def test_a_live_robot_that_thinks_long_is_not_hung_up_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(serve, "SILENT_SECONDS", 0.1)
-    service = new_service(tmp_path)
-
-    def slow(obs: np.ndarray) -> np.ndarray:
-        time.sleep(0.2)
-        return np.zeros((len(obs), 3), np.float32)
-
-    id = play(service, slow)
-    [row_of_id] = [row for row in service.queries.submissions() if row.id == id]
-    assert row_of_id.state == "scored"
-
-
-class Watched(Counting):
-    """Says when it is in the midst of a batch, and thinks until its server is gone."""
-
-    def __init__(self) -> None:
-        self.midst, self.gone = threading.Event(), threading.Event()
-
-    def __call__(self, obs: np.ndarray) -> np.ndarray:
-        action = super().__call__(obs)
-        if self.seen == 3:
-            self.midst.set()
-            assert self.gone.wait(SOON)
-        return action
-
-
-@pytest.mark.slow
-def test_a_server_that_starts_again_does_not_show_in_a_live_score(tmp_path: Path) -> None:
-    """It forgets who was connected, and which step was asked; both ends say it again."""
-    (tmp_path / "calm").mkdir()
-    (tmp_path / "struck").mkdir()
-    calm, struck = new_service(tmp_path / "calm"), new_service(tmp_path / "struck")
-    first, second = play(calm, Counting()), over_two_servers(struck, Watched())
-    means = [
-        service.queries.scores(submission=id)[0].figures["mean"]
-        for service, id in ((calm, first), (struck, second))
-    ]
-    assert means[0] == means[1]
-
-
-def over_two_servers(service: Service, robot: Watched) -> str:
-    """Play a live robot while the server goes and another one comes to its address."""
-    port = port_of_its_own()
-    with served(service, port) as server:
-        submitter = client_of(server, "submit")
-        working = client_of(server, "work")
-        id = submitter.submit(b"", request_id="request-1", **FIELDS)["id"]
-        live = lambda work: LiveRobot(working, work)  # noqa: E731
-        worker = Worker(working, FakeScorer(), live=live, idle=0.05, beat=1.0)
-        at_home = threading.Thread(target=live_client.play_live, args=(submitter, id, robot))
-        threads = [at_home, threading.Thread(target=worker.run)]
-        for thread in threads:
-            thread.daemon = True
-            thread.start()
-        assert robot.midst.wait(SOON)
-    robot.gone.set()
-    with served(service, port):
-        at_home.join(60)
-        worker.stop()
-        threads[1].join(60)
-    assert not any(thread.is_alive() for thread in threads)
-    submitter.close()
-    working.close()
-    return id
-
-
-def client_of(server: Served, scope: Scope, patience: float = 60.0) -> Client:
-    """Return a client that outlives its server."""
-    token = server.service.create_token((scope,), submitter="lab" if scope == "submit" else None)
-    return Client(server.address, token, patience=patience)
-
-
 def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     space = {"pages": 0}
@@ -350,7 +267,7 @@ def test_rates_are_counted_by_client_and_one_has_a_network_of_ipv6(
 ) -> None:
     """Whoever has one address of IPv6 has 2 to the power of 64, and may take another each time."""
     names = [
-        guards.client_of(HTTPConnection({"type": "http", "headers": [], "client": (host, 1)}))
+        guards.client_of(Request({"type": "http", "headers": [], "client": (host, 1)}))
         for host in (first, second)
     ]
     assert (names[0] == names[1]) == are_one

@@ -23,8 +23,7 @@ from assistax_board.rules.submissions import Admitted
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
 from tests.board.fakes import TASK, admit, new_service, shown
-from tests.board.running import served
-from tests.board.test_live import soon
+from tests.board.running import served, soon
 from tests.untrained import params_of
 
 OBS, ACT = 34, 7
@@ -209,20 +208,18 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path, come: list[Any]) -
 
 
 @pytest.mark.slow
-def test_a_live_robot_does_not_wait_for_files(tmp_path: Path, come: list[Any]) -> None:
+def test_a_full_desk_refuses_one_more_file(tmp_path: Path, come: list[Any]) -> None:
     service, go_on = new_service(tmp_path), threading.Event()
     object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(60))))
     with served(service) as server, ThreadPoolExecutor(desk.WAITING) as pool:
         labs = [server.client("submit", f"lab {number}") for number in range(desk.WAITING)]
         answers = [pool.submit(hand_in, lab) for lab in labs]
-        late, live = server.client("submit", "late"), server.client("submit", "live")
+        late = server.client("submit", "late")
         assert soon(lambda: len(come) == desk.WAITING)
         # Patience ends while they wait: the argument is for the start alone.
-        late._patience = live._patience = 0.0
+        late._patience = 0.0
         with pytest.raises(OSError, match="503"):
             hand_in(late)
-        fields = {"task": TASK, "method": "m", "request_id": "request-1", "kind": "live"}
-        assert live.submit(b"", **fields)["state"] == "queued"
         assert not go_on.is_set()
         go_on.set()
         assert len({row.result() for row in answers}) == desk.WAITING

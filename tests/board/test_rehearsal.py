@@ -51,7 +51,6 @@ def test_a_season_is_rehearsed(
         "Lab of Ada handed in robot.safetensors",
         "Lab of Grace handed in robot.onnx",
         "upgraded while the season is open: fused plays anew what native scored",
-        "a live robot plays",
         "the closing date came",
         "killed the server while the season closes",
         "a server on native does not start",

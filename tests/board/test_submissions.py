@@ -27,7 +27,7 @@ from tests.board.fakes import (
     take,
     work_off,
 )
-from tests.board.test_live import soon
+from tests.board.running import soon
 
 
 def test_a_submission_is_scored(tmp_path: Path) -> None:

@@ -14,22 +14,18 @@ from typing import Any
 import httpx2
 import pytest
 import sqlalchemy as sa
-from websockets.exceptions import ConnectionClosed
 
 from assistax_board.api.guards import FORM, SIGN_IN
 from assistax_board.api.rates import SHARE_SECONDS
 from assistax_board.client import Client
-from assistax_board.live import client as live_client
-from assistax_board.live.robot import LiveRobot
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.vocabulary import Scope
 from assistax_board.work.worker import Worker
-from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, shown, work_off
-from tests.board.faulty import LEASE_SECONDS, PATIENCE, SEAT_SECONDS, real_service
-from tests.board.running import port_of_its_own
+from tests.board.fakes import TASK, FakeScorer, draft, new_submitter, shown, work_off
+from tests.board.faulty import LEASE_SECONDS, PATIENCE, real_service
+from tests.board.running import port_of_its_own, soon
 from tests.board.test_faults_processes import Process
-from tests.board.test_live import SOON, Counting, handed_in, is_present, play, soon, websocket
 from tests.board.test_postgres import at_once as together
 from tests.board.test_season import open_season
 
@@ -42,16 +38,13 @@ class Either:
     def __init__(self, servers: list[httpx2.Client]) -> None:
         self._servers = servers
         self._turn = 0
-        self.asked = [0, 0]  # questions to a live robot
 
     def request(self, method: str, path: str, **options: Any) -> Any:
         for _ in self._servers:
             self._turn += 1
             number = self._turn % len(self._servers)
             with contextlib.suppress(httpx2.ConnectError):
-                answer = self._servers[number].request(method, path, **options)
-                self.asked[number] += path.endswith("/ask")
-                return answer
+                return self._servers[number].request(method, path, **options)
         raise httpx2.ConnectError("no server answers")
 
 
@@ -73,17 +66,11 @@ class Pair:
         token = self.service.create_token((scope,), submitter=owner)
         return Client("", token, transport=self.http(server), patience=PATIENCE)
 
-    def owner(self, server: int) -> Client:
-        client = self.client(server, "submit")
-        client.address = self.addresses[server]  # of its WebSockets
-        return client
-
     def worker(self) -> tuple[Worker, Either]:
         """Return a worker whose requests go to both in turns."""
         either = Either([self.http(server) for server in (0, 1)])
         client = Client("", self.service.create_token(("work",)), transport=either, patience=60.0)
-        live = lambda work: LiveRobot(client, work)  # noqa: E731
-        return Worker(client, FakeScorer(), live=live, idle=0.05, beat=LEASE_SECONDS / 4), either
+        return Worker(client, FakeScorer(), idle=0.05, beat=LEASE_SECONDS / 4), either
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
@@ -134,69 +121,6 @@ def test_a_form_of_one_server_is_answered_by_the_other(pair: Pair) -> None:
     assert answer.status_code == 401  # the token is wrong; the form is right
 
 
-def test_a_submission_has_one_connection_across_both(pair: Pair) -> None:
-    owners = [pair.owner(server) for server in (0, 1)]
-    working = pair.client(0, "work")
-    id = handed_in(owners[0])
-    first = websocket(owners[0], id)
-    with contextlib.closing(websocket(owners[1], id)):
-        with pytest.raises(ConnectionClosed):
-            first.recv(SOON)
-        assert soon(lambda: is_present(working))
-    assert soon(lambda: not is_present(working))
-
-
-def test_a_killed_servers_connections_end(pair: Pair) -> None:
-    owners = [pair.owner(server) for server in (0, 1)]
-    working = pair.client(1, "work")
-    id = handed_in(owners[0])
-    websocket(owners[0], id)
-    assert soon(lambda: is_present(working))
-    pair.processes[0].kill()
-    assert soon(lambda: not is_present(working), 2 * SEAT_SECONDS + 5.0)
-    with contextlib.closing(websocket(owners[1], id)):
-        assert soon(lambda: is_present(working))
-
-
-class Killing(Counting):
-    """A robot during whose game the server that it is connected to is killed."""
-
-    def __init__(self, kill: Any) -> None:
-        self._kill, self._calls = kill, 0
-
-    def __call__(self, obs: Any) -> Any:
-        self._calls += 1
-        if self._calls == 9:
-            self._kill()
-        return super().__call__(obs)
-
-
-@pytest.mark.parametrize("dies", [False, True])
-def test_a_live_robot_is_asked_through_both(pair: Pair, tmp_path: Path, dies: bool) -> None:
-    alone = new_service(tmp_path / "alone")
-    calm = alone.queries.scores(submission=play(alone, Counting()))[0].figures["mean"]
-    worker, either = pair.worker()
-    thread = threading.Thread(target=worker.run)
-    thread.start()
-    owners = [pair.owner(server) for server in (0, 1)]
-    id = handed_in(owners[0])
-
-    def connect(_: Client, submission: str) -> Any:
-        for owner in owners:
-            with contextlib.suppress(OSError):
-                return live_client._connect(owner, submission)  # private: as a client does it
-        raise OSError("no server answers")
-
-    robot = Killing(pair.processes[0].kill) if dies else Counting()
-    try:
-        assert live_client.play_live(owners[0], id, robot, connect=connect) == "scored"
-    finally:
-        worker.stop()
-        thread.join()
-    assert min(either.asked) > 1
-    assert pair.service.queries.scores(submission=id)[0].figures["mean"] == calm
-
-
 def test_a_board_that_one_computed_is_shown_by_the_other(pair: Pair) -> None:
     pair.service.submit(new_submitter(pair.service), draft(1.0))
     work_off(pair.service)
@@ -230,6 +154,13 @@ def at_once(pair: Pair, scope: Scope, ask: Callable[[Client, int], Any], count: 
     return together(count, lambda number: ask(clients[number], number))
 
 
+def held(service: Service) -> int:
+    """Return how many jobs of hidden panels wait until the public one is done."""
+    with service.database.read() as connection:
+        query = sa.select(sa.func.count()).where(schema.jobs.c.state == "held")
+        return connection.execute(query).scalar_one()
+
+
 def test_what_comes_to_both_at_once_is_taken_once(pair: Pair) -> None:
     open_season(pair.service, budget=1)
     fields = {"task": TASK, "method": "mine"}
@@ -247,34 +178,6 @@ def test_what_comes_to_both_at_once_is_taken_once(pair: Pair) -> None:
     works = at_once(pair, "work", lambda client, n: client.lease(f"w{n}", versions), 8)
     jobs = [work.job for work in works if work is not None]
     assert len(jobs) == len(set(jobs)) == 2 * 3 + 2 - held(pair.service)
-
-
-def held(service: Service) -> int:
-    """Return how many jobs of hidden panels wait until the public one is done."""
-    with service.database.read() as connection:
-        query = sa.select(sa.func.count()).where(schema.jobs.c.state == "held")
-        return connection.execute(query).scalar_one()
-
-
-def test_two_connections_that_come_at_once_leave_one(pair: Pair) -> None:
-    owners = [pair.owner(number % 2) for number in range(6)]
-    working = pair.client(0, "work")
-    id = handed_in(owners[0])
-    sockets = together(6, lambda number: websocket(owners[number], id))
-    assert soon(lambda: sum(map(is_open, sockets)) == 1, 2 * SEAT_SECONDS + 5.0)
-    assert soon(lambda: is_present(working))
-    for socket in sockets:
-        socket.close()
-    assert soon(lambda: not is_present(working))
-
-
-def is_open(socket: Any) -> bool:
-    with contextlib.suppress(TimeoutError):
-        try:
-            socket.recv(0.05)
-        except ConnectionClosed:
-            return False
-    return True
 
 
 def test_a_board_that_both_compute_at_once_is_one(pair: Pair) -> None:

@@ -273,7 +273,6 @@ def test_references_play_a_private_release_too(registry: Registry, tmp_path: Pat
 def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
     rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
     assert ZooCatalogue(registry, "native").references(TASK) == rows
-    assert ZooCatalogue(registry, "native").action_size(TASK) == robot_sizes(registry)[TASK][1]
     team = untrained_team("mixed", 5, robot=(ROBOT, params_of(ROBOT, 5)))
     against = {"split": "scratch/half-s0-v0-01234567", "sha256": "0" * 64}
     ego = dataclasses.replace(team, algorithm="ppo", trained_against=against)
@@ -289,15 +288,6 @@ def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Pat
         for work_item, robot in ((reference, None), (work(partners), handed_in))
     ]
     assert table_bytes(tables[0]) == table_bytes(tables[1])
-
-
-@pytest.mark.slow
-def test_a_live_robot_is_a_callable(registry: Registry) -> None:
-    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))[:1]
-    live = dataclasses.replace(work(partners), kind="live")
-    table = scorer_of(registry).play(live, lambda obs: np.zeros((len(obs), 7), np.float32), None)
-    assert isinstance(table, pl.DataFrame)
-    assert table.height == 2
 
 
 @pytest.mark.slow

@@ -40,13 +40,13 @@ class Desk:
             self._forms.remove(client)
 
     @contextlib.contextmanager
-    def place(self, owner: str, *, has_file: bool = True) -> Generator[None]:
-        """Keep a place for a request of a lab while the block runs; without a file none waits.
+    def place(self, owner: str) -> Generator[None]:
+        """Keep a place for a request of a lab while the block runs.
 
         Raises:
             Problem: Too many wait; whoever asks again soon has a turn.
         """
-        if self._owners[owner] >= OF_OWNER or (has_file and self._waiting >= WAITING):
+        if self._owners[owner] >= OF_OWNER or self._waiting >= WAITING:
             raise Problem("unavailable", "many robots are being handed in; try again soon", 5)
         self._owners[owner] += 1
         try:

@@ -5,12 +5,11 @@ import ipaddress
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import Depends, Request, Response, Security
+from fastapi import Depends, Request, Security
 from fastapi.exceptions import RequestValidationError
 from fastapi.security import HTTPBearer
 from limits import parse
 from pydantic import BaseModel, ValidationError
-from starlette.requests import HTTPConnection
 
 from assistax_board.problems import CODES, Problem
 from assistax_board.rules.scoring import MAX_TABLE_BYTES
@@ -21,9 +20,8 @@ from assistax_board.vocabulary import Scope
 
 SMALL_BODY = 64 * 1024  # of JSON and of forms without files
 MAX_BODY = MAX_BYTES + SMALL_BODY  # a file and the fields of a form
-# What may be larger: a robot, a worker's result, the observations of a live robot's batch.
+# What may be larger: a robot, a worker's result.
 _LARGE = {"/api/submissions": MAX_BODY, "/submit": MAX_BODY}
-_LARGE_WORK = ("/result", "/ask")
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
 FORM_SECONDS = 30.0  # for that of a form, whose sender is known when it has arrived
 
@@ -31,7 +29,6 @@ READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute
 PAGES = parse("3000/minute")  # one address may be a whole institute's
 FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
 FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
-UPGRADE = parse("120/minute")  # live connections: a client that lost one tries once a second
 
 
 class HeadAsGet:
@@ -96,39 +93,6 @@ class BodyLimit:
         return counted
 
 
-class Doorkeeper:
-    """The outermost ASGI application: says who may open a live connection, before one is made."""
-
-    def __init__(self, app: Any) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Pass a request on; without `receive`, only say whether its sender may come in.
-
-        Raises:
-            Problem: A crowd is at the door, or its address or its token asks too often.
-        """
-        if receive is not None:
-            await self._app(scope, receive, send)
-            return
-        connection, state = HTTPConnection(scope), self._app.state
-        state.rooms.knock()
-        state.limiter.hit(READ, client_of(connection))
-        state.limiter.hit(UPGRADE, bearer_token(connection))
-
-
-def bearer_token(connection: HTTPConnection) -> str:
-    """Return the token that came with a request, or nothing."""
-    kind, _, token = connection.headers.get("authorization", "").partition(" ")
-    return token if kind.lower() == "bearer" else ""
-
-
-def denial(problem: Problem) -> Response:
-    """Return the answer to a live connection that is refused."""
-    headers = {"Retry-After": str(problem.retry_after or 10)}
-    return Response(problem.message, CODES[problem.code], headers)
-
-
 def check_proxy(proxy: str | None) -> None:
     """Refuse a name for whom to believe that is not the address of a proxy.
 
@@ -149,7 +113,7 @@ def check_proxy(proxy: str | None) -> None:
 
 def largest_body(path: str) -> int:
     """Return how many bytes the body of a request to this path may have."""
-    if path.startswith("/api/work/") and path.endswith(_LARGE_WORK):
+    if path.startswith("/api/work/") and path.endswith("/result"):
         return MAX_TABLE_BYTES + SMALL_BODY
     return _LARGE.get(path, SMALL_BODY)
 
@@ -181,7 +145,7 @@ def service_of(request: Request) -> Service:
 TheService = Annotated[Service, Depends(service_of)]
 
 
-def client_of(request: HTTPConnection) -> str:
+def client_of(request: Request) -> str:
     """Return the address that a request came from, of IPv6 its network, which is all one client's.
 
     An IPv4 address that a socket of IPv6 shows is that address.

@@ -1,10 +1,9 @@
 """What a submitter may do: hand in and take back."""
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
-from starlette.concurrency import run_in_threadpool
 
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
@@ -39,21 +38,19 @@ async def submit(
     request_id: Annotated[str, Query(min_length=8, max_length=64)],
     licence: Text = "evaluation-only",
     season: Annotated[str | None, Query(max_length=80)] = None,
-    kind: Literal["file", "live"] = "file",
     about: Words = None,
     link: Words = None,
     citation: Words = None,
 ) -> Submission:
-    """Hand in a robot: the body is its file, empty for a live one.
+    """Hand in a robot: the body is its file.
 
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
     submission. `about`, `link` and `citation` are shown on the method's page.
     """
-    with request.app.state.desk.place(str(principal.submitter), has_file=kind == "file"):
-        body = await whole_body(request)
-        data = body if body or kind == "file" else None
+    with request.app.state.desk.place(str(principal.submitter)):
+        data = await whole_body(request)
         words: dict[str, Any] = {"about": about, "link": link, "citation": citation}
-        draft = Draft(task, method, request_id, licence, season, kind, data, **words)
+        draft = Draft(task, method, request_id, licence, season, data=data, **words)
         return await hand_in(request, principal, draft)
 
 
@@ -61,9 +58,7 @@ async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submi
     """Take in what a token's owner drafted; its season may be given by name."""
     state = request.app.state
     state.limiter.hit(SUBMIT, principal.token)
-    # A live robot has no file to be looked at, and waits for nobody's.
-    run = run_in_threadpool if draft.data is None else state.desk.run
-    return await run(_hand_in, state.service, str(principal.submitter), draft)
+    return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
 
 
 def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from pydantic import BaseModel, Field
 
 from assistax_board.api.errors import RESPONSES
@@ -47,11 +47,9 @@ _REFUSED, _REFUSED_BODY = json_body(Refused)
 
 
 @router.post("/lease", responses={204: {"description": "nothing waits"}}, openapi_extra=_LEASE_BODY)
-def lease(
-    service: TheService, request: Request, worker: Worker, body: Annotated[Any, _LEASE]
-) -> Any:
+def lease(service: TheService, worker: Worker, body: Annotated[Any, _LEASE]) -> Any:
     """Take the next job, or 204 where nothing waits."""
-    work: Work | None = service.lease(body.worker, body.versions, request.app.state.rooms.seats)
+    work: Work | None = service.lease(body.worker, body.versions)
     return Response(status_code=204) if work is None else work
 
 

@@ -155,8 +155,8 @@ def season_rehearse(
 ) -> None:
     """Rehearse a whole tiny season on this machine: ten minutes of two cores.
 
-    Trains hidden teams, draws hidden persons of a gentle task, serves, lets two labs hand in files
-    and a live robot, closes by date, reveals, proves, and prints what it does.
+    Trains hidden teams, draws hidden persons of a gentle task, serves, lets two labs hand in files,
+    closes by date, reveals, proves, and prints what it does.
 
     Args:
         task: Task.

@@ -37,7 +37,6 @@ def submit(
     method: str | None = None,
     season: str | None = None,
     licence: str = "evaluation-only",
-    live: str | None = None,
     words: Words = Words(),
     limits: bool = False,
     check: bool = False,
@@ -56,7 +55,6 @@ def submit(
             seeds of one method, and their mean counts.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
-        live: A robot that stays on this machine, instead of a file; such as python:mine:make.
         words: Texts for the method's page.
         limits: Only print how much you may still submit: in this hour, and in each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
@@ -71,22 +69,20 @@ def submit(
     """
     if limits:
         return _print_limits(server, json)
-    if (file is None) == (live is None):
-        raise ValueError("give a file, or --live with a robot such as python:mine:make")
+    if file is None:
+        raise ValueError("give a file: .safetensors of this project, .onnx, or an id of the zoo")
     if all and not check:
         raise ValueError("--all is about a check at home; give it with --check")
     from assistax_board import submitting
 
     if check:
-        if file is None:
-            raise ValueError("--check is about a file; a live robot is tried with `evaluate`")
         answer = submitting.check_file(file, task, registry, whole=all)
     elif method is None:
         raise ValueError(_NO_METHOD)
     else:
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = open_client(server.url, server.token_file)
-        answer = submitting.hand_in(client, file, live, fields | vars(words), watch=watch)
+        answer = submitting.hand_in(client, file, fields | vars(words), watch=watch)
         answer = answer if json else submitting.for_reader(answer, client.address)
     print_answer(answer, json)
 

@@ -30,10 +30,6 @@ class Catalogue(Protocol):
         """Return the rows that a board measures by: the method that each robot is a seed of."""
         ...
 
-    def action_size(self, task: str) -> int:
-        """Return how many numbers a robot's action has."""
-        ...
-
 
 def version_id(identity: dict[str, Any]) -> str:
     """Return the id of a version: scores of two are never mixed."""
@@ -129,10 +125,6 @@ class ZooCatalogue:
             )
         ]
         return methods | {ego.team.partition("/")[2]: f"{ego.algorithm} ego" for ego in egos}
-
-    def action_size(self, task: str) -> int:
-        """Return how many numbers a robot's action has."""
-        return self._registry.of_task(task, "robot")[0].spec.action_size
 
     def _entries(self, task: str) -> list[Any]:
         return public_entries(self._registry, task)

@@ -16,7 +16,7 @@ from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.store import schema
 from assistax_board.store.database import Database
-from assistax_board.store.schema import JOB, MAX_FAILURES, SEAT, SUBMISSION
+from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
 LEASE_SECONDS = 60.0
 CLOCKS_APART = 60.0  # a lease may have begun by another server's clock, or before it was waited for
@@ -67,25 +67,17 @@ def lease_job(
 ) -> tuple[Lease | None, list[str]]:
     """Take the next job that a worker of these versions can do.
 
-    Jobs of live robots are given out only while their clients are there, one after another: a
-    robot has one memory.
-
     Returns:
         The lease, or None where nothing waits; and the submissions that have failed too often.
     """
     with database.write() as connection:
         exhausted = expire_leases(database, connection, now)
         query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
-        live = sa.select(SUBMISSION.id).where(SUBMISSION.kind == "live")
-        there = sa.select(SEAT.submission).where(SEAT.until > now)
-        played = sa.select(JOB.submission).where(JOB.state == "leased")
-        may = JOB.submission.in_(there) & JOB.submission.not_in(played)
-        query = query.where(JOB.submission.not_in(live) | may)
         order = query.order_by(
             JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk
         ).limit(1)
         row = connection.execute(database.take(order)).first()
-        if row is None or not _has_its_turn(connection, row.submission):
+        if row is None:
             return None, exhausted
         secret = secrets.token_urlsafe(32)
         values = {
@@ -115,18 +107,6 @@ def expire_leases(database: Database, connection: sa.Connection, now: float) -> 
     for row in rows:
         _put_back(connection, row.id, row.failures + 1)
     return [row.submission for row in rows if row.failures + 1 >= MAX_FAILURES]
-
-
-def _has_its_turn(connection: sa.Connection, submission: str) -> bool:
-    """Return whether nobody plays a live robot now, and forget what was asked of it before.
-
-    Writing to its seat first lets whoever does the same at this moment wait.
-    """
-    seat = sa.update(schema.seats).where(SEAT.submission == submission)
-    if not connection.execute(seat.values(question=None, answer=None)).rowcount:
-        return True  # no live robot
-    played = sa.select(JOB.id).where(JOB.submission == submission, JOB.state == "leased")
-    return connection.execute(played).first() is None
 
 
 def beat(database: Database, job: str, secret: str, now: float) -> bool:

@@ -61,8 +61,7 @@ class Scorer(Protocol):
 
         Args:
             work: What is played.
-            robot: The file's bytes, a callable [N, O] -> [N, A] for a live robot, None for a
-                reference.
+            robot: The file's bytes, None for a reference.
             release: The packed private release, of a hidden panel.
 
         Raises:

@@ -76,13 +76,7 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
             raise Problem("invalid", f"{name} has 1 to {most} printable characters")
     _check_description(draft)
     if (draft.data is not None) != (draft.kind == "file"):
-        raise Problem("invalid", "a submission is a file, or kind live without a file")
-    if draft.kind == "live" and draft.season is not None:
-        raise Problem(
-            "invalid",
-            "a live robot meets public partners alone, since its observations leave the server; "
-            "hand in a file to take part in a season",
-        )
+        raise Problem("invalid", "a submission is a file")
     if draft.data is not None and len(draft.data) > MAX_BYTES:
         raise Problem("too_large", f"a file has at most {MAX_BYTES} bytes")
 

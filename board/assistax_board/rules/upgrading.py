@@ -36,8 +36,6 @@ def adopt_version(service: "Service") -> int:
             stale = sa.select(schema.submissions).where(
                 SUBMISSION.task == task,
                 SUBMISSION.state.in_(("queued", "running", "scored")),
-                # A live robot that was scored is away: nobody can score it anew.
-                (SUBMISSION.kind != "live") | (SUBMISSION.state != "scored"),
                 # A season's references play panel B alone.
                 (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
                 SUBMISSION.id.not_in(planned),

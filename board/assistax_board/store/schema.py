@@ -85,7 +85,7 @@ submissions = sa.Table(
     sa.Column("task", sa.String(40), nullable=False),
     sa.Column("method", sa.String(80), nullable=False),  # its submissions are seeds of one method
     sa.Column("kind", sa.String(10), nullable=False),
-    sa.Column("artefact", sa.ForeignKey("artefacts.sha256")),  # none of a live robot
+    sa.Column("artefact", sa.ForeignKey("artefacts.sha256")),  # none of a reference
     sa.Column("format", sa.String(20)),
     sa.Column("licence", sa.String(40), nullable=False),
     sa.Column("season", sa.ForeignKey("seasons.id")),
@@ -206,23 +206,6 @@ notices = sa.Table(
     sa.Column("last_at", sa.Float, nullable=False),
 )
 
-# The connection of a live submission, which lives in one server's process; see `live.seats`.
-seats = sa.Table(
-    "seats",
-    METADATA,
-    sa.Column("submission", sa.ForeignKey("submissions.id"), primary_key=True),
-    sa.Column("owner", sa.String(32), nullable=False),
-    sa.Column("seat", sa.String(32), index=True),  # random name of the connection
-    sa.Column("until", sa.Float, nullable=False),  # when it ends if its server says nothing more
-    sa.Column("seen_at", sa.Float, nullable=False),
-    sa.Column("thought", sa.Float, nullable=False),  # seconds of the time bank
-    # What a worker asked at another server.
-    sa.Column("batch", sa.Text),
-    sa.Column("step", sa.Integer),
-    sa.Column("question", sa.LargeBinary),
-    sa.Column("answer", sa.LargeBinary),
-)
-
 # Requests of one address or token in one window, counted by all servers; `name` is a keyed hash.
 rates = sa.Table(
     "rates",
@@ -245,7 +228,7 @@ computed = sa.Table(
 SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
 SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
-NOTICE, SEAT, RATE, COMPUTED = notices.c, seats.c, rates.c, computed.c
+NOTICE, RATE, COMPUTED = notices.c, rates.c, computed.c
 
 ERASED = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))  # files that are gone
 MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded

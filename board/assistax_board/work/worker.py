@@ -27,8 +27,6 @@ IDLE_SECONDS = 2.0  # between two looks at an empty queue
 
 LOOK_SECONDS = 0.25  # between two looks at what a job takes
 
-MakeLive = Callable[[Work], Any]  # a callable [N, O] -> [N, A] that asks the live client
-
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
@@ -47,7 +45,6 @@ class Worker:
         client: Client,
         scorer: Scorer,
         *,
-        live: MakeLive | None = None,
         idle: float = IDLE_SECONDS,
         beat: float = LEASE_SECONDS / 4,
         budget: Budget = Budget(),
@@ -58,13 +55,12 @@ class Worker:
         Args:
             client: Of the server, with a token that may work.
             scorer: Plays.
-            live: Connects to the client of a live submission; None takes no such jobs.
             idle: Seconds between two looks at an empty queue.
             beat: Seconds between two beats for a job.
             budget: Of each job; what takes more is refused as `too_slow`.
             anew: Ends this process, or starts it anew, after such a job: it cannot be stopped.
         """
-        self._client, self._scorer, self._live = client, scorer, live
+        self._client, self._scorer = client, scorer
         self._idle, self._beat = idle, beat
         self._budget, self._anew = budget, anew
         self._name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
@@ -175,10 +171,6 @@ class Worker:
             yield
 
     def _robot(self, work: Work) -> Any:
-        if work.kind == "live":
-            if self._live is None:
-                raise ValueError("this worker takes no live submissions")
-            return self._live(work)
         return self._fetch(work.artefact) if work.artefact else None
 
     def _release(self, work: Work) -> bytes | None:

@@ -1,7 +1,6 @@
 """A worker as a process, with its signals and its log; or as many as a Ray cluster has room for."""
 
 import contextlib
-import functools
 import os
 import signal
 import sys
@@ -14,7 +13,6 @@ from typing import Any
 from assistax_base.cluster import RayCluster, run_blocks
 from assistax_board.api.operations import log_to_stderr
 from assistax_board.client import Client
-from assistax_board.live.robot import LiveRobot
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.rules.scoring import Scorer
 from assistax_board.serve import PARENT_VARIABLE
@@ -59,7 +57,7 @@ def make_scorer(registry: Path | None, backend: str) -> Scorer:
 
 def _worker(client: Client, scorer: Scorer, anew: Callable[[], Any] | None = None) -> Worker:
     options: dict[str, Any] = {} if anew is None else {"anew": anew}
-    return Worker(client, scorer, live=functools.partial(LiveRobot, client), **options)
+    return Worker(client, scorer, **options)
 
 
 def _start_anew() -> None:

@@ -78,7 +78,7 @@ class ZooScorer:
         return _leaving(table, {entry.id: name for entry, name in pairs})
 
     def _egos(self, work: Work, robot: Any) -> Any:
-        from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+        from evaluation.cast.roster import Member, Roster, registry_roster
         from evaluation.figures.normalised import REFERENCE_ROWS
         from evaluation.play.baselines import reference_roster
         from population.networks.stack import stack_policies
@@ -88,8 +88,6 @@ class ZooScorer:
         if work.kind == "reference":
             ego = self._registry.policy(f"{work.task}/{work.format}/robot")
             return registry_roster(self._registry, [ego])
-        if work.kind == "live":
-            return Roster((HostEgo("robot", robot),), {"robot": Member("robot", "live")})
         admitted = self._admission.read(robot, work.task)
         member = Member("robot", hashlib.sha256(robot).hexdigest())
         stacks = stack_policies([(member.id, admitted.spec, admitted.params)])

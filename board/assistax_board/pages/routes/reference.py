@@ -11,7 +11,6 @@ GROUPS = {
     "read": "What anybody may read",
     "submit": "With a token that submits",
     "work": "With a token that works",
-    "live": "Live robots",
     "operate": "For the organiser",
 }
 

@@ -1,4 +1,4 @@
-"""Several servers share connections of live robots, rates, and what took long to compute."""
+"""Several servers share rates, and what took long to compute."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -9,21 +9,6 @@ down_revision = "0004"
 
 def upgrade() -> None:
     """Go to this version."""
-    op.create_table(
-        "seats",
-        sa.Column("submission", sa.String(length=32), nullable=False),
-        sa.Column("owner", sa.String(length=32), nullable=False),
-        sa.Column("seat", sa.String(length=32), nullable=True),
-        *(sa.Column(name, sa.Float(), nullable=False) for name in ("until", "seen_at", "thought")),
-        sa.Column("batch", sa.Text(), nullable=True),
-        sa.Column("step", sa.Integer(), nullable=True),
-        *(sa.Column(name, sa.LargeBinary(), nullable=True) for name in ("question", "answer")),
-        sa.ForeignKeyConstraint(
-            ["submission"], ["submissions.id"], name=op.f("fk_seats_submission")
-        ),
-        sa.PrimaryKeyConstraint("submission", name=op.f("pk_seats")),
-    )
-    op.create_index(op.f("ix_seats_seat"), "seats", ["seat"])
     op.create_table(
         "rates",
         sa.Column("name", sa.String(length=120), nullable=False),
@@ -41,5 +26,5 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     """Go back to the version before."""
-    for name in ("computed", "rates", "seats"):
+    for name in ("computed", "rates"):
         op.drop_table(name)
