@@ -1,7 +1,6 @@
-"""Webhooks of organiser and labs: messages are signed, tried again, and sent nowhere else."""
+"""The organiser's webhook: messages are signed, tried again, and sent nowhere else."""
 
 import base64
-import dataclasses
 import hashlib
 import hmac
 import json
@@ -17,25 +16,20 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from assistax_board.rules.telling import set_webhook, untold
-from assistax_board.rules.tokens import submitter_id
 from assistax_board.serve import open_service
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.notices import clear_notices, list_notices
 from assistax_board.work import webhook as posting
 from assistax_board.work.webhook import (
-    LabWebhooks,
     Webhook,
     check_ledger,
-    lab_secret,
     signature,
     watched,
 )
 from assistax_zoo.shell.main import run
 from tests.board.fakes import advance, draft, new_service, new_submitter, work_off
 from tests.board.test_retry import fail
-from tests.board.test_season import open_season
 
 
 class Receiver(ThreadingHTTPServer):
@@ -242,111 +236,20 @@ def check(post: tuple[str, dict[str, str], bytes], secret: str) -> dict[str, Any
     return json.loads(body)
 
 
-def test_a_lab_is_told_of_what_ends_from_now_on(
-    service: Service, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(posting, "POLL_SECONDS", 0.0)
-    ada, bob = new_submitter(service, "Ada"), new_submitter(service, "Bob")
-    service.submit(ada, draft(1.0, "before"))
-    work_off(service)
-    assert set_webhook(service.database, "Ada", receiver.address, service.clock()) == ada
-    season = open_season(service)
-    id = service.submit(ada, draft(2.0, season=season))
-    service.submit(bob, draft(3.0))
-    hooks = LabWebhooks(service)
-    hooks.post_new()
-    work_off(service)
-    receiver.statuses = [500]
-    until(lambda: hooks.post_new() or len(receiver.posts) == 2)
-    until(lambda: not untold(service.database))
-    message = check(receiver.posts[1], lab_secret(service, ada))
-    assert message["type"] == "submission.scored" and message["data"]["id"] == id
-    assert set(message["data"]["means"]) == {"public", "A"}
-    ids = {headers["webhook-id"] for _, headers, _ in receiver.posts}
-    assert len(ids) == 1, "the same one again, after an answer that was none"
-    hooks.post_new()
-    LabWebhooks(service).post_new()
-    assert len(receiver.posts) == 2, "told once, also after a restart"
-    service.erase_submitter(ada)
-    assert untold(service.database) == {}
-
-
-def test_a_lab_that_answers_slowly_keeps_no_other_waiting(
-    service: Service, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(posting, "POLL_SECONDS", 0.0)
-    answer, take = threading.Event(), _Handler.do_POST
-
-    def slowly(handler: _Handler) -> None:
-        if handler.path == "/slow":
-            answer.wait(60)
-        take(handler)
-
-    monkeypatch.setattr(_Handler, "do_POST", slowly)
-    for lab, place in (("Ada", "slow"), ("Bob", "hook")):
-        id = new_submitter(service, lab)
-        address = receiver.address.replace("hook", place)
-        set_webhook(service.database, lab, address, service.clock())
-        service.submit(id, draft(2.0))
-    work_off(service)
-    hooks = LabWebhooks(service)
-    until(lambda: hooks.post_new() or receiver.posts)
-    assert [path for path, _, _ in receiver.posts] == ["/hook"]
-    answer.set()
-    until(lambda: hooks.post_new() or not untold(service.database))
-
-
-def test_a_retried_submission_is_told_again(service: Service, receiver: Receiver) -> None:
-    lab = new_submitter(service, "Ada")
-    set_webhook(service.database, "Ada", receiver.address, service.clock())
-    id = service.submit(lab, draft(2.0))
-    fail(service)
-    hooks = LabWebhooks(service)
-    until(lambda: hooks.post_new() or not untold(service.database))
-    service.retry(id)
-    advance(service, 60.0)
-    work_off(service)
-
-    def told() -> dict[str, str]:  # by notice: one whose answer comes late is posted again
-        return {heads["webhook-id"]: json.loads(body)["type"] for _, heads, body in receiver.posts}
-
-    until(lambda: hooks.post_new() or len(told()) == 2)
-    assert sorted(told().values()) == ["submission.failed", "submission.scored"]
-
-
-def test_the_organiser_gives_a_lab_its_address(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = tmp_path / "board"
-    service = open_service(data)
-    words = ["token", "create", "submit", "--submitter", "Ada", "--data", str(data)]
-    assert run([*words, "--webhook", "https://ada.example.org/hook"]) == 0
-    out, err = capsys.readouterr()
-    lab = submitter_id(service.database, "Ada")
-    assert out.startswith("azt_") and lab_secret(service, lab) in err
-    assert run([*words, "--webhook", "ftp://ada.example.org"]) == 1
-    assert "http:// or https://" in capsys.readouterr().err
-    assert run(["token", "create", "work", "--webhook", "https://x.org", "--data", str(data)]) == 1
-    assert "name the lab" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_a_served_folder_posts_its_notices(tmp_path: Path, receiver: Receiver) -> None:
     data = tmp_path / "board"
     service = open_service(data)
     service.note("season_closed", "spring")
-    lab = new_submitter(service, "Ada")
-    set_webhook(service.database, "Ada", receiver.address, 0.0)
-    service.submit(lab, dataclasses.replace(draft(), refusal="malformed"))
     options = ["--data", data, "--port", "0", "--workers", "0", "--no-references"]
     process = subprocess.Popen(
         [sys.executable, "-m", "assistax_zoo", "serve", *options, "--webhook", receiver.address],
         stderr=subprocess.DEVNULL,
     )
     try:
-        until(lambda: len(receiver.posts) == 2)
+        until(lambda: len(receiver.posts) == 1)
     finally:
         process.terminate()
         assert process.wait(60) == 0
     kinds = {json.loads(body)["type"] for _, _, body in receiver.posts}
-    assert kinds == {"notice.season_closed", "submission.refused"}
+    assert kinds == {"notice.season_closed"}

@@ -1,7 +1,6 @@
 """Who may use a service."""
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +12,6 @@ def token_create(
     data: Path,
     submitter: str | None = None,
     contact: str | None = None,
-    webhook: str | None = None,
     label: str = "",
     database: str | None = None,
 ) -> None:
@@ -24,26 +22,14 @@ def token_create(
         data: Folder of the service.
         submitter: Lab that submits with it; made if it is new.
         contact: How to reach a new lab.
-        webhook: Address to which the lab's ended submissions are posted from now on; its secret is
-            printed on standard error. '' ends that.
         label: For `token list`.
         database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token create submit --submitter 'Lab of Ada' --data my-board
     """
-    from assistax_board.rules.telling import set_webhook
-    from assistax_board.work.webhook import check_address, lab_secret
-
-    check_address(webhook or None)
-    if webhook is not None and not submitter:
-        raise ValueError("a webhook is a lab's; name the lab with --submitter")
-    service = open_folder(data, database)
     options = {"submitter": submitter, "contact": contact, "label": label}
-    print(service.create_token(scopes, **options))
-    if webhook is not None and submitter:
-        lab = set_webhook(service.database, submitter, webhook or None, service.clock())
-        print(f"secret of its webhook: {lab_secret(service, lab)}", file=sys.stderr)
+    print(open_folder(data, database).create_token(scopes, **options))
 
 
 def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:

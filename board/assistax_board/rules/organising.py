@@ -123,9 +123,7 @@ def _retry_submission(
         )
     attempt = "free" if season is None else "reserved"
     again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
-    connection.execute(
-        again.values(state="queued", reason=None, finished_at=None, told_at=None, attempt=attempt)
-    )
+    connection.execute(again.values(state="queued", reason=None, finished_at=None, attempt=attempt))
     version = version_id(service.catalogue.identity(row.task))
     if not jobs.queue_again(connection, row.id, version):
         submissions.plan_jobs(connection, service.catalogue, row._mapping, season, service.clock())
@@ -233,7 +231,7 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         connection.execute(
             sa.update(schema.submitters)
             .where(where)
-            .values(name=f"erased-{submitter}", contact=None, webhook=None, erased_at=now)
+            .values(name=f"erased-{submitter}", contact=None, erased_at=now)
         )
         open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
         connection.execute(open_tokens.values(revoked_at=now, label="erased"))

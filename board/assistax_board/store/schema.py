@@ -29,7 +29,6 @@ submitters = sa.Table(
     sa.Column("contact", sa.String(200)),
     sa.Column("created_at", sa.Float, nullable=False),
     sa.Column("erased_at", sa.Float),
-    sa.Column("webhook", sa.String(500)),  # of the organiser's choice
 )
 
 # A token's secret is never stored, only its sha256: with 256 random bits it needs no slow hash.
@@ -97,7 +96,6 @@ submissions = sa.Table(
     sa.Column("finished_at", sa.Float),
     sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
     *(sa.Column(name, sa.Text) for name in ("about", "link", "citation")),  # of its method
-    sa.Column("told_at", sa.Float),  # when its lab's webhook was told of the end
     sa.Column("warning", sa.Text),  # of another environment version
     sa.UniqueConstraint("submitter", "request"),
 )

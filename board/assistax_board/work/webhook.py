@@ -1,8 +1,8 @@
-"""Posts notices to the organiser's address and scores to labs', and checks the ledger.
+"""Posts notices to the organiser's address, and checks the ledger.
 
 Messages are those of Standard Webhooks (standardwebhooks.com): JSON, signed with HMAC-SHA256 by a
-secret that both sides know. Threads beside the server post them: no request waits for that, and
-nobody but the organiser names an address, a lab's neither, which may thus be a private one.
+secret that both sides know. A thread beside the server posts them: no request waits for that, and
+the organiser alone names the address, which may thus be a private one.
 """
 
 import base64
@@ -24,7 +24,6 @@ import httpx2
 
 from assistax_base.files import OWNER, atomic_write, write_json
 from assistax_board.checking import ledger_pages
-from assistax_board.rules.telling import told, untold
 from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.notices import Notice, list_notices
@@ -150,72 +149,16 @@ def signature(secret: str, id: str, at: int, body: bytes) -> str:
     )
 
 
-class LabWebhooks:
-    """Tells labs when their submissions have ended, where the organiser gave them an address.
-
-    A thread for each: one that answers slowly keeps no other waiting.
-    """
-
-    def __init__(self, service: Service) -> None:
-        self._service = service
-        self._threads: dict[str, threading.Thread] = {}
-        self._pauses: dict[str, float] = {}
-        self._not_before: dict[str, float] = {}
-
-    def post_new(self) -> None:
-        """Begin to post what has ended and was not told, at each address that is not busy."""
-        for lab, (url, ended) in untold(self._service.database).items():
-            thread = self._threads.get(lab)
-            if thread is not None and thread.is_alive():
-                continue
-            if time.monotonic() >= self._not_before.get(lab, 0.0):
-                thread = threading.Thread(target=self._tell, args=(lab, url, ended), daemon=True)
-                self._threads[lab] = thread
-                thread.start()
-
-    def _tell(self, lab: str, url: str, ended: Sequence[str]) -> None:
-        secret = lab_secret(self._service, lab)
-        try:
-            for id in ended:
-                message = end_message(self._service, id)
-                post(url, secret, f"submission {id} {message['timestamp']}", message)
-                told(self._service.database, [id], self._service.clock())
-            self._pauses.pop(lab, None)
-        except Exception as error:
-            pause = min(2 * self._pauses.get(lab, POLL_SECONDS), LONGEST_PAUSE)
-            self._pauses[lab], self._not_before[lab] = pause, time.monotonic() + pause
-            fields = {"error": type(error).__name__, "again_in": pause, "lab": lab}
-            _LOG.warning("not posted", extra={"fields": fields})
-
-
-def lab_secret(service: Service, lab: str) -> str:
-    """Return the secret that signs what is posted to a lab: of all servers with this key."""
-    return secret_text(service.signer.secret(f"webhook {lab}"))
-
-
-def end_message(service: Service, id: str) -> dict[str, object]:
-    """Return how a submission ended, with the means that its page shows."""
-    row = service.queries.submission(id)
-    if row is None:
-        raise OSError(f"no submission {id}")
-    names = ("id", "task", "method", "season", "state", "reason")
-    scores = service.queries.scores(submission=id)
-    means = {score.panel: score.figures["mean"] for score in scores[::-1]}
-    at = datetime.fromtimestamp(row.finished_at or 0.0, UTC).isoformat(timespec="seconds")
-    data = {name: getattr(row, name) for name in names} | {"means": means}
-    return {"type": f"submission.{row.state}", "timestamp": at, "data": data}
-
-
 @contextlib.contextmanager
 def watched(service: Service, data: Path, url: str | None) -> Generator[None]:
-    """Check the ledger once a day, tell labs of their scores and the organiser of notices.
+    """Check the ledger once a day, and post notices to an address if one is given.
 
-    Until the block ends; without an address notices are not posted.
+    This ends with the block.
     """
     over, checked_at = threading.Event(), -LEDGER_SECONDS
-    webhook, labs = None if url is None else Webhook(url, data), LabWebhooks(service)
+    webhook = None if url is None else Webhook(url, data)
 
-    def organiser() -> None:
+    def step() -> None:
         nonlocal checked_at
         if time.monotonic() - checked_at >= LEDGER_SECONDS:
             checked_at = time.monotonic()
@@ -223,8 +166,7 @@ def watched(service: Service, data: Path, url: str | None) -> Generator[None]:
         if webhook is not None:
             webhook.post_new(list_notices(service.database), service.clock())
 
-    for step in (organiser, labs.post_new):
-        threading.Thread(target=_watch, args=(over, step), daemon=True).start()
+    threading.Thread(target=_watch, args=(over, step), daemon=True).start()
     try:
         yield
     finally:
