@@ -1,7 +1,6 @@
 """Readers of a running server's pages, and the two commands that measure with them."""
 
 import asyncio
-import contextlib
 import dataclasses
 import random
 import re
@@ -29,15 +28,12 @@ class PageSpeed:
     failed: int
 
 
-def read_pages(urls: Sequence[str], readers: int, seconds: float) -> list[PageSpeed]:
-    """Let readers read for a while and return a row for each kind of page, and one for all.
-
-    Of several servers that are one service each has its share of the readers.
-    """
+def read_pages(url: str, readers: int, seconds: float) -> list[PageSpeed]:
+    """Let readers read for a while and return a row for each kind of page, and one for all."""
     try:
-        reads = asyncio.run(_read_all(urls, readers, seconds))
+        reads = asyncio.run(_read_all(url, readers, seconds))
     except httpx2.HTTPError as error:
-        reason, url = str(error) or type(error).__name__, " or ".join(urls)
+        reason = str(error) or type(error).__name__
         raise OSError(f"{url} does not answer ({reason}); start a server there first") from None
     kinds = sorted({kind for kind, _, _ in reads})
     rows = [_row(kind, [read for read in reads if read[0] == kind]) for kind in kinds]
@@ -47,23 +43,14 @@ def read_pages(urls: Sequence[str], readers: int, seconds: float) -> list[PageSp
 _Read = tuple[str, float, bool]  # kind of page, seconds, whether it came
 
 
-async def _read_all(urls: Sequence[str], readers: int, seconds: float) -> list[_Read]:
+async def _read_all(url: str, readers: int, seconds: float) -> list[_Read]:
     limits = httpx2.Limits(max_connections=readers, keepalive_expiry=2.0)  # the server: 5
-    async with contextlib.AsyncExitStack() as stack:
-        clients = [
-            await stack.enter_async_context(
-                httpx2.AsyncClient(base_url=url, limits=limits, timeout=30.0)
-            )
-            for url in urls
-        ]
-        pages = await _pages(clients[0])
-        for client in clients:
-            for address in pages.values():  # what is computed once is computed before
-                await client.get(address, timeout=None)
+    async with httpx2.AsyncClient(base_url=url, limits=limits, timeout=30.0) as client:
+        pages = await _pages(client)
+        for address in pages.values():  # what is computed once is computed before
+            await client.get(address, timeout=None)
         end = time.monotonic() + seconds
-        readings = [
-            _reader(clients[i % len(clients)], pages, end, random.Random(i)) for i in range(readers)
-        ]
+        readings = [_reader(client, pages, end, random.Random(i)) for i in range(readers)]
         return [read for reading in await asyncio.gather(*readings) for read in reading]
 
 
@@ -127,7 +114,7 @@ def pages(
         python -m benchmarks pages --url http://127.0.0.1:8800 --readers 200
     """
     check_seconds(seconds)
-    rows = [dataclasses.asdict(row) for row in read_pages([url], readers, seconds)]
+    rows = [dataclasses.asdict(row) for row in read_pages(url, readers, seconds)]
     if json:
         print_json(rows)
         return
@@ -140,7 +127,6 @@ def service(
     readers: int = 200,
     submitters: int = 50,
     seconds: float = 60.0,
-    servers: int = 1,
     json: bool = False,
 ) -> None:
     """Measure a new server while many read its pages, and others hand robots in and watch them.
@@ -151,39 +137,28 @@ def service(
         readers: How many read at once; each opens a page every five seconds or so.
         submitters: How many hand in, watch to the end, and begin anew.
         seconds: How long.
-        servers: How many server processes share the database and the readers; with several, one
-            alone is measured before them.
         json: Print JSON.
 
     Example:
-        python -m benchmarks service --servers 2
+        python -m benchmarks service
     """
     from benchmarks.service import measure_service
 
     check_seconds(seconds)
-    if not 1 <= servers <= 16:
-        raise ValueError(f"servers is {servers}; allowed is 1 to 16")
-    rows = [
-        dataclasses.asdict(measure_service(readers, submitters, seconds, count))
-        for count in sorted({1, servers})
-    ]
+    row = dataclasses.asdict(measure_service(readers, submitters, seconds))
     if json:
-        print_json(rows)
-        return
-    for row in rows:
+        print_json(row)
+    else:
         _print_service(row, readers, submitters, seconds)
 
 
 def _print_service(row: dict[str, Any], readers: int, submitters: int, seconds: float) -> None:
     load = " to ".join(f"{value:.1f}" for value in row["load"])
-    servers = f"{row['servers']} server{'s' * (row['servers'] > 1)}"
-    print(
-        f"{servers}, {readers} readers and {submitters} submitters for {seconds:g} s; load {load}"
-    )
+    print(f"{readers} readers and {submitters} submitters for {seconds:g} s; load {load}")
     _print_pages(row["pages"])
     print(
         f"{row['submitted']} submissions, {row['lost']} lost, scored after "
-        f"{row['seconds_to_score']:.1f} s; {row['requests']} requests, servers worked "
+        f"{row['seconds_to_score']:.1f} s; {row['requests']} requests, the server worked "
         f"{row['server_cpu_ms']:.1f} ms for each"
     )
 

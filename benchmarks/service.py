@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,49 +33,44 @@ SPAWN = multiprocessing.get_context("spawn")
 class ServiceSpeed:
     """What a server did while many wanted something of it."""
 
-    servers: int
     pages: list[PageSpeed]
     submitted: int
     lost: int  # of them: not scored in the end
     seconds_to_score: float  # mean, from handing in to being seen as scored
     requests: int
-    server_cpu_ms: float  # of the servers' processes, for one request, anybody's
+    server_cpu_ms: float  # of the server's process, for one request, anybody's
     load: tuple[float, float]  # of the machine, before and after
 
 
-def measure_service(
-    readers: int, submitters: int, seconds: float, servers: int = 1
-) -> ServiceSpeed:
-    """Let readers and submitters use new servers of one database for a while, and count."""
+def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpeed:
+    """Let readers and submitters use a new server for a while, and count."""
     from assistax_board.serve import open_service
 
     before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
-        with ExitStack() as stack:
-            started = [stack.enter_context(serving(Path(folder), n)) for n in range(servers)]
-            addresses = [address for _, address in started]
+        with serving(Path(folder)) as started:
+            address = started[1]
             service = open_service(Path(folder))
             work = service.create_token(("work",), label="made up")
             tokens = [
                 service.create_token(("submit",), submitter=f"lab {n}") for n in range(submitters)
             ]
-            worker = SPAWN.Process(target=work_made_up, args=(addresses[-1], work), daemon=True)
+            worker = SPAWN.Process(target=work_made_up, args=(address, work), daemon=True)
             worker.start()
-            _submit_all(addresses, tokens[:FIRST], 0.0)
-            read_pages(addresses, 1, 1.0)  # what is computed once is computed before
+            _submit_all(address, tokens[:FIRST], 0.0)
+            read_pages(address, 1, 1.0)  # what is computed once is computed before
             answers: Any = SPAWN.Queue()
-            args = (addresses, tokens, seconds, answers)
+            args = (address, tokens, seconds, answers)
             crowd = SPAWN.Process(target=_submit_all, args=args, daemon=True)
             crowd.start()
-            cpu, count = _work_of(started)
-            pages = read_pages(addresses, readers, seconds)
+            cpu, count = _work_of(*started)
+            pages = read_pages(address, readers, seconds)
             handed_in, times = answers.get(timeout=600)
-            cpu, count = _work_of(started)[0] - cpu, _work_of(started)[1] - count
+            cpu, count = _work_of(*started)[0] - cpu, _work_of(*started)[1] - count
             worker.terminate()
         states = [submission.state for submission in service.queries.submissions(limit=100_000)]
         service.database.close()
     return ServiceSpeed(
-        servers,
         pages,
         handed_in + FIRST,
         handed_in + FIRST - states.count("scored"),
@@ -87,9 +82,9 @@ def measure_service(
 
 
 @contextmanager
-def serving(folder: Path, number: int = 0) -> Generator[tuple[Any, str]]:
-    """Run one of the servers of a folder, and yield its process and its address."""
-    log = folder / f".log{number}"  # `serve` takes no folder with other files, but for hidden ones
+def serving(folder: Path) -> Generator[tuple[Any, str]]:
+    """Run the server of a folder, and yield its process and its address."""
+    log = folder / ".log"  # `serve` takes no folder with other files, but for hidden ones
     words = ["serve", "--data", str(folder), "--port", "0", "--workers", "0", "--no-references"]
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], stderr=file)
@@ -138,7 +133,7 @@ def work_made_up(address: str, token: str) -> None:
 
 
 def _submit_all(
-    addresses: list[str], tokens: list[str], seconds: float, answers: Any = None
+    address: str, tokens: list[str], seconds: float, answers: Any = None
 ) -> tuple[int, list[float]]:
     """Let every lab hand in a robot, watch it to its end, and begin anew while there is time."""
     from assistax_board.submitting import POLL_SECONDS, read_file
@@ -147,7 +142,7 @@ def _submit_all(
     robot, end, times = read_file(Path(ROBOT)), time.monotonic() + seconds, []
 
     def lab(number: int) -> None:
-        address, count = addresses[number % len(addresses)], 0
+        count = 0
         client = Client(address, tokens[number], patience=LOST_SECONDS)
         time.sleep(seconds * number / len(tokens) / 4)  # not all in one moment
         while count == 0 or time.monotonic() < end:
@@ -170,10 +165,9 @@ def _submit_all(
     return len(times), times
 
 
-def _work_of(servers: list[tuple[Any, str]]) -> tuple[float, int]:
-    """Return the seconds of processors that servers have used, and the requests they answered."""
-    seconds = sum(_cpu(process.pid) for process, _ in servers)
-    return seconds, sum(_requests(address) for _, address in servers)
+def _work_of(process: Any, address: str) -> tuple[float, int]:
+    """Return the seconds of processors that a server has used, and the requests it answered."""
+    return _cpu(process.pid), _requests(address)
 
 
 def _cpu(pid: int) -> float:

@@ -67,7 +67,7 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
             hand_in(address, tokens["honest 0"], robot, "first")
             bad = [tokens[lab] for lab in names("hostile", LABS)]
             with _alongside(work_made_up, *worker) as _:
-                read_pages([address], 20, CALM_SECONDS)
+                read_pages(address, 20, CALM_SECONDS)
                 calm, tree = memory_of(process.pid), Peak(process.pid)
                 end = time.time() + seconds
                 with contextlib.ExitStack() as stack:
@@ -80,7 +80,7 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
                             (probe, address, end),
                         )
                     ]
-                    pages = read_pages([address], readers, seconds)[-1]
+                    pages = read_pages(address, readers, seconds)[-1]
                     ended = [answer.get(timeout=900) for answer in answers]
                 calm_after = tree.wait_for(1.2 * calm)
         states = Counter(

@@ -35,7 +35,7 @@ def create_app(service: Service, **pages: Any) -> FastAPI:
         middleware=list(MIDDLEWARE),
     )
     app.state.service, app.state.desk = service, Desk()
-    app.state.limiter = Limiter(service.database, service.signer.secret("rates"))
+    app.state.limiter = Limiter()
     app.state.metrics = operations.Metrics()
     for router in ROUTERS:
         app.include_router(router)

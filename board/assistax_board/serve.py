@@ -20,11 +20,12 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
+from assistax_base.locks import locked
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.service import Service
 from assistax_board.store.artefacts import ARTEFACTS_FOLDER, Artefacts
-from assistax_board.store.database import DATABASE_FILE, Database
+from assistax_board.store.database import DATABASE_FILE, ONE_SERVER, Database
 from assistax_board.store.receipts import load_signer
 from assistax_board.vocabulary import BACKEND, TOKEN_VARIABLE
 
@@ -38,6 +39,7 @@ SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
 MISSING = errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT  # what a machine says of an address it lacks
 EXTRAS = {"psycopg": "postgres", "s3fs": "s3"}  # module -> extra of this distribution
+SERVER_LOCK = ".server-lock"  # in a data folder
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
 
@@ -90,6 +92,21 @@ def _extras_named() -> Generator[None]:
                     f"pip install 'assistax-zoo-board[{extra}]'"
                 ) from None
         raise
+
+
+@contextlib.contextmanager
+def only_server(data: Path) -> Generator[None]:
+    """Keep other servers away from a folder while the block runs.
+
+    Raises:
+        ValueError: Another server runs on it.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(locked(data, SERVER_LOCK))
+        except ValueError:
+            raise ValueError(f"another server runs on {data}; {ONE_SERVER}") from None
+        yield
 
 
 def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> threading.Timer:

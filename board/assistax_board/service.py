@@ -92,7 +92,7 @@ class Service:
             row = jobs.held_job(connection, job, secret)
             if row is None:
                 raise Problem("lease_lost", "this job is no longer yours; take the next")
-            submissions.refuse(self.database, connection, row.submission, code, self.clock())
+            submissions.refuse(connection, row.submission, code, self.clock())
             jobs.cancel_jobs(connection, row.submission, row.version)
             self._reveal(connection, row.submission)
 
@@ -167,7 +167,7 @@ class Service:
         """End a submission without a score, for a reason of `vocabulary.FAILURES`."""
         now = self.clock()
         with self.database.write() as connection:
-            submissions.fail(self.database, connection, submission, reason, now)
+            submissions.fail(connection, submission, reason, now)
             if reason == "worker_errors":
                 season = closing.season_of(connection, submission)
                 on_b = season is not None and submission in unplayed_b(connection, season.id)
@@ -178,7 +178,7 @@ class Service:
         """Take a closing season on whose last job was given up."""
         season = closing.season_of(connection, submission)
         if season is not None:
-            closing.go_on(self.database, connection, season.id, self.clock())
+            closing.go_on(connection, season.id, self.clock())
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:

@@ -1,7 +1,6 @@
 """Migrations and tables say the same, and a writer is alone."""
 
 import gc
-import sqlite3
 import threading
 import time
 from pathlib import Path
@@ -109,18 +108,3 @@ def test_a_database_that_nobody_holds_any_more_is_closed(tmp_path: Path) -> None
     del database
     gc.collect()
     assert pool.checkedin() == 0
-
-
-def test_two_servers_may_open_a_new_database_at_once(tmp_path: Path) -> None:
-    """SQLite does not wait for a lock where the journal's mode is changed."""
-    path = tmp_path / "new.db"
-    held = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    held.execute("BEGIN IMMEDIATE")
-    timer = threading.Timer(0.3, held.execute, ["COMMIT"])
-    timer.start()
-    database = Database(f"sqlite:///{path}")
-    with database.write() as connection:
-        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
-    database.close()
-    timer.join()
-    held.close()

@@ -552,35 +552,6 @@ def test_a_new_score_costs_its_own_methods_figures(
     assert [row.place for row, _ in board.rows] == [1, 2, 3]
 
 
-def test_a_board_that_one_server_computed_costs_another_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    service = new_service(tmp_path)
-    for turn, lab in enumerate(("ada", "bob")):
-        service.submit(new_submitter(service, lab), draft(float(turn)))
-    service.add_references()
-    work_off(service)
-    first = boards.Boards(service.queries, CrossPlays(tmp_path)).of(TASK)
-    monkeypatch.setattr(boards, "unplaced", lambda *_: pytest.fail("computed again"))
-    other = boards.Boards(new_service(tmp_path).queries, CrossPlays(tmp_path)).of(TASK)
-    assert first is not None and other is not None
-    assert [row for row, _ in other.rows] == [row for row, _ in first.rows]
-
-
-def test_figures_of_other_code_are_computed_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    service = new_service(tmp_path)
-    service.submit(new_submitter(service), draft(1.0))
-    work_off(service)
-    assert boards.Boards(service.queries, CrossPlays(tmp_path)).of(TASK)
-    monkeypatch.setattr(boards, "_code", lambda: "other")  # private: as after an upgrade
-    made, real = [], boards.unplaced
-    monkeypatch.setattr(boards, "unplaced", lambda *args: made.append(1) or real(*args))
-    assert boards.Boards(service.queries, CrossPlays(tmp_path)).of(TASK)
-    assert made == [1]
-
-
 def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

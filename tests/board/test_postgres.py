@@ -1,7 +1,7 @@
 """The same service on a real PostgreSQL, where writers do not wait for each other."""
 
+import dataclasses
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from assistax_board.problems import Problem
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
 from assistax_board.store import schema
+from assistax_board.store.database import Database
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import METADATA
 from tests.board.fakes import (
@@ -29,9 +30,12 @@ from tests.board.fakes import (
     take,
     work_off,
 )
+from tests.board.running import soon
 from tests.board.test_api import NUL_PATHS
 from tests.board.test_season import open_season
 from tests.board.test_submit_form import filled, send
+
+WAITS = sa.text("SELECT count(*) FROM pg_locks WHERE NOT granted")
 
 
 @pytest.fixture
@@ -139,25 +143,50 @@ def close_by_date(service: Service, id: str) -> None:
     ids=["result", "date", "close", "disqualify", "withdraw", "erase"],
 )
 def test_who_hands_in_to_a_season_and_who_changes_it_do_not_wait_for_each_other(
-    service: Service, act: Callable[[Service, str], None]
+    service: Service, postgres_url: str, act: Callable[[Service, str], None]
 ) -> None:
-    """Whoever hands in locks the season and then the ledger; so do all others, in this order."""
+    """Each waits for the lock of writers, before it has locked anything else."""
+    other = dataclasses.replace(service, database=Database(postgres_url))  # as a command has one
     season, lab = open_season(service), new_submitter(service)
     id = service.submit(lab, draft(2.0, season=season))
     work_off(service, most=4)
     service.submit(lab, draft(1.0, "r2"))  # of no season: its end needs the ledger alone
     with service.database.write() as connection:
-        service.database.one_at_a_time(connection, f"season {season}")
-        acting = threading.Thread(target=act, args=(service, id))
+        acting = threading.Thread(target=act, args=(other, id))
         acting.start()
-        waits = sa.text("SELECT count(*) FROM pg_locks WHERE NOT granted")
-        while not connection.execute(waits).scalar():
-            time.sleep(0.01)
+        assert soon(lambda: connection.execute(WAITS).scalar())
         connection.execute(sa.text("SELECT 1 FROM seasons FOR KEY SHARE"))  # as an insert does
-        service.database.one_at_a_time(connection, "ledger")
     acting.join()
+    other.database.close()
     entries = service.queries.ledger()
     assert check_chain(entries) == len(entries) > 3
+
+
+def test_writers_of_two_processes_wait_for_each_other(service: Service, postgres_url: str) -> None:
+    other, seen = Database(postgres_url), []  # as a command has one
+    count = sa.select(sa.func.count()).select_from(schema.submitters)
+
+    def look() -> None:
+        with other.write() as connection:
+            seen.append(connection.execute(count).scalar_one())
+
+    looking = threading.Thread(target=look)
+    with service.database.write() as connection:
+        looking.start()
+        assert soon(lambda: connection.execute(WAITS).scalar())
+        row = {"id": "lab", "name": "lab", "created_at": 0.0}
+        connection.execute(sa.insert(schema.submitters).values(row))
+    looking.join()
+    assert seen == [1]
+    other.close()
+
+
+def test_a_database_has_one_server(postgres_url: str) -> None:
+    first, second = Database(postgres_url), Database(postgres_url)
+    with first.only_server(), pytest.raises(ValueError, match="another server runs"):
+        second.only_server().__enter__()
+    with second.only_server():
+        pass
 
 
 @pytest.mark.parametrize("path", NUL_PATHS)

@@ -23,7 +23,7 @@ def test_the_request_after_the_last_is_refused_with_its_wait() -> None:
 
 def test_counts_are_forgotten_without_a_thread_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """`limits` starts one each hundredth of a second, for which a busy server waits."""
-    monkeypatch.setattr(rates, "SHARE_SECONDS", 0.0)
+    monkeypatch.setattr(rates, "FORGET_SECONDS", 0.0)
     now = 1_000_000.0
     monkeypatch.setattr("time.time", lambda: now)
     limiter = Limiter()

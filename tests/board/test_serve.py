@@ -92,3 +92,11 @@ def test_nobody_else_can_take_the_free_port_that_serve_prints(
     monkeypatch.setattr(serve, "run_server", run_server)
     command(data=tmp_path / "board", port=0, workers=0, references=False)
     assert ran[0] > 0
+
+
+def test_a_folder_has_one_server(tmp_path: Path) -> None:
+    data = tmp_path / "board"
+    with serve.only_server(data), pytest.raises(ValueError, match="another server runs"):
+        command(data=data, port=0, workers=0, references=False)
+    with serve.only_server(data):
+        pass

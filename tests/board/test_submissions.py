@@ -140,7 +140,7 @@ def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
 
 
 def test_a_lease_by_a_clock_that_is_a_little_ahead_stands(tmp_path: Path) -> None:
-    """Of another server, or of a request that waited for the database with the time it had."""
+    """Of a request that waited for the database with the time it had."""
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft())
     advance(service, 5.0)

@@ -99,6 +99,12 @@ def test_a_form_that_another_page_wrote_is_not_answered(
 
 
 @pytest.mark.usefixtures("one_window")
+def test_a_form_outlives_a_restart(service: Service, reader: TestClient) -> None:
+    form = filled(reader, "azt_wrong")
+    with TestClient(create_app(service), cookies=reader.cookies) as after:
+        assert send(after, form).status_code == 401  # the token is wrong; the form is right
+
+
 def test_tokens_cannot_be_guessed_by_the_form(reader: TestClient) -> None:
     form = filled(reader, "azt_guess")
     codes = [send(reader, form).status_code for _ in range(32)]

@@ -51,11 +51,11 @@ def serve(
     check_proxy(proxy)
     check_address(webhook)
     folder.check_folder(data)
-    with serving.stopped_by_signals():
+    with serving.stopped_by_signals(), serving.only_server(data):
         service = serving.open_service(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
         )
-        with serving.listen(host, port) as (port, listeners):
+        with service.database.only_server(), serving.listen(host, port) as (port, listeners):
             own = folder.worker_token(service, data) if workers else ""
             service.adopt_version()
             if references:

@@ -1,31 +1,20 @@
 """From released scores to the board of a task.
 
 A board is computed behind its readers, who meanwhile see the one before. A new score costs the
-figures of its own method, and the places: the figures of other methods are in the database, by
-whichever server they were computed.
+figures of its own method, and the places: the figures of other methods are kept.
 """
 
-import contextlib
 import dataclasses
-import functools
 import itertools
-import json
-from collections.abc import Callable, Generator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
-from sqlalchemy.exc import SQLAlchemyError
 
-import evaluation.figures
-from assistax_base.digest import json_sha256, sha256
+from assistax_base.digest import json_sha256
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
-from assistax_board.places import boards as rows_of_boards
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
-from assistax_board.store import computed
-from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import PartnerScore, Submission
 from assistax_board.vocabulary import REFERENCE
@@ -142,13 +131,7 @@ class Boards:
             SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
-        shown = [
-            Method(name, method.returns, not method.is_reference)
-            for name, method in by_name.items()
-        ]
-        with kept_figures(self._queries.database, scored.version, by_name) as figures:
-            rows = board_rows(shown, panel, figures)
-        named = tuple((row, by_name[row.name]) for row in rows)
+        named = tuple((row, by_name[row.name]) for row in memory.rows(by_name, panel))
         return Board(task, scored.version, scored.identity, partners, named)
 
 
@@ -166,13 +149,14 @@ class _Scored:
 
 
 class _Memory:
-    """Returns of submissions under one version; of one thread at a time."""
+    """Returns and rows of submissions under one version; of one thread at a time."""
 
     def __init__(self) -> None:
         self._version = ""
         self._partners: dict[str, PartnerScore] = {}
         # Of each submission its partners, in order, and returns [P, K].
         self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+        self._rows: dict[str, BoardRow] = {}  # by a hash of all that a row follows from
 
     def learn(self, queries: Queries, scored: _Scored) -> None:
         """Read the returns of the submissions that are new, and forget those that are gone."""
@@ -213,45 +197,22 @@ class _Memory:
             for group in groups.values()
         ]
 
-
-@contextlib.contextmanager
-def kept_figures(
-    database: Database, board: str, methods: Mapping[str, Played]
-) -> Generator[Callable[[Method, Panel], BoardRow]]:
-    """Lend what makes a method's row, or finds it where any server has left it.
-
-    Args:
-        database: Where rows are left.
-        board: The version, or the season, that all returns are of.
-        methods: By the names that rows have.
-    """
-    name = f"figures {board}"
-    before = _ROWS.validate_python(json.loads(computed.kept(database, name) or "{}"))
-    now: dict[str, BoardRow] = {}
-
-    def of(method: Method, panel: Panel) -> BoardRow:
+    def rows(self, methods: Mapping[str, Played], panel: Panel) -> tuple[BoardRow, ...]:
+        """Return the rows of a board; only what has changed since the last one is computed."""
         bounds = panel.bounds and [panel.bounds.best.tolist(), panel.bounds.low.tolist()]
-        seeds = [seed.id for seed in methods[method.name].submissions]
-        key = json_sha256([seeds, panel.disabilities, bounds, _code()])
-        now[key] = before.get(key) or unplaced(method, panel)
-        return now[key]
+        before, self._rows = self._rows, {}
 
-    yield of
-    if now.keys() - before.keys():
-        text = json.dumps({key: dataclasses.asdict(row) for key, row in now.items()})
-        with contextlib.suppress(SQLAlchemyError):  # a full disk keeps nothing, and shows the board
-            computed.keep(database, name, text)
+        def figures(method: Method, panel: Panel) -> BoardRow:
+            seeds = [seed.id for seed in methods[method.name].submissions]
+            key = json_sha256([seeds, panel.disabilities, bounds])
+            self._rows[key] = before.get(key) or unplaced(method, panel)
+            return self._rows[key]
 
-
-_ROWS = TypeAdapter(dict[str, BoardRow])
-
-
-@functools.cache
-def _code() -> str:
-    """Return a hash of what computes figures: a row of other code is not shown."""
-    folder = Path(str(evaluation.figures.__file__)).parent
-    files = [*sorted(folder.rglob("*.py")), Path(str(rows_of_boards.__file__))]
-    return sha256(b"".join(file.read_bytes() for file in files))
+        shown = [
+            Method(name, method.returns, not method.is_reference)
+            for name, method in methods.items()
+        ]
+        return board_rows(shown, panel, figures)
 
 
 def bounds_of(

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from assistax_board.pages.behind import Behind
-from assistax_board.pages.boards import Played, bounds_of, kept_figures
+from assistax_board.pages.boards import Played, bounds_of
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
@@ -58,9 +58,7 @@ class SeasonBoards:
         methods = [
             Method(id, entry.returns, not entry.is_reference) for id, entry in by_name.items()
         ]
-        with kept_figures(self._queries.database, season.id, by_name) as figures:
-            rows = board_rows(methods, panel, figures)
-        return tuple((row, by_name[row.name]) for row in rows)
+        return tuple((row, by_name[row.name]) for row in board_rows(methods, panel))
 
     def _entries(self, season: Season) -> list[Entry]:
         groups: dict[tuple[str, str], list[tuple[Submission, pl.DataFrame]]] = {}

@@ -50,7 +50,7 @@ def enter(
         Problem: The season is not open, or the choice is not within the rules.
     """
     with database.write() as connection:
-        row = find_season(database, connection, season, "open", now)
+        row = find_season(connection, season, "open", now)
         mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
         rows = connection.execute(
             sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
@@ -63,7 +63,7 @@ def enter(
             .values(entered_at=now)
         )
         body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
-        ledger.append(database, connection, now, "entry", body)
+        ledger.append(connection, now, "entry", body)
 
 
 def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
@@ -81,8 +81,8 @@ def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
 def close_season(database: Database, name: str, now: float) -> None:
     """Take no more submissions; what was handed in is played."""
     with database.write() as connection:
-        row = find_season(database, connection, name, "open", None)
-        _close(database, connection, row.id, now)
+        row = find_season(connection, name, "open", None)
+        _close(connection, row.id, now)
 
 
 def close_due(database: Database, now: float) -> None:
@@ -95,23 +95,21 @@ def close_due(database: Database, now: float) -> None:
         ready += connection.execute(due).scalars()
     for season in ready:
         with database.write() as connection:
-            database.one_at_a_time(connection, f"season {season}")
             if connection.execute(due.where(SEASON.id == season)).first():
-                _close(database, connection, season, now)
+                _close(connection, season, now)
             else:
-                go_on(database, connection, season, now)
+                go_on(connection, season, now)
 
 
-def go_on(database: Database, connection: sa.Connection, season: str, now: float) -> None:
+def go_on(connection: sa.Connection, season: str, now: float) -> None:
     """Take a closing season to its next step, if all of the one before is done."""
-    database.one_at_a_time(connection, f"season {season}")
     row = connection.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
     if row.state != "closing" or _waits(connection, row, now):
         return
     if not _states_of_b(connection, season) and (entries := _entries(connection, season)):
-        _play_b(database, connection, row, entries, now)
+        _play_b(connection, row, entries, now)
     else:
-        _reveal(database, connection, row, now)
+        _reveal(connection, row, now)
 
 
 def _waits(connection: sa.Connection, season: Any, now: float) -> bool:
@@ -138,13 +136,10 @@ def _states_of_b(connection: sa.Connection, season: str) -> set[str]:
     return set(connection.execute(query).scalars())
 
 
-def find_season(
-    database: Database, connection: sa.Connection, name: str, state: str, now: float | None
-) -> Any:
-    """Return a season by its name or id, locked, if it is in this state.
+def find_season(connection: sa.Connection, name: str, state: str, now: float | None) -> Any:
+    """Return a season by its name or id, if it is in this state.
 
     Args:
-        database: Of the service.
         connection: A transaction.
         name: Name or id.
         state: That it must be in.
@@ -159,8 +154,6 @@ def find_season(
         raise Problem(
             "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
         )
-    database.one_at_a_time(connection, f"season {row.id}")
-    row = connection.execute(query).one()  # what it is now that nobody changes it
     if row.state != state:
         raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
     if now is not None and row.closes_at is not None and row.closes_at <= now:
@@ -174,13 +167,13 @@ def season_of(connection: sa.Connection, submission: str) -> Any:
     return connection.execute(query.where(SUBMISSION.id == submission)).first()
 
 
-def _close(database: Database, connection: sa.Connection, season: str, now: float) -> None:
+def _close(connection: sa.Connection, season: str, now: float) -> None:
     mine = SEASON.id == season
     closes_at = connection.execute(sa.select(SEASON.closes_at).where(mine)).scalar()
     values = {"state": "closing", "closes_at": min(now, closes_at or now)}
     connection.execute(sa.update(schema.seasons).where(mine).values(values))
-    ledger.append(database, connection, now, "season_close", {"season": season})
-    go_on(database, connection, season, now)
+    ledger.append(connection, now, "season_close", {"season": season})
+    go_on(connection, season, now)
 
 
 def _entries(connection: sa.Connection, season: str) -> list[Any]:
@@ -214,9 +207,7 @@ def _last_shown(connection: sa.Connection, season: str) -> dict[str, str]:
     return {row.submitter: row.id for row in connection.execute(query)}
 
 
-def _play_b(
-    database: Database, connection: sa.Connection, season: Any, entries: list[Any], now: float
-) -> None:
+def _play_b(connection: sa.Connection, season: Any, entries: list[Any], now: float) -> None:
     """Queue panel B for the entries, and for the rows that they are measured by."""
     ids = [row.id for row in entries]
     # The version that they were planned under last: after an upgrade no worker plays another.
@@ -229,7 +220,7 @@ def _play_b(
     for id in (*ids, *_references(connection, season, now)):
         jobs.add_jobs(connection, id, version, "B", chunks, turn=0, now=now)
     body = {"season": season.id, "submissions": sorted(ids)}
-    ledger.append(database, connection, now, "season_entries", body)
+    ledger.append(connection, now, "season_entries", body)
 
 
 def _references(connection: sa.Connection, season: Any, now: float) -> list[str]:
@@ -268,11 +259,11 @@ def _references(connection: sa.Connection, season: Any, now: float) -> list[str]
     return [row["id"] for row in rows]
 
 
-def _reveal(database: Database, connection: sa.Connection, season: Any, now: float) -> None:
+def _reveal(connection: sa.Connection, season: Any, now: float) -> None:
     """Publish the leaves of a season; the weights go with them."""
     values = {"state": "closed", "closed_at": now}
     connection.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
     body = {"season": season.id, "root": season.root, "release": season.release}
     unplayed = sorted(unplayed_b(connection, season.id))
-    ledger.append(database, connection, now, "season_reveal", body | {"unplayed": unplayed})
+    ledger.append(connection, now, "season_reveal", body | {"unplayed": unplayed})
     note(connection, "season_incomplete" if unplayed else "season_closed", season.name, now)

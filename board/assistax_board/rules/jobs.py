@@ -19,7 +19,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
 LEASE_SECONDS = 60.0
-CLOCKS_APART = 60.0  # a lease may have begun by another server's clock, or before it was waited for
+CLOCKS_APART = 60.0  # a lease begins before its transaction, which may have waited
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,12 +71,12 @@ def lease_job(
         The lease, or None where nothing waits; and the submissions that have failed too often.
     """
     with database.write() as connection:
-        exhausted = expire_leases(database, connection, now)
+        exhausted = expire_leases(connection, now)
         query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
         order = query.order_by(
             JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk
         ).limit(1)
-        row = connection.execute(database.take(order)).first()
+        row = connection.execute(order).first()
         if row is None:
             return None, exhausted
         secret = secrets.token_urlsafe(32)
@@ -93,16 +93,14 @@ def lease_job(
     return Lease(row.id, secret, row.submission, row.version, row.panel, row.chunk), exhausted
 
 
-def expire_leases(database: Database, connection: sa.Connection, now: float) -> list[str]:
+def expire_leases(connection: sa.Connection, now: float) -> list[str]:
     """Put jobs of broken leases back; return the submissions whose jobs failed too often.
 
     A lease that begins far in the future was given before the clock was set back; nobody knows how
     old it is, so it is over.
     """
     broken = (JOB.expires_at < now) | (JOB.leased_at > now + CLOCKS_APART)
-    query = database.take(
-        sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
-    )
+    query = sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
     rows = connection.execute(query).all()
     for row in rows:
         _put_back(connection, row.id, row.failures + 1)

@@ -84,7 +84,7 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
     database, now = service.database, service.clock()
     with database.write() as connection:
         # Locks its season too: no attempt is taken while one is given back.
-        row = submissions.lock_submission(database, connection, id)
+        row = submissions.find_submission(connection, id)
         if row is None:
             raise Problem("not_found", f"no submission {id!r}; `service failures` lists them")
         season = closing.season_of(connection, id)
@@ -103,7 +103,7 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
             )
         for kind in ("worker_errors", "panel_b"):
             withdraw_notice(connection, kind, id)
-        ledger.append(database, connection, now, "retry", entry)
+        ledger.append(connection, now, "retry", entry)
 
 
 def _retry_submission(
@@ -173,8 +173,6 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
         if season_row is None or owner is None:
             missing = f"season {season!r}" if season_row is None else f"lab {lab!r}"
             raise Problem("not_found", f"there is no {missing}")
-        database.one_at_a_time(connection, f"submitter {owner}")
-        database.one_at_a_time(connection, f"season {season_row.id}")
         mine = SUBMISSION.season == season_row.id, SUBMISSION.submitter == owner
         standing = SUBMISSION.state.in_(("queued", "running", "scored"))
         rows = connection.execute(sa.select(schema.submissions).where(*mine, standing)).all()
@@ -182,7 +180,7 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
             raise Problem("not_found", f"{lab} has no submission in season {season}")
         for row in rows:
             if row.state not in FINAL_STATES:
-                submissions.end(database, connection, row, "failed", "disqualified", "spent", now)
+                submissions.end(connection, row, "failed", "disqualified", "spent", now)
         values = {"state": "retracted", "reason": "disqualified", "entered_at": None}
         scored = sa.update(schema.submissions).where(*mine, SUBMISSION.state == "scored")
         connection.execute(scored.values(values))
@@ -193,8 +191,8 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
             "submitter": owner,
             "submissions": [row.id for row in rows],
         }
-        ledger.append(database, connection, now, "disqualify", body)
-        closing.go_on(database, connection, season_row.id, now)
+        ledger.append(connection, now, "disqualify", body)
+        closing.go_on(connection, season_row.id, now)
     return len(rows)
 
 
@@ -205,7 +203,7 @@ def extend(database: Database, name: str, closes_at: float, now: float) -> None:
         Problem: It is not open, or the date is not later.
     """
     with database.write() as connection:
-        row = closing.find_season(database, connection, name, "open", now)
+        row = closing.find_season(connection, name, "open", now)
         if not (row.closes_at or now) < closes_at < now + MAX_OPEN_SECONDS:
             raise Problem(
                 "invalid",
@@ -216,14 +214,13 @@ def extend(database: Database, name: str, closes_at: float, now: float) -> None:
             sa.update(schema.seasons).where(SEASON.id == row.id).values(closes_at=closes_at)
         )
         body = {"season": row.id, "closes_at": closes_at}
-        ledger.append(database, connection, now, "season_extend", body)
+        ledger.append(connection, now, "season_extend", body)
 
 
 def erase_submitter(service: "Service", submitter: str) -> None:
     """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
     database, now = service.database, service.clock()
     with database.write() as connection:
-        database.one_at_a_time(connection, f"submitter {submitter}")
         where = SUBMITTER.id == submitter
         row = connection.execute(sa.select(schema.submitters).where(where)).first()
         if row is None:
@@ -241,11 +238,8 @@ def erase_submitter(service: "Service", submitter: str) -> None:
             )
         ).all()
         seasons = sorted({row.season for row in mine if row.season})
-        for season in seasons:  # all of them before the ledger
-            database.one_at_a_time(connection, f"season {season}")
-        database.one_at_a_time(connection, "files")  # nobody hands one in while it is chosen
         for row in mine:
-            submissions.fail(database, connection, row.id, "withdrawn", now)
+            submissions.fail(connection, row.id, "withdrawn", now)
             jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
             update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
             # Its client chose the request, and may have written anything.
@@ -260,12 +254,11 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         connection.execute(
             sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
         )
-        ledger.append(database, connection, now, "erase", {"submitter": submitter})
+        ledger.append(connection, now, "erase", {"submitter": submitter})
         for season in seasons:
-            closing.go_on(database, connection, season, now)
+            closing.go_on(connection, season, now)
     with database.write() as connection:
-        database.one_at_a_time(connection, "files")
-        # Another lab may have handed one in since.
+        # Another lab may have handed one in since; nobody hands one in now.
         for name in connection.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
             service.artefacts.erase(name)
 

@@ -51,8 +51,6 @@ def accept(
     kept = table_bytes(decode_table(data, partners, episodes, preferences))
     name = store.artefacts.put(kept)
     with store.database.write() as connection:
-        # The last two results of a panel must see each other.
-        submissions.lock_submission(store.database, connection, row.submission)
         held = jobs.held_job(connection, job, secret)
         if held is None or held.state not in ("leased", "waiting"):
             return False
@@ -108,11 +106,11 @@ def _finish_b(
 ) -> None:
     """Note a score on panel B, and reveal the season after its last one."""
     body = {"id": job.submission, "version": job.version, "released": {"B": figures}}
-    ledger.append(store.database, connection, now, "score", body)
-    row = submissions.lock_submission(store.database, connection, job.submission)
+    ledger.append(connection, now, "score", body)
+    row = submissions.find_submission(connection, job.submission)
     if row.state not in FINAL_STATES:  # a reference plays this panel alone
-        submissions.end(store.database, connection, row, "scored", None, "spent", now)
-    closing.go_on(store.database, connection, row.season, now)
+        submissions.end(connection, row, "scored", None, "spent", now)
+    closing.go_on(connection, row.season, now)
 
 
 def panel_table(
@@ -194,19 +192,19 @@ def _release(store: ResultStore, connection: sa.Connection, job: Any, now: float
     query = sa.select(SCORE.panel, SCORE.figures).where(mine)
     scores = {row.panel: row.figures for row in connection.execute(query)}
     shown = {"public": scores["public"]}
-    row = submissions.lock_submission(store.database, connection, job.submission)
+    row = submissions.find_submission(connection, job.submission)
     if "A" in scores and (answer := _hidden_answer(store, connection, job, row)):
         shown["A"] = answer
     for panel, value in shown.items():
         update = sa.update(schema.scores).where(mine, SCORE.panel == panel)
         connection.execute(update.values(released=value))
     body = {"id": row.id, "version": job.version, "released": shown}
-    entry = ledger.append(store.database, connection, now, "score", body)
+    entry = ledger.append(connection, now, "score", body)
     if row.state not in FINAL_STATES:
-        submissions.end(store.database, connection, row, "scored", None, "spent", now)
+        submissions.end(connection, row, "scored", None, "spent", now)
     _sign(store, connection, row, job.version, shown, entry, now)
     if row.season is not None:
-        closing.go_on(store.database, connection, row.season, now)
+        closing.go_on(connection, row.season, now)
 
 
 def _hidden_answer(
@@ -219,8 +217,6 @@ def _hidden_answer(
         table = panel_table(store.artefacts, connection, submission, job.version, "A")
         return partner_means(table)
 
-    # Two attempts of one lab that end at once must be compared one after the other.
-    store.database.one_at_a_time(connection, f"ladder {row.season} {row.submitter}")
     best = _shown_last(connection, row, job.version)
     new = means(row.id)
     attempt = 1 + _scored_before(connection, row, job.version)

@@ -127,7 +127,7 @@ def open_season(database: Database, name: str, now: float, closes_at: float | No
     if not now < closes_at < now + MAX_OPEN_SECONDS:
         raise Problem("invalid", "a season closes within three years from now")
     with database.write() as connection:
-        row = find_season(database, connection, name, "draft", None)
+        row = find_season(connection, name, "draft", None)
         _check_unseen(connection, row.id, row.secret["leaves"])
         check_program(row.name, row.secret["leaves"])
         root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
@@ -135,7 +135,7 @@ def open_season(database: Database, name: str, now: float, closes_at: float | No
         connection.execute(sa.update(schema.seasons).where(SEASON.id == row.id).values(values))
         body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
         body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
-        ledger.append(database, connection, now, "season_open", body)
+        ledger.append(connection, now, "season_open", body)
     return root
 
 

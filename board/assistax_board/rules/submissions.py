@@ -107,8 +107,6 @@ def submit(
     """Record a submission with its jobs, and return its id; a repeated request adds nothing."""
     kept = None
     with database.write() as connection:
-        # Two requests at once must not both take the last attempt.
-        database.one_at_a_time(connection, f"submitter {submitter}")
         erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
         if connection.execute(erased).scalar() is not None:
             raise Problem(
@@ -116,14 +114,11 @@ def submit(
             )
         if before := _known(connection, submitter, draft.request):
             return before
-        if draft.season:  # it must not close between here and the end of the transaction
-            database.one_at_a_time(connection, f"season {draft.season}")
         season = _open_season(connection, draft, now) if draft.season else None
         if season is not None and draft.refusal is None:
             _check_not_disqualified(connection, season, submitter)
             _check_budget(connection, season, submitter)
         if draft.data is not None and draft.refusal is None:
-            database.one_at_a_time(connection, "files")  # no erasure removes it until it is taken
             kept = artefacts.put(draft.data)
             record_artefact(connection, kept, len(draft.data), now)
         public = catalogue.identity(draft.task).get("env_version")
@@ -134,7 +129,7 @@ def submit(
             plan_jobs(connection, catalogue, row, season, now)
         names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
         body = {name: row[name] for name in names}
-        ledger.append(database, connection, now, "submission", body)
+        ledger.append(connection, now, "submission", body)
     return row["id"]
 
 
@@ -167,29 +162,28 @@ def count_chunks(partners: int) -> int:
     return -(-partners // CHUNK)
 
 
-def fail(database: Database, connection: sa.Connection, id: str, reason: str, now: float) -> None:
+def fail(connection: sa.Connection, id: str, reason: str, now: float) -> None:
     """End a submission without a score; one that has ended stays as it is."""
-    row = lock_submission(database, connection, id)
+    row = find_submission(connection, id)
     if row is None or row.state in FINAL_STATES:
         return
     spent = row.season is not None and reason in OWN_FAILURES and _met_hidden(connection, id)
-    end(database, connection, row, "failed", reason, "spent" if spent else "refunded", now)
+    end(connection, row, "failed", reason, "spent" if spent else "refunded", now)
 
 
-def refuse(database: Database, connection: sa.Connection, id: str, code: str, now: float) -> None:
+def refuse(connection: sa.Connection, id: str, code: str, now: float) -> None:
     """End a submission that a worker could not play for the robot's own fault."""
-    row = lock_submission(database, connection, id)
+    row = find_submission(connection, id)
     if row is None or row.state in FINAL_STATES:
         return
     if row.season is not None and _met_hidden(connection, id):
         reason = code if code == "too_slow" else "broke_down"
-        end(database, connection, row, "failed", reason, "spent", now)
+        end(connection, row, "failed", reason, "spent", now)
     else:
-        end(database, connection, row, "refused", code, "refunded", now)
+        end(connection, row, "refused", code, "refunded", now)
 
 
 def end(
-    database: Database,
     connection: sa.Connection,
     row: Any,
     state: str,
@@ -203,24 +197,24 @@ def end(
     connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
     jobs.cancel_jobs(connection, row.id)
     body = {"id": row.id, "state": state, "reason": reason, "attempt": attempt}
-    ledger.append(database, connection, now, "end", body)
+    ledger.append(connection, now, "end", body)
 
 
 def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
     """End a submission because its submitter wants so."""
     with database.write() as connection:
-        row = connection.execute(sa.select(schema.submissions).where(SUBMISSION.id == id)).first()
+        row = find_submission(connection, id)
         if row is None or row.submitter != submitter:
             raise Problem("not_found", f"you have no submission {id!r}")
         if row.state == "scored":
-            _retract(database, connection, row, now)
+            _retract(connection, row, now)
         elif row.state in FINAL_STATES:
             raise Problem("too_late", f"submission {id} has ended: {row.state}")
         else:
-            fail(database, connection, id, "withdrawn", now)
+            fail(connection, id, "withdrawn", now)
 
 
-def _retract(database: Database, connection: sa.Connection, row: Any, now: float) -> None:
+def _retract(connection: sa.Connection, row: Any, now: float) -> None:
     """Take a scored submission off its board; its score, attempt and receipt stay known."""
     closing = sa.select(SEASON.name).where(SEASON.id == row.season, SEASON.state == "closing")
     if name := connection.execute(closing).scalar():
@@ -231,19 +225,13 @@ def _retract(database: Database, connection: sa.Connection, row: Any, now: float
     values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
     connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
     jobs.cancel_jobs(connection, row.id)
-    ledger.append(database, connection, now, "retract", {"id": row.id})
+    ledger.append(connection, now, "retract", {"id": row.id})
 
 
-def lock_submission(database: Database, connection: sa.Connection, id: str) -> Any:
-    """Return a submission's row, which no other transaction changes until this one ends.
-
-    Its season is locked first, as by all who write into one: season, submission, ledger.
-    """
+def find_submission(connection: sa.Connection, id: str) -> Any:
+    """Return a submission's row, or None."""
     query = sa.select(schema.submissions).where(SUBMISSION.id == id)
-    season = connection.execute(query.with_only_columns(SUBMISSION.season)).scalar()
-    if season is not None:
-        database.one_at_a_time(connection, f"season {season}")
-    return connection.execute(query if database.is_sqlite else query.with_for_update()).first()
+    return connection.execute(query).first()
 
 
 def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:

@@ -1,14 +1,11 @@
-"""SQLite or PostgreSQL behind one small interface: read, write, take rows nobody else takes.
+"""SQLite or PostgreSQL behind one small interface: read, and write as the only writer.
 
-SQLite has one writer at a time; `BEGIN IMMEDIATE` makes a second one wait instead of failing half
-way. PostgreSQL has many; rows are taken with `FOR UPDATE SKIP LOCKED`, and what must happen one
-after another takes an advisory lock.
+Every rule may thus look first and then write: nothing changes in between. In SQLite `BEGIN
+IMMEDIATE` makes a second writer wait instead of failing half way; in PostgreSQL a lock does.
 """
 
 import contextlib
-import sqlite3
 import threading
-import time
 import weakref
 from collections.abc import Generator
 from pathlib import Path
@@ -21,6 +18,11 @@ from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
 DATABASE_FILE = "service.db"  # in a data folder, if no URL is given
 BUSY_SECONDS = 30  # a writer waits so long for the one before it
+WRITER, SERVER = 1, 2  # locks in PostgreSQL
+ONE_SERVER = (
+    "a board has one server: stop the other one, or name another folder and database; for more "
+    "speed start more workers (`assistax-zoo worker`)"
+)
 MIGRATIONS = Path(__file__).parent / "migrations"
 
 
@@ -35,9 +37,9 @@ class Database:
         """
         self.url = sa.make_url(url)
         self.is_sqlite = self.url.get_backend_name() == "sqlite"
-        # Writers of this process wait here and not in SQLite, which lets each of them sleep with a
-        # connection in hand: thirty of them would leave none for readers.
-        self._turn = threading.Lock() if self.is_sqlite else contextlib.nullcontext()
+        # Writers of this process wait here and not in the database, where each of them would sleep
+        # with a connection in hand: thirty of them would leave none for readers.
+        self._turn = threading.Lock()
         options: dict[str, Any] = (
             {"connect_args": {"timeout": BUSY_SECONDS, "check_same_thread": False}}
             if self.is_sqlite
@@ -71,16 +73,26 @@ class Database:
             self.engine.connect().execution_options(write=True) as connection,
             connection.begin(),
         ):
+            if not self.is_sqlite:  # a command is another process
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(WRITER)))
             yield connection
 
-    def take(self, query: sa.Select) -> sa.Select:
-        """Return the query with its rows locked, and those left out that another writer holds."""
-        return query if self.is_sqlite else query.with_for_update(skip_locked=True)
+    @contextlib.contextmanager
+    def only_server(self) -> Generator[None]:
+        """Keep other servers away from a PostgreSQL database; one of SQLite lies in a folder.
 
-    def one_at_a_time(self, connection: sa.Connection, what: str) -> None:
-        """Let only this transaction do `what` until it ends; in SQLite every writer is alone."""
-        if not self.is_sqlite:
-            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(what))))
+        Raises:
+            ValueError: Another server runs on it.
+        """
+        if self.is_sqlite:
+            yield
+            return
+        # The pool lends its connections to others; this one keeps the lock.
+        engine = sa.create_engine(self.url, poolclass=sa.NullPool, isolation_level="AUTOCOMMIT")
+        with contextlib.closing(engine.connect()) as connection:
+            if not connection.scalar(sa.select(sa.func.pg_try_advisory_lock(SERVER))):
+                raise ValueError(f"another server runs on this database; {ONE_SERVER}")
+            yield
 
     def close(self) -> None:
         """Give all connections back."""
@@ -107,23 +119,10 @@ def alembic_config(url: sa.URL) -> Any:
 def _prepare_sqlite(connection: Any, _: Any) -> None:
     connection.isolation_level = None  # the driver must not begin transactions on its own
     cursor = connection.cursor()
-    _write_ahead(cursor)  # readers do not wait for the writer
+    cursor.execute("PRAGMA journal_mode=WAL")  # readers do not wait for the writer
     cursor.execute("PRAGMA synchronous=FULL")  # what was answered survives a power cut
     cursor.execute("PRAGMA foreign_keys=ON")
     cursor.close()
-
-
-def _write_ahead(cursor: Any) -> None:
-    """Choose the journal: SQLite waits for nobody there, and two servers may begin at once."""
-    end = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            cursor.execute("PRAGMA journal_mode=WAL")
-            return
-        except sqlite3.OperationalError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.05)
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:

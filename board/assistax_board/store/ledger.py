@@ -10,18 +10,14 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_base.digest import json_sha256
-from assistax_board.store.database import Database
 from assistax_board.store.schema import ledger
 from assistax_board.store.shown import LedgerEntry
 
 START = "0" * 64  # the hash before the first entry
 
 
-def append(
-    database: Database, connection: sa.Connection, at: float, kind: str, body: dict[str, Any]
-) -> LedgerEntry:
+def append(connection: sa.Connection, at: float, kind: str, body: dict[str, Any]) -> LedgerEntry:
     """Add an entry in the transaction of what it records: neither is without the other."""
-    database.one_at_a_time(connection, "ledger")
     query = sa.select(ledger.c.seq, ledger.c.hash).order_by(ledger.c.seq.desc()).limit(1)
     last = connection.execute(query).first()
     seq, previous = (1, START) if last is None else (last.seq + 1, last.hash)

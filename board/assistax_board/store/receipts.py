@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from assistax_base.digest import canonical_json
-from assistax_base.files import OWNER, atomic_write, exclusive
+from assistax_base.files import OWNER, atomic_write
 
 KEY_FILE = "signing-key.pem"
 
@@ -31,7 +31,7 @@ class Signer:
         return base64.b64encode(self._key.public_key().public_bytes_raw()).decode("ascii")
 
     def secret(self, purpose: str) -> bytes:
-        """Return a secret of all servers that have this key, another one for each purpose."""
+        """Return a secret that follows from this key, another one for each purpose."""
         return hmac.digest(self._key.private_bytes_raw(), purpose.encode(), "sha256")
 
     def sign(self, content: dict[str, Any]) -> str:
@@ -42,15 +42,14 @@ class Signer:
 def load_signer(folder: Path) -> Signer:
     """Return the signer of a data folder; a new folder gets a key that only its owner can read."""
     path = folder / KEY_FILE
-    with exclusive(path):  # two servers that start at once have one key
-        if not path.is_file():
-            key = Ed25519PrivateKey.generate()
-            pem = key.private_bytes(
-                serialization.Encoding.PEM,
-                serialization.PrivateFormat.PKCS8,
-                serialization.NoEncryption(),
-            )
-            atomic_write(path, pem, OWNER)
+    if not path.is_file():
+        key = Ed25519PrivateKey.generate()
+        pem = key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+        atomic_write(path, pem, OWNER)
     loaded = serialization.load_pem_private_key(path.read_bytes(), None)
     if not isinstance(loaded, Ed25519PrivateKey):
         raise ValueError(f"{path} holds no Ed25519 key; restore it from a backup")

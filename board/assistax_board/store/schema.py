@@ -204,29 +204,11 @@ notices = sa.Table(
     sa.Column("last_at", sa.Float, nullable=False),
 )
 
-# Requests of one address or token in one window, counted by all servers; `name` is a keyed hash.
-rates = sa.Table(
-    "rates",
-    METADATA,
-    sa.Column("name", sa.String(120), primary_key=True),
-    sa.Column("count", sa.Integer, nullable=False),
-    sa.Column("changed_at", sa.Float, nullable=False),
-    sa.Column("expires_at", sa.Float, nullable=False),
-)
-
-# What took long to compute and follows from other tables, such as a board: see `store.computed`.
-computed = sa.Table(
-    "computed",
-    METADATA,
-    sa.Column("name", sa.String(160), primary_key=True),
-    sa.Column("value", sa.Text, nullable=False),
-)
-
 # Columns, for queries: `JOB.state == "waiting"`.
 SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
 SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
-NOTICE, RATE, COMPUTED = notices.c, rates.c, computed.c
+NOTICE = notices.c
 
 ERASED = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))  # files that are gone
 MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded

@@ -25,6 +25,4 @@ with engine.connect() as connection:
         connection, target_metadata=METADATA, render_as_batch=True, transactional_ddl=True
     )
     with context.begin_transaction():
-        if not is_sqlite:  # two servers that start at once
-            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(1)))
         context.run_migrations()
