@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
@@ -30,6 +31,16 @@ def test_a_missing_column_would_be_found(tmp_path: Path) -> None:
 
 def test_upgrading_twice_changes_nothing(tmp_path: Path) -> None:
     new_database(tmp_path).upgrade()
+
+
+def test_a_database_of_another_version_is_refused(tmp_path: Path) -> None:
+    database = new_database(tmp_path)
+    for version in ("0001", "0007"):
+        with database.write() as connection:
+            known = sa.text("UPDATE alembic_version SET version_num = :version")
+            connection.execute(known, {"version": version})
+        with pytest.raises(ValueError, match="made by another version of the board"):
+            database.upgrade()
 
 
 def test_a_failed_block_leaves_nothing(tmp_path: Path) -> None:

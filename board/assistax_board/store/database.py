@@ -54,10 +54,22 @@ class Database:
             event.listen(self.engine, "begin", _begin_sqlite)
 
     def upgrade(self) -> None:
-        """Bring the schema to the newest version; a new database gets every table."""
-        from alembic import command
+        """Bring the schema to the newest version; a new database gets every table.
 
-        command.upgrade(alembic_config(self.url), "head")
+        Raises:
+            ValueError: The database is of a version of the board that this one does not know.
+        """
+        from alembic import command
+        from alembic.util import CommandError
+
+        try:
+            command.upgrade(alembic_config(self.url), "head")
+        except CommandError:
+            where = self.url.render_as_string()  # without a password
+            raise ValueError(
+                f"{where} was made by another version of the board, which this one cannot read; "
+                "use that version, or name a new folder and database"
+            ) from None
 
     @contextlib.contextmanager
     def read(self) -> Generator[sa.Connection]:

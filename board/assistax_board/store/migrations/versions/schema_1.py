@@ -1,9 +1,9 @@
-"""The first schema."""
+"""The schema."""
 
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0001"
+revision = "schema_1"  # before the first release there were seven, 0001 to 0007
 down_revision = None
 
 
@@ -21,28 +21,7 @@ def upgrade() -> None:
     _receipts()
     _results()
     _scores()
-
-
-def downgrade() -> None:
-    """Go back to the version before."""
-    op.drop_table("scores")
-    op.drop_table("results")
-    op.drop_table("receipts")
-    op.drop_table("partner_scores")
-    with op.batch_alter_table("jobs", schema=None) as batch_op:
-        batch_op.drop_index("ix_jobs_state_turn")
-
-    op.drop_table("jobs")
-    op.drop_table("tokens")
-    with op.batch_alter_table("submissions", schema=None) as batch_op:
-        batch_op.drop_index("ix_submissions_state")
-
-    op.drop_table("submissions")
-    op.drop_table("versions")
-    op.drop_table("submitters")
-    op.drop_table("seasons")
-    op.drop_table("ledger")
-    op.drop_table("artefacts")
+    _notices()
 
 
 def _artefacts() -> None:
@@ -85,7 +64,9 @@ def _seasons() -> None:
         sa.Column("panel_sizes", sa.JSON(), nullable=False),
         sa.Column("created_at", sa.Float(), nullable=False),
         sa.Column("opened_at", sa.Float(), nullable=True),
+        sa.Column("closes_at", sa.Float(), nullable=True),
         sa.Column("closed_at", sa.Float(), nullable=True),
+        sa.Column("hidden", sa.JSON(), nullable=True),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_seasons")),
         sa.UniqueConstraint("name", name=op.f("uq_seasons_name")),
     )
@@ -134,6 +115,9 @@ def _submissions() -> None:
         sa.Column("turn", sa.Integer(), nullable=False),
         sa.Column("created_at", sa.Float(), nullable=False),
         sa.Column("finished_at", sa.Float(), nullable=True),
+        sa.Column("entered_at", sa.Float(), nullable=True),
+        *(sa.Column(name, sa.Text(), nullable=True) for name in ("about", "link", "citation")),
+        sa.Column("warning", sa.Text(), nullable=True),
         sa.ForeignKeyConstraint(
             ["artefact"], ["artefacts.sha256"], name=op.f("fk_submissions_artefact")
         ),
@@ -263,4 +247,16 @@ def _scores() -> None:
         ),
         sa.ForeignKeyConstraint(["version"], ["versions.id"], name=op.f("fk_scores_version")),
         sa.PrimaryKeyConstraint("submission", "version", "panel", name=op.f("pk_scores")),
+    )
+
+
+def _notices() -> None:
+    op.create_table(
+        "notices",
+        sa.Column("kind", sa.String(length=40), nullable=False),
+        sa.Column("about", sa.String(length=200), nullable=False),
+        sa.Column("count", sa.Integer(), nullable=False),
+        sa.Column("first_at", sa.Float(), nullable=False),
+        sa.Column("last_at", sa.Float(), nullable=False),
+        sa.PrimaryKeyConstraint("kind", "about", name=op.f("pk_notices")),
     )
