@@ -172,6 +172,9 @@ class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
         else:
             self.loop.call_later(SILENT_SECONDS, self._look, self.cycle, looks)
 
+    def _unsupported_upgrade_warning(self) -> None:
+        """Log nothing: the request is answered as any other, and anybody may send many."""
+
 
 class _Server(uvicorn.Server):
     """Stops the workers while it still answers, so that they can give their jobs back."""

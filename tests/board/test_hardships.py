@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import logging
 import socket
 import threading
 import time
@@ -176,6 +177,21 @@ def hung_up_before(connection: socket.socket, length: int) -> bool:
         pass
     connection.close()
     return seen < length
+
+
+def test_an_upgrade_is_answered_as_a_plain_request(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """uvicorn would log two lines for each, and advise to install WebSockets."""
+    upgrade, log = HALF + b"Connection: Upgrade\r\nUpgrade: websocket\r\n\r\n", "uvicorn.error"
+    with served(new_service(tmp_path)) as server:
+        caplog.set_level("WARNING", log)
+        logging.getLogger(log).addHandler(caplog.handler)
+        connection = connected(server, upgrade)
+        assert b" 200 " in connection.recv(65536)
+        connection.close()
+        logging.getLogger(log).removeHandler(caplog.handler)
+    assert caplog.messages == []
 
 
 def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path) -> None:
