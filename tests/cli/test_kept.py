@@ -108,7 +108,7 @@ def merge(home: Home, place: Path, *more: str) -> list[str]:
     return [*words, "--max-envs", "4", "--registry", str(home.mine), "--out", str(place)]
 
 
-@case("evaluate", "a finished folder", "of another seed", "holds another job (seed 1 there, 0")
+@case("evaluate", "a finished folder", "of another seed", "holds another job (seed 1 there, 0 here")
 def _(home: Home) -> list[str]:
     return again(home, home.copy(home.play("seed", "--seed", "1", "--no-references")))
 
@@ -147,19 +147,34 @@ def _(home: Home) -> list[str]:
     return again(home, home.folder / "responses2", "--crossplay", str(drawn))
 
 
-@case("crossplay", "parts of shares", "of another seed", "other policies, settings or versions")
+@case(
+    "crossplay",
+    "parts of shares",
+    "of another seed",
+    "other policies, settings or versions played them",
+)
 def _(home: Home) -> list[str]:
     half = ("--seed", "1", "--share", "1/2", "--max-envs", "4")
     return merge(home, with_parts(home, home.crossplay("half-seed", *half)))
 
 
-@case("crossplay", "parts of shares", "of a registry of equal ids", "other policies, settings or")
+@case(
+    "crossplay",
+    "parts of shares",
+    "of a registry of equal ids",
+    "other policies, settings or versions played them",
+)
 def _(home: Home) -> list[str]:
     half = ("--share", "1/2", "--max-envs", "4")
     return merge(home, with_parts(home, home.crossplay("half-other", *half, zoo=home.other)))
 
 
-@case("crossplay --share", "parts of shares", "of another seed", "other policies, settings or")
+@case(
+    "crossplay --share",
+    "parts of shares",
+    "of another seed",
+    "other policies, settings or versions played them",
+)
 def _(home: Home) -> list[str]:
     half = ("--seed", "1", "--share", "1/2", "--max-envs", "4")
     return merge(home, with_parts(home, home.crossplay("half-seed", *half)), "--share", "2/2")
@@ -262,26 +277,46 @@ def _(home: Home) -> list[str]:
     return ["replay", str(place), "--crossplay", str(theirs), "--registry", str(home.mine)]
 
 
-@case("split create", "conventions", "of a registry of equal ids", "other partners than this")
+@case(
+    "split create",
+    "conventions",
+    "of a registry of equal ids",
+    "was played with other partners than this registry's",
+)
 def _(home: Home) -> list[str]:
     theirs = str(home.crossplay("xp2", zoo=home.other))
     words = ["split", "create", "--task", "scratch", "--rule", "three-sides"]
     return [*words, "--conventions", theirs, "--registry", str(home.mine)]
 
 
-@case("split create", "best responses", "of a registry of equal ids", "other partners than this")
+@case(
+    "split create",
+    "best responses",
+    "of a registry of equal ids",
+    "was played with other partners than this registry's",
+)
 def _(home: Home) -> list[str]:
     theirs = str(home.crossplay("xp2", zoo=home.other))
     words = ["split", "create", "--task", "scratch", "--rule", "three-sides"]
     return [*words, "--best-responses", theirs, "--registry", str(home.mine)]
 
 
-@case("train-ego", "a finished run", "of a registry of equal ids", "its partners have other")
+@case(
+    "train-ego",
+    "a finished run",
+    "of a registry of equal ids",
+    "its partners have other parameters or settings",
+)
 def _(home: Home) -> list[str]:
     return more_training(home, "train-ego", home.copy(home.train("train-ego", "ego")), home.other)
 
 
-@case("train-ego", "a finished run", "of another seed", "configuration: members is")
+@case(
+    "train-ego",
+    "a finished run",
+    "of another seed",
+    "holds a run with another configuration: members is",
+)
 def _(home: Home) -> list[str]:
     place = home.copy(home.train("train-ego", "ego"))
     return [*more_training(home, "train-ego", place, home.mine), "--seeds", "5-6"]
@@ -292,7 +327,9 @@ def more_training(home: Home, kind: str, place: Path, zoo: Path | None = None) -
     return [*words, "--steps", "8", "--registry", str(zoo)] if zoo else words
 
 
-@case("train", "checkpoints", "of another seed", "is of another run than the folder's")
+@case(
+    "train", "checkpoints", "of another seed", "is of another run than the folder's configuration"
+)
 def _(home: Home) -> list[str]:
     return longer(home, "checkpoints")
 
