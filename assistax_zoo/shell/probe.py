@@ -35,7 +35,7 @@ def _settings() -> dict[str, list[Any]]:
     """Return the value and the fate of each setting that is not JAX's own."""
     from assistax_envs.own_settings import fate, found_settings
 
-    return {name: [value, fate(name)] for name, value in found_settings().items()}
+    return {name: [value, fate(name, value)] for name, value in found_settings().items()}
 
 
 def _backend() -> str:

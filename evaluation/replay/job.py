@@ -157,7 +157,7 @@ def _job_of(
         env_version=env.version,
         backend=env.backend,
         engine=getattr(env, "engine", {}),
-        scene=scene_sha256(env.task),
+        scene=scene_sha256(identity["task"]),
         egos=egos,
         partners=partners,
         episodes=identity["episodes"],

@@ -94,11 +94,15 @@ def _check_there(name: str, source: str) -> None:
     try:
         received_sha256(Path(reference.source))
     except OSError as error:
-        raise ValueError(
-            f"robot {shorten(name)} is not here ({reference.source}: {error.strerror or error}); "
-            "put a copy of its file into the folder, or allow run_code to read it where the "
-            "folder says"
-        ) from None
+        missing = f"{reference.source}: {error.strerror or error}"
+        if parse_reference(name).source == reference.source:
+            text = f"robot {shorten(name)} is not here ({missing}); put its file there"
+        else:
+            text = (
+                f"robot {shorten(name)} is a file outside the folder, and the folder names it "
+                f"({missing}); put a copy of it there, or allow run_code to read it where it is"
+            )
+        raise ValueError(text) from None
 
 
 def _exactly(source: str) -> str | Path:

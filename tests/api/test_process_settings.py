@@ -35,7 +35,7 @@ CHANGED: dict[str, Any] = {
     "jax_random_seed_offset": 7,
     "jax_softmax_custom_jvp": True,
     "jax_threefry_partitionable": False,
-    "jax_transfer_guard": "disallow_explicit",
+    "jax_transfer_guard": "disallow",
     "jax_transfer_guard_device_to_device": "disallow",
     "jax_transfer_guard_device_to_host": "disallow",
     "jax_transfer_guard_host_to_device": "disallow",
@@ -103,6 +103,15 @@ def test_a_setting_that_cannot_be_ours_is_named(name: str) -> None:
             said = outcome(entry, "native")
             assert said.startswith(f"ValueError: JAX's {name} is {REFUSED[name]!r} "), said
             assert "\n" not in said and name.upper() in said
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("entry", [entry for entry in ENTRIES if entry not in FUNCTIONAL])
+def test_a_guard_of_explicit_transfers_is_named(entry: str) -> None:
+    """XLA's threads hand arrays to callbacks by such transfers, where no setting of ours is."""
+    with configured(jax_transfer_guard="disallow_explicit"):
+        said = outcome(entry, "native")
+    assert said.startswith("ValueError: JAX's jax_transfer_guard is 'disallow_explicit' "), said
 
 
 @pytest.mark.slow

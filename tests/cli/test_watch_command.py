@@ -196,9 +196,9 @@ def test_a_page_plays_no_recording_that_it_was_given(zoo: Registry, tmp_path: Pa
         ("python:os:getcwd", "is code, and the folder names it; read it, then allow run_code"),
         ("python:robot.py:make", "is code, and the folder names it"),
         ("object:Net-0", "was a Python object, which no file holds"),
-        ("{elsewhere}", "is not here"),
-        ("robot.safetensors", "is not here"),
-        ("../robot.safetensors", "is not here"),
+        ("{elsewhere}", "is a file outside the folder, and the folder names it"),
+        ("robot.safetensors", "is a file outside the folder, and the folder names it"),
+        ("../robot.safetensors", "is a file outside the folder, and the folder names it"),
         ("scratch/*/robot", "scratch/.*/robot"),
     ],
 )

@@ -1,6 +1,7 @@
 """Evaluations, cross-plays and trainings with persons in place of networks."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,7 @@ def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
     assert result.episodes.height == 6 and "preference" not in result.episodes.columns
     assert set(result.episodes["side"]) == {"test"}
     assert set(result.episodes["partner_algorithm"]) <= {"spring", "muscle"}
+    shutil.copy(robot, out)  # a replay reads no robot's file elsewhere
     report = replay_folder(out, load_registry(), sample=2, seed=0)
     assert report.ok and report.exact, report.problems
 

@@ -100,7 +100,7 @@ def test_received_robots_are_neither_run_nor_read(tmp_path: Path) -> None:
         f"{folder}/link/mine.safetensors",
     )
     for name in outside:
-        with pytest.raises(ValueError, match="is not here"):
+        with pytest.raises(ValueError, match="outside the folder, and the folder names it"):
             received_robots(folder, [[name, digest]], zoo, "scratch")
         trusted = received_robots(folder, [[name, digest]], zoo, "scratch", run_code=True)
         assert trusted.ids == (name,)
