@@ -310,7 +310,7 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
     refused("which no file holds", egos=[["object:Robot-0", "0"]])
     refused("outside the folder", egos=[["/gone/mine.safetensors", "0"]])
     refused("is not here", egos=[[f"{folder}/mine.safetensors", "0"]])
-    refused("egos differ", egos=[[robot, "0" * 64]])
+    refused("is not the one that played", egos=[[robot, "0" * 64]])
     refused("env_version differ", env_version=7)
     refused("extra differ", extra=1)
     refused("side_preferences differ", side_preferences={"test": ["p1"]})
@@ -321,7 +321,7 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
         refused("tile_envs is", {"tile_envs": cut})
     refused("max_envs is", {"max_envs": 10**12})
     reidentified(folder, egos=[[robot, "0" * 64]])
-    with pytest.raises(ValueError, match="egos differ"):
+    with pytest.raises(ValueError, match="is not the one that played"):
         replay_folder(folder, registry)
     provenance.write_manifest(folder, {**manifest, "max_envs": None})
     with pytest.raises(ValueError, match="max_envs is None"):
