@@ -44,7 +44,7 @@ def open_context(width: int, height: int) -> tuple[str, Any]:
 
 
 def told_choice(message: str) -> str:
-    """Return MuJoCo's words about MUJOCO_GL with what to do; other messages as they are."""
+    """Return MuJoCo's message about MUJOCO_GL with a remedy; other messages unchanged."""
     if CHOICE not in message:
         return message
     return (

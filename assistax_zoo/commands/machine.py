@@ -1,4 +1,4 @@
-"""Commands over this machine: its installation, what the cache holds, and its removal."""
+"""Commands over this machine: its installation, and the cache."""
 
 from typing import Annotated
 

@@ -191,7 +191,7 @@ def build_app() -> App:
 
 
 def in_options(error: Exception) -> str:
-    """Return what a shell user adds to the command, in brackets; empty where no option helps."""
+    """Return the option that helps, in brackets; empty if no option does."""
     option = REMEDIES.get(getattr(error, "remedy", ""))
     return f" ({option})" if option else ""
 

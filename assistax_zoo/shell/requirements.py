@@ -52,7 +52,7 @@ def extras() -> list[str]:
 
 
 def missing_of(extra: str) -> list[Missing]:
-    """Return what an extra needs and is not there, or is not in a version that does.
+    """Return an extra's packages that are missing or too old.
 
     "" is what is always needed, by the workshop and the board too where they are installed.
 

@@ -114,7 +114,7 @@ def _method(robot: Any, name: str) -> Any:
 
 
 class _Predicting:
-    """A model of Stable-Baselines3, recurrent or not, or one whose `predict` takes less."""
+    """A model of Stable-Baselines3, recurrent or not, or one with a shorter `predict`."""
 
     def __init__(self, model: Any) -> None:
         self._model, self._takes = model, _taken(model.predict, _PREDICTING)

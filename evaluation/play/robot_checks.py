@@ -131,7 +131,7 @@ def describe_robots(folder: Path, egos: Roster, observation_size: int) -> dict[s
 
 
 def varying(egos: Roster, observation_size: int) -> dict[str, str]:
-    """Return the robots whose answers depend on more than their episode, with a key of `NOTES`.
+    """Return robots by id whose answers depend on more than their episode: a key of `NOTES`.
 
     They are asked between two resets, so that nothing of it stays with them.
     """

@@ -226,25 +226,28 @@ def _(home: Home) -> list[str]:
     return ["report", str(league), "--out", str(home.folder / "page.html")]
 
 
+def with_their_pairs(home: Home) -> Path:
+    """Return a cross-play whose table of pairs is another folder's."""
+    place = home.copy(home.crossplay("xp"))
+    shutil.copy(home.crossplay("xp2", zoo=home.other) / tables.PAIRS_FILE, place)
+    return place
+
+
 @case("report", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
 def _(home: Home) -> list[str]:
-    place = home.copy(home.crossplay("xp"))
-    theirs = home.crossplay("xp2", zoo=home.other)
-    shutil.copy(theirs / tables.PAIRS_FILE, place)
+    place = with_their_pairs(home)
     return ["report", str(place), "--out", str(home.folder / "page.html")]
 
 
 @case("plot crossplay", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
 def _(home: Home) -> list[str]:
-    place = home.copy(home.crossplay("xp"))
-    shutil.copy(home.crossplay("xp2", zoo=home.other) / tables.PAIRS_FILE, place)
+    place = with_their_pairs(home)
     return ["plot", "crossplay", str(place), "--out", str(home.folder / "figure.png")]
 
 
 @case("strategies", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
 def _(home: Home) -> list[str]:
-    place = home.copy(home.crossplay("xp"))
-    shutil.copy(home.crossplay("xp2", zoo=home.other) / tables.PAIRS_FILE, place)
+    place = with_their_pairs(home)
     return ["strategies", str(place)]
 
 

@@ -1,4 +1,4 @@
-"""What a pair does: pictures and films of an episode, and tables of its steps."""
+"""Episodes of a pair: pictures, films, and tables of steps."""
 
 from pathlib import Path
 

@@ -49,7 +49,7 @@ class _Running(threading.Timer):
 
 
 class _Counts(MemoryStorage):
-    """Counts that drop what has expired when another request is counted."""
+    """Counts that drop expired entries when another request is counted."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

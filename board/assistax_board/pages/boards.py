@@ -198,7 +198,7 @@ class _Memory:
         ]
 
     def rows(self, methods: Mapping[str, Played], panel: Panel) -> tuple[BoardRow, ...]:
-        """Return the rows of a board; only what has changed since the last one is computed."""
+        """Return the rows of a board; only changed ones are computed anew."""
         bounds = panel.bounds and [panel.bounds.best.tolist(), panel.bounds.low.tolist()]
         before, self._rows = self._rows, {}
 

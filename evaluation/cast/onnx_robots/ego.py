@@ -74,7 +74,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_metadata(data: bytes) -> str | None:
-    """Return what `assistax-zoo export` wrote of the policy into a model, as JSON; its claim.
+    """Return the JSON that `assistax-zoo export` wrote into a model: a claim.
 
     None where there is nothing, or nothing in UTF-8.
     """
