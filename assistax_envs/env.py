@@ -26,7 +26,7 @@ from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
 from assistax_envs.tasks.base import ROBOT_JOINTS, human_actuators, human_joints
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import PLAYABLE, TASKS, engine, playable_version
+from assistax_envs.versions import TASKS, engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
@@ -69,8 +69,6 @@ class Env:
         self.backend = resolve_backend(backend)
         # 0, of no release, for a class from outside
         self.version = playable_version(task, version) if isinstance(task, str) else 0
-        if isinstance(task, str) and len(PLAYABLE[task]) > 1:
-            options["version"] = self.version
         scene = getattr(of_task, "scene", self.task)
         _check_scene(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
@@ -78,9 +76,7 @@ class Env:
         self.model: mujoco.MjModel = build_model(scene)
         self._task: Task = of_task(self.model, weights, **options)
         self._sensors: Sensors = self._task.sensors
-        rules = getattr(self._task, "rules", None)
-        # Whether a violation ends the episode.
-        self._felt, self.stops = rules is not None, rules is not None and rules.stops
+        self.stops: bool = self._task.stops
         self._physics = make_physics(self.model, self.backend)
         self._renderers: dict[tuple[int, int], Any] = {}  # by width and height
         self._tremor = TremorFilter(rate=1.0 / (SUBSTEPS * self.model.opt.timestep))
@@ -193,11 +189,9 @@ class Env:
         )
 
     def _touched(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
-        """Add whether somebody is touched with a joint at its end; version 2 measures nothing."""
-        if not self._felt:
-            return measures
+        """Set `at_end` of a task's measures: touched with a driven joint near its limit."""
         if not self.stops:
-            return dataclasses.replace(measures, together=None, speed=None, face=None)
+            return measures
         angles, ends = physics.qpos[:, self._seat_angles], ranges[:, self._seat]
         at_end = (angles < ends[..., 0] + AT_END) | (angles > ends[..., 1] - AT_END)
         return dataclasses.replace(measures, at_end=at_end.any(axis=1) & (measures.force > 0.0))
@@ -305,7 +299,7 @@ def make(
         backend: "fused" (CPUs and NVIDIA GPUs), "native" (MuJoCo on CPU threads), "mjx" (XLA),
             "mjx-warp" (NVIDIA GPUs), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.
-        version: of the environment, one of `PLAYABLE[task]`; the newest if not given.
+        version: of the environment; the installed one, `VERSIONS[task]`, is the only one allowed.
         options: of the task; arm assist has `rotation`, "printed" (default) or "aligned".
 
     Raises:

@@ -1,8 +1,7 @@
 """Scripts of the gentle tasks as they are now: what they do, and the numbers that they do it by.
 
 The numbers are the best of a search with persons (`assistax-zoo gates persons TASK --only search`).
-Scripts of older versions stay in `assistax_envs.scripted`, since published figures stand beside
-them. A script sees what a trained robot sees, and has no memory.
+A script sees what a trained robot sees, and has no memory.
 
 Shapes: N simulations; observations [N, O] of the robot, actions [N, 7]. In the code h is the height
 of a point over the tool along the skin's normal, negative while the tool is above the skin.
@@ -17,7 +16,7 @@ import mujoco
 
 from assistax_envs.registered import REGISTERED
 from assistax_envs.scripted import DOWN, Chain, capped, scripted_robot
-from assistax_envs.scripted import SCRIPTS as OLDER
+from assistax_envs.scripted import SCRIPTS as OF_PAPER
 
 Numbers = Mapping[str, Any]
 # What a search tries for each number, from least to most. Lengths in m, speeds in m/s, forces in N;
@@ -196,25 +195,19 @@ OWN: dict[str, dict[str, float]] = {
 
 
 def script_of(
-    task: str, model: mujoco.MjModel, version: int, numbers: Numbers | None = None
+    task: str, model: mujoco.MjModel, numbers: Numbers | None = None
 ) -> Callable[[jax.Array], jax.Array]:
     """Return a task's script: from observations [N, O] of the robot to actions [N, 7].
 
     Args:
         task: one of `TASKS`.
         model: of its scene.
-        version: of its environment.
-        numbers: in place of some of the script's own, of a version that has any.
+        numbers: in place of some of the script's own, if it has any.
     """
-    if not uses_numbers(task, version):
+    if task not in OWN:
         return scripted_robot(task, model)
     chosen = {**OWN[task], **(numbers or {})}
     return jax.tree_util.Partial(globals()[REGISTERED[task].script], Chain(model), chosen)
-
-
-def uses_numbers(task: str, version: int) -> bool:
-    """Return whether a task's script in this version is one of those here."""
-    return task in OWN and (task not in OLDER or version not in REGISTERED[task].older)
 
 
 def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
@@ -341,8 +334,8 @@ def _share(way: jax.Array, whole: float) -> jax.Array:
     return jnp.minimum(1.0, jnp.linalg.norm(way[:, :2], axis=-1, keepdims=True) / whole)
 
 
-# The newest script of each task, in the order of `REGISTERED`.
+# The script of each task, in the order of `REGISTERED`.
 SCRIPTS: dict[str, Callable[..., jax.Array]] = {
-    name: globals()[task.script] if name in OWN else OLDER[name]
+    name: globals()[task.script] if name in OWN else OF_PAPER[name]
     for name, task in REGISTERED.items()
 }

@@ -18,7 +18,6 @@ class Registered:
     seat: str = (
         "arm"  # what of the human its seat moves: the right arm, or head, jaw and trunk: "mouth"
     )
-    older: tuple[int, ...] = ()  # versions that can still be played; the class takes `version`
 
 
 REGISTERED: dict[str, Registered] = {
@@ -32,10 +31,9 @@ REGISTERED: dict[str, Registered] = {
         "stick",
         wishes=("force", "speed"),
         felt=True,
-        older=(2,),
     ),
     "gentle_bath": Registered(
-        "gentle_bath:GentleBath", 3, "wipe", "pad", wishes=("force", "speed"), felt=True, older=(2,)
+        "gentle_bath:GentleBath", 3, "wipe", "pad", wishes=("force", "speed"), felt=True
     ),
     "gentle_lift": Registered(
         "gentle_lift:GentleLift",
@@ -44,7 +42,6 @@ REGISTERED: dict[str, Registered] = {
         "hook",
         wishes=("distance", "place"),
         felt=True,
-        older=(2,),
     ),
     "gentle_feeding": Registered(
         "gentle_feeding:GentleFeeding",
@@ -54,7 +51,6 @@ REGISTERED: dict[str, Registered] = {
         wishes=("wait", "depth"),
         felt=True,
         seat="mouth",
-        older=(1,),
     ),
     "gentle_brushing": Registered(
         "gentle_brushing:GentleBrushing",

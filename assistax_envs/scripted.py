@@ -109,56 +109,9 @@ def lift(chain: Chain, obs: jax.Array) -> jax.Array:
     return chain.drive(obs, jnp.where(distance < 0.08, carry, capped(4.0 * under, 0.3)), _down(obs))
 
 
-def stroke(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle scratch: above the end of the itch, down to a light force, then from end to end."""
-    towards, normal, force = obs[:, 30:33], obs[:, 37:40], 10.0 * obs[:, 43:44]
-    height = (towards * normal).sum(-1, keepdims=True)  # negative: the tool is above the skin
-    aside = towards - height * normal
-    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    above = capped(3.0 * (aside + (0.05 + height) * normal), 0.2)
-    descend = 2.0 * aside - 0.04 * normal
-    rub = capped(8.0 * aside, 0.05) + jnp.clip(0.004 * (force - 4.0), -0.03, 0.03) * normal
-    velocity = jnp.where(off > 0.03, above, jnp.where(force > 0.3, rub, descend))
-    return chain.drive(
-        obs, velocity, capped(jnp.asarray(DOWN) - normal, 1.0), turn=0.05, damping=1e-3
-    )
-
-
-def wipe(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle bath: to the nearest point that faces the pad, then along the skin to the next."""
-    towards, normal, force = obs[:, 30:33], obs[:, 33:36], 10.0 * obs[:, 37:38]
-    height = (towards * normal).sum(-1, keepdims=True)
-    aside = towards - height * normal
-    off = jnp.linalg.norm(aside, axis=-1, keepdims=True)
-    above = capped(3.0 * (aside + (0.04 + height) * normal), 0.2)
-    # Over the point and beyond it, to and fro along the arm: on until 2 cm past it, then back.
-    along = obs[:, 24:27] - obs[:, 27:30]
-    along = along / jnp.linalg.norm(along, axis=-1, keepdims=True)
-    onward = jnp.sign((chain.velocity(obs) * along).sum(-1, keepdims=True)) * along
-    press = (
-        0.06 * jnp.where(off < 0.02, onward, aside / jnp.maximum(off, 1e-3))
-        + jnp.clip(0.006 * (force - 4.0), -0.04, 0.03) * normal
-    )
-    return chain.drive(obs, jnp.where((off > 0.08) & (force < 0.3), above, press), _down(obs))
-
-
-def bring(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Gentle lift: the bar under the forearm, with it to the waist, and away once it lies there."""
-    to_section, to_waist, left = obs[:, 30:33], obs[:, 34:37], obs[:, 37:38]
-    along = obs[:, 24:27] - obs[:, 27:30]  # of an arm that hangs straight: towards the hand
-    along = along / jnp.linalg.norm(along, axis=-1, keepdims=True)
-    under = to_section + 0.08 * along + UNDER
-    # The forearm turns about the elbow: what is across it lifts, what is along it slips.
-    across = to_waist - (to_waist * along).sum(-1, keepdims=True) * along
-    carry = capped(8.0 * across, 1.0) + 2.0 * under
-    near = jnp.linalg.norm(under, axis=-1, keepdims=True) < 0.07
-    velocity = jnp.where(near, carry, capped(3.0 * under, 0.25))
-    return chain.drive(obs, jnp.where(left < 0.05, 0.15 * DOWN, velocity), _down(obs), damping=1e-3)
-
-
-# Tasks at the mouth have all of theirs in `assistax_envs.gentle_scripts`.
+# Scripts of the paper's tasks; `assistax_envs.gentle_scripts` has the others.
 SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
-    name: globals()[task.script] for name, task in REGISTERED.items() if task.script in globals()
+    name: globals()[task.script] for name, task in REGISTERED.items() if task.paper
 }
 
 

@@ -12,11 +12,6 @@ from assistax_envs.registered import REGISTERED
 
 VERSIONS: dict[str, int] = {name: task.version for name, task in REGISTERED.items()}
 
-# What can be played here: the newest version, and older ones whose partners are still met.
-PLAYABLE: dict[str, tuple[int, ...]] = {
-    name: (*task.older, task.version) for name, task in REGISTERED.items()
-}
-
 TASKS: tuple[str, ...] = tuple(REGISTERED)
 PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
 GENTLE_TASKS: tuple[str, ...] = tuple(
@@ -29,17 +24,18 @@ CARE_TASKS: tuple[str, ...] = tuple(
 
 
 def playable_version(task: str, version: int | None = None) -> int:
-    """Return the version of a task's environment that is meant: the newest if none is named.
+    """Return the version of a task's environment, which `version` may name.
 
     Raises:
-        ValueError: It cannot be played here.
+        ValueError: `version` is another one.
     """
-    if version is None:
-        return VERSIONS[task]
-    if version not in PLAYABLE[task]:
-        allowed = ", ".join(map(str, PLAYABLE[task]))
-        raise ValueError(f"version of {task} is {version}; this installation plays {allowed}")
-    return version
+    installed = VERSIONS[task]
+    if version not in (None, installed):
+        raise ValueError(
+            f"version of {task} is {version}; this installation plays version {installed}: leave "
+            "the version out, or install the assistax-zoo that came with the other version"
+        )
+    return installed
 
 
 # Of the fused engine's generator: goes up whenever any number that a program computes changes.

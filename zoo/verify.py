@@ -6,7 +6,7 @@ from pathlib import Path
 
 from assistax_base.errors import ZooError, listing, shorten
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.versions import PLAYABLE
+from assistax_envs.versions import VERSIONS
 from population.networks.tensors import StackedFile, damaged_row, row_sha256, take_row
 from zoo.history.merkle import root_problems
 from zoo.history.signing import check_signature
@@ -146,9 +146,8 @@ def _person_problems(registry: Registry) -> Iterator[str]:
 def _notes(registry: Registry) -> Iterator[str]:
     for name, release in registry.data.releases.items():
         for task, version in release.environments.items():
-            installed = PLAYABLE.get(task, ())
-            if version not in installed:
-                here = ", ".join(map(str, installed)) or "none"
+            if version != VERSIONS.get(task):
+                here = VERSIONS.get(task, "none")
                 yield (
                     f"release {name} was trained on {task} version {version}; installed is {here}"
                 )

@@ -47,7 +47,7 @@ def _program(
 ) -> tuple[Any, Any, Any]:
     """Return the environment, and programs that start episodes and play `steps` of them."""
     env, player = assistax_envs.make(task), PersonPlayer(task, family)
-    script = script_of(task, env.model, env.version)
+    script = script_of(task, env.model)
 
     def command(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
         if not isinstance(robot, str):

@@ -64,6 +64,7 @@ class ArmAssist:
     """
 
     name = "arm_assist"
+    stops: ClassVar = False
     target_colours: ClassVar = {
         "section": (0.95, 0.05, 0.55, 1.0),
         "waist": (0.05, 0.20, 0.75, 1.0),

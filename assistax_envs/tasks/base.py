@@ -68,7 +68,6 @@ class Measures:
     # Of the gentle tasks, whose sensors feel every touch:
     contact: jax.Array | None = None  # [N] N, the largest single contact
     violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
-    # ... and of versions with a protective stop:
     together: jax.Array | None = None  # [N] N, the largest sum of contacts at once
     # [N] bool: touched with a joint of the right arm at an end of its range; by the environment
     at_end: jax.Array | None = None
@@ -140,6 +139,8 @@ class Task(Protocol):
     pose: "Pose"  # where joints start
     sensors: "Sensors"  # what it reads
     target_colours: ClassVar[dict[str, tuple[float, ...]]]  # of `targets`, RGBA
+    # Whether a violation ends the episode; measures then have the fields of the gentle tasks.
+    stops: ClassVar[bool]
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, Any]:
         """Draw joint positions [nq] and the task state of one simulation from one key.

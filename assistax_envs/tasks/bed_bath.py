@@ -55,6 +55,7 @@ class BedBath:
     """
 
     name = "bed_bath"
+    stops: ClassVar = False
     target_colours: ClassVar = {
         "next": (0.95, 0.05, 0.55, 1.0),
         "to wipe": (0.05, 0.20, 0.75, 1.0),

@@ -14,7 +14,7 @@ import numpy as np
 from assistax_envs.physics.base import felt_sensors
 from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
 from assistax_envs.tasks.base import Measures, Pose, Readings, Sensors, human_joints, rotate
-from assistax_envs.tasks.gentle_rules import Rules
+from assistax_envs.tasks.gentle_rules import LIMITS
 
 STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
@@ -76,13 +76,13 @@ class TouchReadings(Readings):
 class TouchSensors(Sensors):
     """Reads a gentle scene: a sensor of force and frame for every pair of robot and human."""
 
-    def __init__(self, model: mujoco.MjModel, pose: Pose, rules: Rules) -> None:
+    def __init__(self, model: mujoco.MjModel, pose: Pose) -> None:
         super().__init__(model)
         touches = [model.sensor(index) for index in felt_sensors(model)]
         self._touch = np.stack([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in touches])
         parts = [model.geom(int(sensor.refid[0])).name for sensor in touches]
-        self._limits = np.array([rules.limits[part] for part in parts], np.float32)
-        self._every_substep, self._peaks = rules.every_substep, model.nsensordata
+        self._limits = np.array([LIMITS[part] for part in parts], np.float32)
+        self._peaks = model.nsensordata
         self._on_arm = np.array([sensor.name.startswith("force-") for sensor in touches])
         joints = human_joints(model)
         trunk = [i for i, name in enumerate(joints) if "abdomen" in name]
@@ -99,7 +99,7 @@ class TouchSensors(Sensors):
         peaks = values[:, self._peaks :]
         if values.shape[1] == self._peaks:
             peaks = jnp.concatenate([size, size.sum(axis=1, keepdims=True)], axis=1)
-        worst = peaks[:, :-1] if self._every_substep else size
+        worst = peaks[:, :-1]
         bent = jnp.abs(base.human_position[:, self._trunk] - self._rest[None]).max(axis=1)
         fields = {field.name: getattr(base, field.name) for field in dataclasses.fields(Readings)}
         fields["tool_orientation"] = _canonical(base.tool_orientation)

@@ -29,7 +29,6 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 
 # m from the middle of the pad, whose half length is 5.5 cm: a point under the pad is wiped
 NEAR = 0.04
@@ -42,9 +41,9 @@ UNDERSIDE = ((90.0, 270.0), (165.0, 340.0))
 # Steps that a point is under the pad until it is clean, if it is wiped as it is liked: less liked
 # takes longer. So touching down does not decide what a point pays.
 DWELL = 50.0
-# Points wiped that are success, by version: of 25, and of the 12 on the forearm, which are all that
-# version 3 asks for. Nobody whose arm has half of its strength can show the upper arm's.
-ENOUGH = {2: 17, 3: 8}
+# Points wiped that are success, of the 12 on the forearm, which are all that is asked for. A human
+# whose arm has half of its strength cannot show the upper arm's.
+ENOUGH = 8
 # m above the skin, where the way to a point is measured to: points that face the pad come first
 FACING = 0.03
 # m that half a turn of the arm counts for in that way. The shortest way to a point on the far side
@@ -69,12 +68,10 @@ class WipeState:
 
 
 class GentleBath:
-    """Progress to the nearest point, pay for each point, a price on time until enough are wiped.
-
-    A point pays by force and speed.
-    """
+    """Progress to the nearest point, and pay for each point: by the force and the speed."""
 
     name = "gentle_bath"
+    stops: ClassVar = True
     target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.05, 0.20, 0.75, 1.0)}
 
     def __init__(
@@ -83,29 +80,21 @@ class GentleBath:
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
         whatever: float = 0.2,
-        version: int = NEWEST,
     ) -> None:
-        """Prepare; `whatever` is the share of a point's wiping that no liking changes.
-
-        Up to version 2 one step wipes a point and pays by how the human liked that step, and time
-        has a price until enough points are wiped.
-        """
-        self.rules, self._at_once = RULES[version], version < 3
+        """Prepare; `whatever` is the share of a point's wiping that no preference changes."""
         terms = {"progress": 20.0, "wipe": 20.0}
-        if self._at_once:
-            terms |= {"wipe": 10.0, "time": 0.1}
         self.weights = terms | COSTS | {"violation": 40.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose, self.rules)
+        self.sensors = TouchSensors(model, self.pose)
         self._told, self._whatever = told, whatever
         segment, offset = arm_points(model)
         low, high = np.array(UNDERSIDE)[segment].T
         angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
         under = angle % 360.0 < high - low
         self._segment, self._offset = segment[under], offset[under]
-        asked = np.ones(len(self._segment), bool) if self._at_once else self._segment == LOWER_ARM
+        asked = self._segment == LOWER_ARM
         self._asked = np.array(asked, np.float32)  # [K]
-        self._spared = int(asked.sum()) - ENOUGH[version]  # points that may stay unwiped
+        self._spared = int(asked.sum()) - ENOUGH  # points that may stay unwiped
         radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
         self._outward = radial / np.linalg.norm(radial, axis=1, keepdims=True)
         self._over = self._offset + FACING * self._outward
@@ -154,8 +143,6 @@ class GentleBath:
             "progress": jnp.where(first | (near >= WIPED), 0.0, s.nearest - near),
             "wipe": wiped,
         } | costs(r)
-        if self._at_once:
-            terms["time"] = -(~done).astype(jnp.float32)
         after = jnp.where(left > 0, way, WIPED)
         row, upcoming = jnp.arange(done.shape[0]), after.argmin(axis=1)
         nearest = after.min(axis=1)
@@ -181,12 +168,10 @@ class GentleBath:
         """
         liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
         # Squared, as in gentle scratch: an episode is too short for whoever does not care.
-        well = self._whatever + (1.0 - self._whatever) * (liked if self._at_once else liked**2)
-        most = SOFT if self._at_once else 2.0 * SOFT  # some people like 10 N
+        well = self._whatever + (1.0 - self._whatever) * liked**2
+        most = 2.0 * SOFT  # some people like 10 N
         gentle = (r.on_arm > PRESS) & (r.on_arm < most) & (speed > SLIDE)
         hit = under & (s.left > 0) & gentle[:, None]
-        if self._at_once:
-            return s.left * (1.0 - hit), hit.sum(axis=1) * well
         left = jnp.maximum(s.left - hit * well[:, None] / DWELL, 0.0)
         return left, (s.left - left).sum(axis=1)
 

@@ -24,7 +24,6 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 from assistax_envs.tasks.mouth import (
     BESIDE,
     ENTERING,
@@ -96,6 +95,7 @@ class FeedState:
 class AtMouth:
     """What tasks at the mouth have alike: where an episode starts, and what is read and paid."""
 
+    stops: ClassVar = True
     terms: ClassVar[dict[str, float]]  # weights of what it pays for
     felt: ClassVar[tuple[str, ...]] = LIPS  # see `MouthSensors`
 
@@ -105,11 +105,10 @@ class AtMouth:
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
     ) -> None:
-        self.rules = RULES[NEWEST]
         # Who leans forward to eat, or to have its teeth brushed, bends its trunk.
         self.weights = self.terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = MouthSensors(model, self.pose, self.rules, self.felt)
+        self.sensors = MouthSensors(model, self.pose, self.felt)
         self._told = told
         self._robot = np.array([model.joint(name).qposadr[0] for name in ROBOT_JOINTS])
         self._jaw = int(model.joint("human_jaw").qposadr[0])
@@ -131,15 +130,6 @@ class GentleFeeding(AtMouth):
         "level": 0.1,
         "spill": 10.0,
     }
-
-    def __init__(self, *scene: Any, version: int = 2, **options: Any) -> None:
-        """Take the scene and options of `AtMouth`, and the environment's version.
-
-        In version 1 each step of a tilted spoon is a spill of its own, so that one spoon which
-        nobody levels takes thousands. From version 2 on it spills once, until it is level again.
-        """
-        super().__init__(*scene, **options)
-        self._spills_once = version > 1
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
@@ -205,7 +195,8 @@ class GentleFeeding(AtMouth):
         }
         pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
         pay["hold"] = (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE)
-        charged = spilt & ~(s.tilted & self._spills_once)
+        # A tilted spoon spills once, until it is level again.
+        charged = spilt & ~s.tilted
         earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
         terms = (
             pay

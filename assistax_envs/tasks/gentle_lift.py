@@ -35,7 +35,6 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 
 # m: the forearm's place is so far from EDGE, across the waist. Everywhere there an arm slides off
 # the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
@@ -96,6 +95,7 @@ class GentleLift:
     """
 
     name = "gentle_lift"
+    stops: ClassVar = True
     target_colours: ClassVar = {
         "section": (0.95, 0.05, 0.55, 1.0),
         "waist": (0.05, 0.20, 0.75, 1.0),
@@ -106,14 +106,12 @@ class GentleLift:
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
-        version: int = NEWEST,
     ) -> None:
-        self.rules = RULES[version]
         terms = {"approach": 10.0, "lift": 100.0, "there": 0.3, "rest": 1.0, "swing": 0.1}
         # A hook that carries touches more than the bar.
         self.weights = terms | COSTS | {"stray": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose, self.rules)
+        self.sensors = TouchSensors(model, self.pose)
         self._told = told
         joints = [model.joint(name) for name in HUMAN_ACTUATORS]
         self._arm = np.array([joint.qposadr[0] for joint in joints])

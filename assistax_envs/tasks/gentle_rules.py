@@ -1,6 +1,5 @@
-"""What hurts in a gentle task, by version of its environment."""
+"""Limits of forces on the parts of a human in the gentle tasks."""
 
-import dataclasses
 from collections.abc import Mapping
 
 from assistax_envs.models.care_scenes import FACE, TEETH
@@ -25,28 +24,6 @@ BEARABLE: dict[str, float] = {
 }
 # The people here are frail, and nobody has measured what frail people bear: half of it is a choice.
 FRAIL = 0.5
-
-
-@dataclasses.dataclass(frozen=True)
-class Rules:
-    """How touches are judged.
-
-    Attributes:
-        limits: N, of one contact with a part of the human: above it is a violation.
-        every_substep: Whether contacts of all physics steps count; else of each control step's
-            last one, which is what sensors show.
-        stops: Whether a violation ends the episode, as a protective stop does.
-    """
-
-    limits: Mapping[str, float]
-    every_substep: bool
-    stops: bool
-
-
-RULES: dict[int, Rules] = {
-    2: Rules(dict.fromkeys(BEARABLE, HARD), every_substep=False, stops=False),
-    3: Rules(
-        {part: FRAIL * limit for part, limit in BEARABLE.items()}, every_substep=True, stops=True
-    ),
-}
-NEWEST = max(RULES)
+# N, of one contact with a part in any physics step: above it is a violation, which ends the
+# episode as a protective stop does.
+LIMITS: Mapping[str, float] = {part: FRAIL * limit for part, limit in BEARABLE.items()}

@@ -37,7 +37,6 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_rules import NEWEST, RULES
 from assistax_envs.tasks.scratch import START
 
 HALF = 0.01  # m, from the itch to either end, along the arm
@@ -50,11 +49,9 @@ STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
 # the arm rests. By inverse kinematics from the robot's start, 2,000 points: of those inside 8% can
 # be touched, of those outside 84%.
 HIDDEN = ((90.0, 200.0), (150.0, 295.0))
-# The same by version. Of 1,536 itches in the arcs above the script scratches 24% with a human that
-# does nothing, near the arcs' ends; in those of version 3 it scratches 1%.
-ARCS = {2: HIDDEN, 3: ((110.0, 165.0), (175.0, 285.0))}
-# Share of itches there, by version: all of them, so that nobody can do without the human.
-HARD_TO_REACH = {2: 0.8, 3: 1.0}
+# Where itches lie. Of 1,536 itches in the arcs above the script scratches 24% with a human that
+# does nothing, near the arcs' ends; in these it scratches 1%.
+ARCS = ((110.0, 165.0), (175.0, 285.0))
 ENOUGH = 12  # strokes: half of what the slowest wish leaves time for, 33 less the way there
 
 
@@ -84,32 +81,29 @@ class GentleScratch:
     """
 
     name = "gentle_scratch"
+    stops: ClassVar = True
     target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0), "ends": (0.05, 0.20, 0.75, 1.0)}
 
     def __init__(
         self,
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
-        hard: float | None = None,
+        hard: float = 1.0,
         told: tuple[str, ...] = ("human",),
-        version: int = NEWEST,
     ) -> None:
         """Prepare.
 
         Args:
             model: The scene.
             weights: Of reward terms, in place of the task's own.
-            hard: Share of itches out of reach while the arm rests; the version's own if not given.
+            hard: Share of itches out of reach while the arm rests.
             told: Roles that observe the preference.
-            version: Of the environment.
         """
-        self.rules = RULES[version]
         terms = {"progress": 20.0, "stroke": 1.0}
         self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
-        self.sensors = TouchSensors(model, self.pose, self.rules)
-        self._hard, self._told = HARD_TO_REACH[version] if hard is None else hard, told
-        self._arcs = ARCS[version]
+        self.sensors = TouchSensors(model, self.pose)
+        self._hard, self._told = hard, told
         sites = [model.site(f"human_{segment}") for segment in ARM_SEGMENTS]
         self._radius = np.array([site.size[0] for site in sites], np.float32)
         self._half_length = np.array([site.size[1] for site in sites], np.float32)
@@ -214,7 +208,7 @@ class GentleScratch:
         area = self._radius * self._half_length
         segment = jax.random.categorical(segment_key, jnp.log(area)).astype(jnp.int32)
         hidden = jax.random.bernoulli(side_key, self._hard)
-        low, high = jnp.moveaxis(jnp.asarray(self._arcs)[segment], -1, 0)
+        low, high = jnp.moveaxis(jnp.asarray(ARCS)[segment], -1, 0)
         share = jax.random.uniform(around_key)
         angle = jnp.where(hidden, low + share * (high - low), high + share * (360.0 - high + low))
         along = jax.random.uniform(along_key, minval=-1.0, maxval=1.0)

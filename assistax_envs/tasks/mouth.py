@@ -11,7 +11,6 @@ from assistax_envs.models.care_scenes import LIPS, MOUTH, SKULL, SKULL_SIZE
 from assistax_envs.physics.base import felt_sensors
 from assistax_envs.tasks.base import Pose, human_joints, rotate
 from assistax_envs.tasks.gentle_base import TouchReadings, TouchSensors
-from assistax_envs.tasks.gentle_rules import Rules
 
 WAITING, ENTERING, TAKING, LEAVING, FULL = range(5)  # stages of a bite, and after the meal
 FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
@@ -38,10 +37,8 @@ class MouthReadings(TouchReadings):
 class MouthSensors(TouchSensors):
     """Reads such a scene; `felt` are the parts of which a force of the tool is what it is for."""
 
-    def __init__(
-        self, model: mujoco.MjModel, pose: Pose, rules: Rules, felt: tuple[str, ...] = LIPS
-    ) -> None:
-        super().__init__(model, pose, rules)
+    def __init__(self, model: mujoco.MjModel, pose: Pose, felt: tuple[str, ...] = LIPS) -> None:
+        super().__init__(model, pose)
         first = {
             field: int(model.sensor(f"human_mouth_{field}").adr[0])
             for field in ("position", "orientation")

@@ -50,6 +50,7 @@ class Scratch:
     """
 
     name = "scratch"
+    stops: ClassVar = False
     target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0)}  # of `targets`, RGBA
 
     def __init__(self, model: mujoco.MjModel, weights: dict[str, float] | None = None) -> None:

@@ -28,7 +28,6 @@ class ScriptSpec(SeatSizes):
     """A task's scripted robot: see `assistax_envs.scripted` and `gentle_scripts`."""
 
     task: str
-    version: int = 0  # of the environment
 
     def player(self) -> "ScriptedPolicy":
         """Return what plays the script."""
@@ -76,7 +75,7 @@ class ScriptedPolicy:
     """Plays a task's script, which has no memory and no parameters."""
 
     def __init__(self, spec: ScriptSpec) -> None:
-        self._robot = script_of(spec.task, build_model(spec.task), spec.version)
+        self._robot = script_of(spec.task, build_model(spec.task))
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> tuple[()]:
         """Return the empty carry."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_base.errors import RegistryVersionError, SplitError, listing, nearest
-from assistax_envs.versions import PLAYABLE, VERSIONS
+from assistax_envs.versions import VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
@@ -169,11 +169,11 @@ def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -
     if not entries:
         return VERSIONS[task]
     first, version = entries[0], registry.env_version(entries[0])
-    if version not in PLAYABLE[task]:
-        raise _unfit(registry, first, PLAYABLE[task], "as installed")
+    if version != VERSIONS[task]:
+        raise _unfit(registry, first, VERSIONS[task], "as installed")
     for entry in entries:
         if registry.env_version(entry) != version:
-            raise _unfit(registry, entry, (version,), f"as {first.id} was trained")
+            raise _unfit(registry, entry, version, f"as {first.id} was trained")
     return version
 
 
@@ -196,13 +196,13 @@ def version_of_all(
     if claimed and not entries:
         version = next(iter(claimed.values()))
     for robot, its in claimed.items():
-        if its == version and version in PLAYABLE[task]:
+        if its == version == VERSIONS[task]:
             continue
         together = f"version {version} of environment {task}, which the others play"
-        installed = f"version {listing(map(str, PLAYABLE[task]))} of environment {task}"
+        installed = f"version {VERSIONS[task]} of environment {task}"
         raise RegistryVersionError(
             f"robot {robot}",
-            expected=together if version in PLAYABLE[task] else f"{installed}, as installed",
+            expected=together if version == VERSIONS[task] else f"{installed}, as installed",
             found=f"a file that says that it was trained in version {its}",
             done="nothing was evaluated",
             next_step="choose partners of its version, or train the robot with these partners",
@@ -210,23 +210,21 @@ def version_of_all(
     return version
 
 
-def _unfit(
-    registry: Registry, entry: PolicyEntry, versions: Sequence[int], why: str
-) -> RegistryVersionError:
-    """Return the error of a policy that was trained in none of some versions."""
-    fitting, wanted = [], listing(map(str, versions))
+def _unfit(registry: Registry, entry: PolicyEntry, version: int, why: str) -> RegistryVersionError:
+    """Return the error of a policy that was trained in another version than `version`."""
+    fitting = []
     for release in registry.data.releases.values():
-        if release.environments.get(entry.task) in versions:
+        if release.environments.get(entry.task) == version:
             if split := release.splits.get(entry.task):  # none in a release of egos alone
                 fitting.append(f"split {split}")
             if entry.task in release.persons:
                 fitting.append("partners persons")
     return RegistryVersionError(
         f"policy {entry.id}",
-        expected=f"version {wanted} of environment {entry.task}, {why}",
+        expected=f"version {version} of environment {entry.task}, {why}",
         found=f"release {entry.release}, trained on version {registry.env_version(entry)}",
         done="nothing was evaluated",
-        next_step=f"choose other robots, or partners of version {wanted}: {listing(fitting)}"
+        next_step=f"choose other robots, or partners of version {version}: {listing(fitting)}"
         if fitting
         else f"install the assistax-zoo of release {entry.release}",
     )

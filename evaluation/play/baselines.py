@@ -16,7 +16,7 @@ import polars as pl
 
 from assistax_base.digest import sha256
 from assistax_envs import gentle_scripts, scripted
-from assistax_envs.gentle_scripts import SCRIPTS, uses_numbers
+from assistax_envs.gentle_scripts import OWN, SCRIPTS
 from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
 from evaluation.cast.roster import Member, Roster, joined
 from evaluation.figures.normalised import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
@@ -77,10 +77,10 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
     return dataclasses.replace(job, egos=egos, stochastic=False)
 
 
-def script_roster(task: str, observation_size: int, action_size: int, version: int) -> Roster:
-    """Return the scripted robot of a task and version, its code named by its hash."""
-    spec = ScriptSpec("robot", observation_size, action_size, task=task, version=version)
-    code = (gentle_scripts, scripted) if uses_numbers(task, version) else (scripted,)
+def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
+    """Return the scripted robot of a task, whose digest is the hash of its code."""
+    spec = ScriptSpec("robot", observation_size, action_size, task=task)
+    code = (gentle_scripts, scripted) if task in OWN else (scripted,)
     digest = sha256("".join(map(inspect.getsource, code)).encode())
     return _single(spec, Member(SCRIPT, digest))
 
@@ -92,7 +92,7 @@ def passive_roster(observation_size: int, action_size: int) -> Roster:
 
 
 def _script(job: Job, sizes: tuple[int, int]) -> Roster:
-    return script_roster(job.task, *sizes, job.env_version)
+    return script_roster(job.task, *sizes)
 
 
 def _sizes(env: Any, role: str) -> tuple[int, int]:

@@ -30,7 +30,7 @@ import numpy as np
 
 from assistax_base.errors import ZooError, lacks_memory
 from assistax_envs.own_settings import own_settings
-from assistax_envs.versions import PLAYABLE
+from assistax_envs.versions import VERSIONS
 from evaluation.cast.roster import paired_rosters
 from evaluation.play.evaluator import MAX_ENVS, check_sizes
 from evaluation.play.jobs import Job
@@ -131,9 +131,7 @@ def check_self_play(
     unfit = {name for names, _ in steps for name in names}
     problems += [problem for _, problem in steps]
     outdated = {
-        entry.team
-        for entry in entries
-        if registry.env_version(entry) not in PLAYABLE.get(entry.task, ())
+        entry.team for entry in entries if registry.env_version(entry) != VERSIONS.get(entry.task)
     }
     teams: list[TeamReplay] = []
     for (task, version), pairs in _teams(registry, sound, unfit, outdated).items():

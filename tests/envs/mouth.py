@@ -35,8 +35,8 @@ SPRING, HOLDS, TORQUE = 0.8, 0.19, 0.8  # N m/rad, N m: the jaw's, as in `care_s
 class LaidOut:
     """One simulation of a task, whose readings a test lays out by hand; `begun` is its start."""
 
-    def __init__(self, task: str, preference: str, version: int | None = None) -> None:
-        env = make(task, "native", version=version) if version else environment(task, "native")
+    def __init__(self, task: str, preference: str) -> None:
+        env = environment(task, "native")
         # The task itself, whose terms are compared.
         self.task: Any = env._task
         params = disability_params(["d1"], [preference])
@@ -89,7 +89,7 @@ def meal(
     env: Env, simulations: int, steps: int, seed: int = 0, human=None
 ) -> tuple[EnvState, EnvState]:
     """Return the first state of an episode with the script and all states [T, N, ...] after it."""
-    robot, human = script_of(env.task, env.model, env.version), human or HUMANS[env.task]
+    robot, human = script_of(env.task, env.model), human or HUMANS[env.task]
     keys = jax.random.split(jax.random.key(seed), simulations)
     start = jax.jit(env.reset)(keys, disability_params(["d1"] * simulations))
 
@@ -108,7 +108,7 @@ def write_states(task: str) -> None:
     qpos, qvel = (
         np.concatenate(np.asarray(x)[at]) for x in (states.physics.qpos, states.physics.qvel)
     )
-    robot = script_of(task, env.model, env.version)
+    robot = script_of(task, env.model)
     ctrl = np.zeros((len(qpos), env.model.nu), np.float32)
     driven = [env.model.actuator(i).name.startswith("robot_") for i in range(env.model.nu)]
     seen = {role: np.concatenate(np.asarray(states.obs[role])[at]) for role in ("robot", "human")}

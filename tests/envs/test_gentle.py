@@ -419,7 +419,7 @@ def test_a_preference_is_drawn_by_its_own_key() -> None:
 def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
     """In three seconds, with an idle human: far nearer than a robot that does nothing."""
     env = environment(task, "native")
-    act = jax.jit(script_of(task, env.model, env.version))
+    act = jax.jit(script_of(task, env.model))
     begun = state = start(task, "native", ["d1"] * 8, seed=2)
     step = compiled(task, "native")[1]
     nearest = gap = np.asarray(_gap(state))
@@ -439,10 +439,9 @@ def _gap(state) -> jax.Array:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_script_is_at_most_sixty_lines(task: str) -> None:
-    for script in (SCRIPTS[task], scripted.SCRIPTS.get(task, SCRIPTS[task])):
-        lines = inspect.getsource(script).splitlines()
-        assert len(lines) <= 60
-        assert ast.parse("\n".join(lines))
+    lines = inspect.getsource(SCRIPTS[task]).splitlines()
+    assert len(lines) <= 60
+    assert ast.parse("\n".join(lines))
 
 
 def test_the_jacobian_is_mujocos() -> None:

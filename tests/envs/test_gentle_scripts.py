@@ -1,4 +1,4 @@
-"""Scripts of the gentle tasks: by the numbers of version 3, and as they were before."""
+"""Scripts of the gentle tasks and their numbers."""
 
 import jax
 import jax.numpy as jnp
@@ -7,8 +7,8 @@ import pytest
 
 from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.models import build_model
-from assistax_envs.scripted import Chain, scripted_robot
-from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS
+from assistax_envs.scripted import Chain
+from assistax_envs.versions import CARE_TASKS
 
 SKIN = ("gentle_scratch", "gentle_bath")
 NORMAL = {
@@ -53,21 +53,6 @@ def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
     return jnp.asarray(obs, jnp.float32)
 
 
-@pytest.mark.parametrize("task", GENTLE_TASKS)
-def test_older_versions_are_played_as_they_were(task: str) -> None:
-    model, obs = build_model(task), _seen(task)
-    expected = scripted_robot(task, model)(obs)
-    np.testing.assert_array_equal(script_of(task, model, 2)(obs), expected)
-    newer = script_of(task, model, 3)(obs)
-    assert newer.shape == expected.shape and float(jnp.abs(newer).max()) <= 1.0
-
-
-def test_the_papers_tasks_have_one_script() -> None:
-    model, obs = build_model(PAPER_TASKS[0]), _seen("gentle_scratch", 8)
-    expected = scripted_robot(PAPER_TASKS[0], model)(obs)
-    np.testing.assert_array_equal(script_of(PAPER_TASKS[0], model, 9)(obs), expected)
-
-
 @pytest.mark.slow_for("bath", "brushing", "lift")
 @pytest.mark.parametrize("task", RANGES)
 def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
@@ -76,25 +61,23 @@ def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     assert set(own) == set(RANGES[task])
     # Somewhere in the ranges, where no number hides another.
     middle = {name: 0.5 * (low + high) for name, (low, high) in RANGES[task].items()}
-    usual = script_of(task, model, 3, middle)(obs)
+    usual = script_of(task, model, middle)(obs)
     for name, (low, high) in RANGES[task].items():
         assert low < high and low <= own[name] <= high, name
-        ends = [script_of(task, model, 3, middle | {name: end})(obs) for end in (low, high)]
+        ends = [script_of(task, model, middle | {name: end})(obs) for end in (low, high)]
         moved = [float(jnp.abs(end - usual).max()) for end in ends]
         assert max(moved) > 1e-4, f"{name} changes nothing"
-    np.testing.assert_array_equal(
-        script_of(task, model, 3)(obs), script_of(task, model, 3, own)(obs)
-    )
+    np.testing.assert_array_equal(script_of(task, model)(obs), script_of(task, model, own)(obs))
 
 
 @pytest.mark.parametrize("task", RANGES)
 def test_a_search_tries_numbers_side_by_side(task: str) -> None:
     model, obs = build_model(task), _seen(task, 16)
     ends = {name: jnp.array(between, jnp.float32) for name, between in RANGES[task].items()}
-    both = jax.vmap(lambda numbers: script_of(task, model, 3, numbers)(obs))(ends)
+    both = jax.vmap(lambda numbers: script_of(task, model, numbers)(obs))(ends)
     for place in range(2):
         one = {name: float(values[place]) for name, values in ends.items()}
-        np.testing.assert_allclose(both[place], script_of(task, model, 3, one)(obs), atol=1e-4)
+        np.testing.assert_allclose(both[place], script_of(task, model, one)(obs), atol=1e-4)
 
 
 @pytest.mark.parametrize("task", SKIN)
@@ -106,11 +89,11 @@ def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
     # A posture in which the arm moves the tool in all directions.
     angles = jnp.array([0.0, 0.4, 0.0, -1.5, 0.0, 1.8, 0.0])
     obs = obs.at[:, :7].set(angles).at[:, 14:17].set(_tool(model, angles))
-    action = script_of(task, model, 3, numbers)(obs)
+    action = script_of(task, model, numbers)(obs)
     normal = obs[:, NORMAL[task]]
     lifted = Chain(model).drive(obs, 0.1 * normal, normal, turn=0.0, damping=1e-5)
     np.testing.assert_allclose(action, lifted, atol=1e-5)
-    lighter = script_of(task, model, 3, numbers | {"stop": 50.0})(obs)
+    lighter = script_of(task, model, numbers | {"stop": 50.0})(obs)
     assert float(jnp.abs(lighter - lifted).max()) > 1e-2
 
 

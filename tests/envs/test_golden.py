@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from assistax_envs import TASKS, VERSIONS, disability_params, make
-from assistax_envs.versions import PLAYABLE
 from tests.envs.conftest import backends, random_actions, seat
 
 FOLDER = Path(__file__).parent / "golden"
@@ -31,14 +30,11 @@ TOLERANCES = {
 FIRST_ANGLES = 5e-3  # rad, of either backend over the first 10 steps
 
 
-GAMES = [(task, version) for task in TASKS for version in PLAYABLE[task]]
-
-
-def trajectory(task: str, backend: str, version: int) -> dict:
+def trajectory(task: str, backend: str) -> dict:
     """Return observations and rewards at `STEPS`, and the return so far, rounded to what is
     pinned.
     """
-    env = make(task, backend, version=version)
+    env = make(task, backend)
     keys = jax.random.split(jax.random.key(20), len(SETTINGS))
     state, states = jax.jit(env.reset)(keys, disability_params(SETTINGS)), []
     step = jax.jit(env.step)
@@ -54,28 +50,25 @@ def trajectory(task: str, backend: str, version: int) -> dict:
     rounded = {
         name: np.asarray(values, np.float64).round(6).tolist() for name, values in seen.items()
     }
-    return {"version": version, **rounded}
+    return {"version": VERSIONS[task], **rounded}
 
 
-def pinned_in(task: str, version: int) -> Path:
-    """Return the file of a task's trajectory; those of older versions have theirs in the name."""
-    return FOLDER / (f"{task}.json" if version == VERSIONS[task] else f"{task}-v{version}.json")
-
-
-@pytest.mark.slow_for("gentle_brushing", "gentle_feeding", "-2-native")
+@pytest.mark.slow_for("gentle_brushing", "gentle_feeding")
 @pytest.mark.parametrize(
-    ("task", "version", "backend"),
+    ("task", "backend"),
     [
-        pytest.param(task, version, tolerance, marks=[pytest.mark.slow] * (tolerance == "mjx"))
-        for task, version in GAMES
+        pytest.param(task, tolerance, marks=[pytest.mark.slow] * (tolerance == "mjx"))
+        for task in TASKS
         for tolerance in TOLERANCES
         if tolerance in backends(task)
     ],
 )
-def test_behaviour_changes_only_with_the_version(task: str, version: int, backend: str) -> None:
-    golden = json.loads(pinned_in(task, version).read_text())
-    assert golden["version"] == version, "the version was raised: renew the golden trajectory"
-    now = trajectory(task, backend, version)
+def test_behaviour_changes_only_with_the_version(task: str, backend: str) -> None:
+    golden = json.loads((FOLDER / f"{task}.json").read_text())
+    assert golden["version"] == VERSIONS[task], (
+        "the version was raised: renew the golden trajectory"
+    )
+    now = trajectory(task, backend)
     for name, tolerance in TOLERANCES[backend].items():
         np.testing.assert_allclose(np.array(now[name]), np.array(golden[name]), atol=tolerance)
     seen, pinned = (
@@ -86,6 +79,5 @@ def test_behaviour_changes_only_with_the_version(task: str, version: int, backen
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for game in GAMES:
-        if game[0] in (sys.argv[1:] or TASKS):
-            pinned_in(*game).write_text(json.dumps(trajectory(game[0], "native", game[1])) + "\n")
+    for name in sys.argv[1:] or TASKS:
+        (FOLDER / f"{name}.json").write_text(json.dumps(trajectory(name, "native")) + "\n")

@@ -116,7 +116,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("evaluation.cast.baseline_policies.build_model", lambda task: None)
     monkeypatch.setattr(
         "evaluation.cast.baseline_policies.script_of",
-        lambda task, model, version: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
+        lambda task, model: lambda obs: jnp.ones((len(obs), ROBOT.action_size)),
     )
 
 
@@ -171,10 +171,9 @@ def test_a_robot_from_outside_meets_the_passive_human_too(tmp_path: Path, script
     assert "clipped" not in played.columns
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_a_tasks_script_is_a_policy(version: int):
+def test_a_tasks_script_is_a_policy():
     """One row at a time or many, of a stack of one: the same actions, in the torque limits."""
-    roster = script_roster("gentle_scratch", 47, 7, version)
+    roster = script_roster("gentle_scratch", 47, 7)
     [stack] = roster.stacks
     assert isinstance(stack, PolicyStack) and isinstance(stack.spec, ScriptSpec)
     policy, obs = ScriptedPolicy(stack.spec), np.random.default_rng(3).normal(size=(2, 5, 47))

@@ -71,15 +71,6 @@ def test_a_release_of_egos_alone_is_no_way_out_of_another_version() -> None:
         env_version(registry, task, [newer, older])
 
 
-def test_partners_of_an_older_version_are_played_in_it_and_never_beside_newer_ones() -> None:
-    registry, task = load_registry(), "gentle_scratch"
-    teams = registry.select(f"{task}/ippo-d1-*", release="v2", role="human")
-    persons = registry.known([f"{task}/person-00042-v3/human"])
-    assert [env_version(registry, task, some) for some in (teams, persons, [])] == [2, 3, 3]
-    with pytest.raises(RegistryVersionError, match=r"expected .*version 2 .*as .*ippo-d1"):
-        env_version(registry, task, [*teams, *persons])
-
-
 def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

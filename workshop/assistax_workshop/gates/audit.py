@@ -173,7 +173,7 @@ def _play(
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
     passive, script = (
         passive_roster(*sizes["human"]),
-        script_roster(task, *sizes["robot"], env.version),
+        script_roster(task, *sizes["robot"]),
     )
     played = {
         Condition.OWN: table.play("own", teams.robots, teams.humans, paired=True, times=MORE),

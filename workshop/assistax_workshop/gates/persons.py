@@ -169,7 +169,7 @@ def play_script(plan: Plan) -> dict[str, Any]:
     """Return what the task's script earns with strangers, and with those of best responses."""
     env = make(plan.task, plan.backend)
     sizes = env.observation_size["robot"], env.action_size["robot"]
-    [stack] = script_roster(plan.task, *sizes, env.version).stacks
+    [stack] = script_roster(plan.task, *sizes).stacks
     assert isinstance(stack, PolicyStack)
     policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
     sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}

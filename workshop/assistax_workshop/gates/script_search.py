@@ -43,7 +43,7 @@ class TriedScript:
         self, params: Mapping[str, jax.Array], carry: tuple[()], obs: jax.Array, first: jax.Array
     ) -> tuple[tuple[()], jax.Array]:
         """Return actions [..., 7] for observations [..., O] of the numbers `params`, [] each."""
-        robot = script_of(self._env.task, self._env.model, self._env.version, params)
+        robot = script_of(self._env.task, self._env.model, params)
         return carry, robot(obs.reshape(-1, obs.shape[-1])).reshape(*obs.shape[:-1], -1)
 
 

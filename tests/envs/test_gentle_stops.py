@@ -1,4 +1,4 @@
-"""What the versions of the gentle tasks' environments differ in: contacts, limits, the stop."""
+"""Touches of the gentle tasks: contacts of every physics step, limits, the protective stop."""
 
 from typing import Any
 
@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 import assistax_envs
+from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models import build_model
 from assistax_envs.physics import SUBSTEPS, PhysicsState
 from assistax_envs.physics.base import felt_sensors
-from assistax_envs.scripted import scripted_robot
 from assistax_envs.tasks import gentle_base
 from assistax_envs.tasks.base import HUMAN_JOINTS
-from assistax_envs.tasks.gentle_rules import HARD
 from tests.envs.conftest import environment
 from tests.envs.fused.scenes import touching_states
 
@@ -56,36 +55,32 @@ def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backen
 
 
 @pytest.mark.slow
-def test_a_violation_ends_the_episode_in_version_3_alone() -> None:
+def test_violation_ends_the_episode() -> None:
     task = "gentle_scratch"
-    for version in (2, 3):
-        env: Any = assistax_envs.make(task, "native", version=version)
-        assert env.version == version and env.stops == (version == 3)
-        # A limit that every touch breaks.
-        env._task.sensors._limits = np.full_like(env._task.sensors._limits, 1e-3)
-        robot = scripted_robot(task, env.model)
-        state = jax.jit(env.reset)(
-            jax.random.split(jax.random.key(0), 8), assistax_envs.disability_params(["d1"] * 8)
-        )
-        step, stopped = jax.jit(env.step), np.zeros(8, bool)
-        for _ in range(150):
-            before = np.asarray(state.measures.violated)
-            state = step(state, {"robot": robot(state.obs["robot"]), "human": jnp.zeros((8, 3))})
-            stopped |= np.asarray(state.terminated)
-        assert before.any() and stopped.any() == (version == 3)
-        np.testing.assert_array_equal(state.terminated, state.measures.violated & (version == 3))
+    env: Any = assistax_envs.make(task, "native")
+    # A limit that every touch breaks.
+    env._task.sensors._limits = np.full_like(env._task.sensors._limits, 1e-3)
+    robot = script_of(task, env.model)
+    state = jax.jit(env.reset)(
+        jax.random.split(jax.random.key(0), 8), assistax_envs.disability_params(["d1"] * 8)
+    )
+    step, stopped = jax.jit(env.step), np.zeros(8, bool)
+    for _ in range(150):
+        state = step(state, {"robot": robot(state.obs["robot"]), "human": jnp.zeros((8, 3))})
+        stopped |= np.asarray(state.terminated)
+    assert env.stops and stopped.any()
+    np.testing.assert_array_equal(state.terminated, state.measures.violated)
 
 
-def test_limits_are_those_of_the_part_that_is_touched() -> None:
-    env: Any = assistax_envs.make("gentle_scratch", "native")
+def test_limits_are_those_of_the_touched_part() -> None:
+    env: Any = assistax_envs.make("gentle_scratch", "native", version=3)
     limits = dict(zip(_touched_parts(env.model), env._task.sensors._limits.tolist(), strict=True))
     assert limits["human_head"] == 32.5 and limits["human_right_lower_arm"] == 80.0
-    older: Any = assistax_envs.make("gentle_scratch", "native", version=2)
-    assert set(older._task.sensors._limits.tolist()) == {HARD}
-    with pytest.raises(
-        ValueError, match="version of gentle_scratch is 1; this installation plays 2, 3"
-    ):
-        assistax_envs.make("gentle_scratch", "native", version=1)
+
+
+def test_another_version_is_refused() -> None:
+    with pytest.raises(ValueError, match="gentle_scratch is 2; this installation plays version 3"):
+        assistax_envs.make("gentle_scratch", "native", version=2)
 
 
 def _touched_parts(model: mujoco.MjModel) -> list[str]:
