@@ -12,7 +12,6 @@ import numpy as np
 from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import STIFF_JOINTS
-from assistax_envs.models.gentle_scenes import SCENES, SPARED
 from assistax_envs.own_settings import check_generator, key_of, own_settings
 from assistax_envs.physics import (
     GIVES_CONTACT_FRAMES,
@@ -22,11 +21,17 @@ from assistax_envs.physics import (
     make_physics,
     resolve_backend,
 )
-from assistax_envs.registered import REGISTERED
-from assistax_envs.tasks import TASK_CLASSES, Measures, Sensors, Task
-from assistax_envs.tasks.base import ROBOT_JOINTS, human_actuators, human_joints
+from assistax_envs.registered import REGISTERED, TASK_CLASSES
+from assistax_envs.tasks.base import (
+    ROBOT_JOINTS,
+    Measures,
+    Sensors,
+    Task,
+    human_actuators,
+    human_joints,
+)
 from assistax_envs.tremor import TremorFilter
-from assistax_envs.versions import TASKS, engine, playable_version
+from assistax_envs.versions import engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
@@ -69,7 +74,7 @@ class Env:
         self.backend = resolve_backend(backend)
         # 0, of no release, for a class from outside
         self.version = playable_version(task, version) if isinstance(task, str) else 0
-        scene = getattr(of_task, "scene", self.task)
+        scene: str = of_task.scene
         _check_scene(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
@@ -92,7 +97,7 @@ class Env:
         seat = [self.model.joint(name) for name in driven]
         self._seat = np.array([joint.id for joint in seat])
         self._seat_angles = np.array([joint.qposadr[0] for joint in seat])
-        self._spared = SPARED if scene in SCENES else 0.0
+        self._spared = REGISTERED[scene].spared
         # What a disability's range is of, and its rest angle: where the scene starts it.
         stiff = [self.model.joint(name) for name in STIFF_JOINTS[REGISTERED[scene].seat]]
         self._stiff = np.array([joint.id for joint in stiff])
@@ -306,8 +311,8 @@ def make(
         ValueError: the task, its version, the backend or a weight's name is unknown, or the backend
             cannot run here.
     """
-    if isinstance(task, str) and task not in TASKS:
-        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
+    if isinstance(task, str) and task not in REGISTERED:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(REGISTERED)}")
     return Env(task, backend, weights, version, **options)
 
 
@@ -326,7 +331,7 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
 def _check_scene(task: str, backend: str) -> None:
     if task not in REGISTERED:
         raise ValueError(
-            f"there is no scene {task!r}; set the class's `scene` to one of {', '.join(TASKS)}"
+            f"there is no scene {task!r}; set the class's `scene` to one of {', '.join(REGISTERED)}"
         )
     if REGISTERED[task].felt and backend not in GIVES_CONTACT_FRAMES:
         raise ValueError(

@@ -6,10 +6,10 @@ not, and the reward of both depends on it.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from assistax_envs.registered import REGISTERED
+from assistax_envs.registered import ByTask
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,9 +41,9 @@ PRESSES = (0.5, 1.0, 2.0)  # N
 # likes, or all numbers of a person.
 Told = bool | Literal["partner"]
 # What of it matters in a task, and is observed there.
-WISHES: dict[str, tuple[str, ...]] = {
-    name: task.wishes for name, task in REGISTERED.items() if task.wishes
-}
+WISHES: Mapping[str, tuple[str, ...]] = ByTask(
+    lambda kind: kind.preferences, lambda kind: bool(kind.preferences)
+)
 VALUES = {
     "force": FORCES,
     "speed": SPEEDS,

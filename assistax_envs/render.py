@@ -68,7 +68,7 @@ class Renderer:
             _close, weakref.ref(self)
         )  # before the platform's own exit, which closes the display
         self._context.make_current()
-        self.model = picture_model(getattr(task, "scene", task.name))
+        self.model = picture_model(task.scene)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.model.vis.quality.shadowsize = 2048
         self._task = task

@@ -3,24 +3,37 @@
 A version is an integer. It is raised when the same actions from the same key give other
 observations, rewards or episode ends on the same MuJoCo version: a changed model, task, observation
 or reward. It is not raised for speed, rendering or documentation. `tests/envs/test_golden.py`
-guards it. Each stands in its task's row of `assistax_envs.registered`.
+guards it. Each task has its own in its `TaskKind`.
 """
 
+from collections.abc import Mapping
 from importlib.metadata import version
+from typing import TYPE_CHECKING
 
-from assistax_envs.registered import REGISTERED
+from assistax_envs.registered import REGISTERED, ByTask
 
-VERSIONS: dict[str, int] = {name: task.version for name, task in REGISTERED.items()}
+if TYPE_CHECKING:
+    PAPER_TASKS: tuple[str, ...]
+    # Gentle tasks at the arm, and at the mouth; of the latter all partners are persons.
+    GENTLE_TASKS: tuple[str, ...]
+    CARE_TASKS: tuple[str, ...]
 
+VERSIONS: Mapping[str, int] = ByTask(lambda kind: kind.version)
 TASKS: tuple[str, ...] = tuple(REGISTERED)
-PAPER_TASKS: tuple[str, ...] = tuple(name for name, task in REGISTERED.items() if task.paper)
-GENTLE_TASKS: tuple[str, ...] = tuple(
-    name for name, task in REGISTERED.items() if task.felt and task.seat == "arm"
-)
-# The gentle tasks at the mouth. Their published partners are persons; no team has learned them.
-CARE_TASKS: tuple[str, ...] = tuple(
-    name for name, task in REGISTERED.items() if task.seat == "mouth"
-)
+
+
+def __getattr__(name: str) -> tuple[str, ...]:
+    """Return a group of tasks, which is made on demand: it needs the kind of every task."""
+    groups = {
+        "PAPER_TASKS": ByTask(lambda kind: kind.name, lambda kind: kind.paper),
+        "GENTLE_TASKS": ByTask(
+            lambda kind: kind.name, lambda kind: kind.felt and kind.seat == "arm"
+        ),
+        "CARE_TASKS": ByTask(lambda kind: kind.name, lambda kind: kind.seat == "mouth"),
+    }
+    if name not in groups:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return tuple(groups[name])
 
 
 def playable_version(task: str, version: int | None = None) -> int:

@@ -1,32 +1,26 @@
-"""Builds a task's `mujoco.MjModel` from the MJCF files beside this one.
+"""Builds a task's `mujoco.MjModel` from its scene, its tool, the human and the robot.
 
 A scene file holds furniture, contact pairs and contact sensors, and attaches `human.xml` and
-`panda.xml` under the prefixes `human_` and `robot_`; here the task's tool is bolted to the robot's
-hand. Edit the MJCF files to change a scene; bump the task's version in `assistax_envs.registered`
-when you do.
+`panda.xml` under the prefixes `human_` and `robot_`. Here the task's tool is bolted to the robot's
+hand. Raise the task's version after a change of MJCF.
 """
 
 import functools
 import re
+import tempfile
 from importlib import resources
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from assistax_base.digest import sha256
 from assistax_envs.models.care_scenes import give_mouth, touch_mouth
-from assistax_envs.models.gentle_scenes import SCENES, soften
+from assistax_envs.models.gentle_scenes import soften
 from assistax_envs.models.looks import dress
 from assistax_envs.registered import REGISTERED
 
-LYING_LEFT_ARM = {
-    "left_shoulder2": 0.84,
-    "left_elbow": -1.571,
-}  # rad: rests beside the body, as its springs hold it
-REST: dict[str, dict[str, float]] = {"bed_bath": LYING_LEFT_ARM, "arm_assist": LYING_LEFT_ARM}
-WEAKNESS: dict[str, float] = {
-    "arm_assist": 0.07
-}  # share of the right arm's torque limits: too weak to lift itself
+_SHARED = ("human.xml", "panda.xml")  # files beside a scene, which it attaches
 
 
 def build_model(task: str) -> mujoco.MjModel:
@@ -36,7 +30,7 @@ def build_model(task: str) -> mujoco.MjModel:
 
 @functools.cache
 def scene_sha256(task: str) -> str | None:
-    """Return the sha256 of a task's scene as MJCF, without colours; None if it has no scene here.
+    """Return the sha256 of a task's scene as MJCF, without colours; None for an unknown task.
 
     MJCF has six digits of a number: a last bit of another processor does not show.
     """
@@ -50,27 +44,44 @@ def scene_sha256(task: str) -> str | None:
 def build_dressed(task: str) -> mujoco.MjModel:
     """Compile the same scene for pictures: what collides is hidden behind what it stands for."""
     scene = _scene(task)
-    dress(scene, SCENES.get(task, task), REGISTERED[task].tool)
+    dress(scene, REGISTERED[task].looks, REGISTERED[task].tool)
     return scene.compile()
 
 
 def _scene(task: str) -> mujoco.MjSpec:
-    base = SCENES.get(task, task)
-    with resources.as_file(resources.files("assistax_envs.models")) as folder:
-        scene = mujoco.MjSpec.from_file(str(folder / f"{base}.xml"))
-        tool = mujoco.MjSpec.from_file(str(folder / f"{REGISTERED[task].tool}.xml"))
-        at_mouth, teeth = REGISTERED[task].seat == "mouth", REGISTERED[task].tool == "brush"
-        if at_mouth:
-            give_mouth(scene, teeth)
-        scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
-        for joint, angle in REST.get(base, {}).items():
-            scene.joint(f"human_{joint}").springref = angle
-        if at_mouth:
-            touch_mouth(scene, teeth)
-        if task in SCENES:
-            soften(scene, task)
-            return scene
-        for actuator in scene.actuators:
-            if actuator.name.startswith("human_"):
-                actuator.gear = np.array(actuator.gear) * WEAKNESS.get(task, 1.0)
+    kind = REGISTERED[task]
+    scene, tool = _read(kind.scene.mjcf), _read(kind.tool)
+    teeth = kind.scene.teeth
+    if kind.seat == "mouth":
+        give_mouth(scene, teeth)
+    scene.body("robot_hand").add_frame().attach_body(tool.body("tool"), "robot_", "")
+    for joint, angle in kind.scene.rest.items():
+        scene.joint(f"human_{joint}").springref = angle
+    if kind.seat == "mouth":
+        touch_mouth(scene, teeth)
+    if kind.scene.softened:
+        soften(scene, kind.scene.human_share)
         return scene
+    for actuator in scene.actuators:
+        if actuator.name.startswith("human_"):
+            actuator.gear = np.array(actuator.gear) * kind.scene.human_share
+    return scene
+
+
+def _read(mjcf: str) -> mujoco.MjSpec:
+    """Parse MJCF: a name in this folder, a file "PACKAGE:NAME.xml", or the text itself."""
+    here = resources.files("assistax_envs.models")
+    if mjcf.lstrip().startswith("<"):
+        text = mjcf
+    elif ":" in mjcf:
+        package, _, name = mjcf.partition(":")
+        text = resources.files(package).joinpath(name).read_text(encoding="utf-8")
+    else:
+        text = here.joinpath(f"{mjcf}.xml").read_text(encoding="utf-8")
+    # MuJoCo reads the models that a scene attaches from files beside it alone.
+    with tempfile.TemporaryDirectory() as folder:
+        for name in _SHARED:
+            Path(folder, name).write_bytes(here.joinpath(name).read_bytes())
+        path = Path(folder, "scene.xml")
+        path.write_text(text, encoding="utf-8")
+        return mujoco.MjSpec.from_file(str(path))

@@ -8,26 +8,8 @@ The changes are made on the parsed MJCF, so that a body or a piece of furniture 
 import mujoco
 import numpy as np
 
-SCENES: dict[str, str] = {  # gentle task -> the paper's task whose scene it starts from
-    "gentle_scratch": "scratch",
-    "gentle_bath": "bed_bath",
-    "gentle_lift": "arm_assist",
-    "gentle_feeding": "scratch",
-    "gentle_brushing": "scratch",
-}
 # Of the robot's torque limits: what a collaborative robot is run at beside a person.
 ROBOT_SHARE = 0.3
-HUMAN_SHARE: dict[str, float] = {  # of a healthy right arm's torques
-    "gentle_scratch": 0.5,
-    "gentle_bath": 0.5,
-    "gentle_lift": 0.12,  # holds the forearm where it was brought to, and cannot bring it there
-    "gentle_feeding": 1.0,  # of the torques of a trunk, a neck and a jaw that hold their posture
-    "gentle_brushing": 1.0,
-}
-# Of a disability these humans, who are weak already, are spared this share: a setting's 0.4 leaves
-# them 0.7 of their torques, or of the elbow's range. With 0.4 of the torques who lies on a bed
-# cannot lift its arm, and with 0.4 of the range it cannot fold it across the waist.
-SPARED = 0.5
 TRUNK = 3.0  # times as stiff and damped as in the paper's scenes: 500 N bend those by 14 degrees
 # Of Newton's method, at most. At the paper's 4 MuJoCo's C engine and MJX have not always converged,
 # and show contact forces that are not there: 2.2% of gentle lift's episodes above 65 N, not 0.5%.
@@ -48,15 +30,17 @@ LINKS = {  # name of a capsule -> the robot's body that has it, its place there,
 LEGS = ("right_thigh", "left_thigh")  # parts of the human that belong to the furniture's files
 
 
-def soften(scene: mujoco.MjSpec, task: str) -> None:
-    """Turn the scene of the paper's task, tool attached, into that of the gentle `task`.
+def soften(scene: mujoco.MjSpec, human_share: float) -> None:
+    """Soften a scene in place, after its tool is attached.
 
-    In place.
+    Args:
+        scene: The scene.
+        human_share: Share of the human's torque limits that is left.
     """
     scene.option.iterations = ITERATIONS
     for actuator in scene.actuators:
         human = actuator.name.startswith("human_")
-        actuator.gear = np.array(actuator.gear) * (HUMAN_SHARE[task] if human else ROBOT_SHARE)
+        actuator.gear = np.array(actuator.gear) * (human_share if human else ROBOT_SHARE)
     for joint in scene.joints:
         if "abdomen" in joint.name:
             joint.stiffness = np.array(joint.stiffness) * TRUNK

@@ -15,10 +15,10 @@ import numpy as np
 from assistax_envs.persons import common, muscles, reaction
 from assistax_envs.persons.body import JOINTS, Arm
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED
-from assistax_envs.persons.parameters import FOREARM, SPARED, index
+from assistax_envs.persons.parameters import FOREARM, index, person_kind
 from assistax_envs.persons.postures import Postures
-from assistax_envs.persons.senses import Senses, columns, sense
-from assistax_envs.tasks import TASK_CLASSES
+from assistax_envs.persons.senses import Senses, sense
+from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
 
 CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative from which on nothing, or a touch, is waited for
@@ -81,7 +81,7 @@ class Controller:
         self._law: Callable[..., reaction.Reaction] = LAWS[family]
         self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
         self._place, self._carried = index(task), "liked_distance" in index(task)
-        self._spared = SPARED[task]
+        self._spared = REGISTERED[task].spared
         self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
 
     def initial(self, n: int) -> Mind:
@@ -144,7 +144,7 @@ class Controller:
         Its chance comes from the bits of the joints' start, which the episode's key drew and which
         are the same on every backend, and from those of the row.
         """
-        start = obs[:, columns(self.task)["position"]]
+        start = obs[:, person_kind(self.task).columns["position"]]
         bits = jax.lax.bitcast_convert_type(jnp.concatenate([start, row], axis=1), jnp.uint32)
         fresh = self.initial(obs.shape[0])
         still = jnp.zeros_like(fresh.past).at[:, :, :JOINTS].set(now.position[:, None])

@@ -8,6 +8,7 @@ the seat: trunk, pitch, yaw and roll of the neck, jaw.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -15,31 +16,18 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, SEAT
-from assistax_envs.models.teeth import INNER, PLACES, SHOWN_BY
 from assistax_envs.persons import common, muscles, reaction
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, Numbers
-from assistax_envs.persons.parameters import SPARED, index
-from assistax_envs.persons.senses import AT_MOUTH, MOUTH_UNIT
+from assistax_envs.persons.parameters import index, person_kind
+from assistax_envs.registered import REGISTERED, load
 from assistax_envs.tasks.base import human_joints
 from assistax_envs.tasks.gentle_base import FELT, STEP
-from assistax_envs.tasks.mouth import (
-    BESIDE,
-    FARTHEST,
-    LEAVING,
-    OPENED,
-    SLOWLY,
-    TAKING,
-    TURNED,
-    WAITING,
-)
+from assistax_envs.tasks.mouth import Comfort, Perceived
+from assistax_envs.tasks.person import HeadHelp
 
 JOINTS = len(SEAT)
 LEAN, PITCH, YAW, ROLL, JAW = range(JOINTS)
-WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
-RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as it is liked
-SOON = 0.25  # s that a spoon has to wait at the liked place, beside the slow start
-DEEP = 1.6  # times the liked depth, from where on a bowl is too deep
-UNIT = 2.0  # N, of a spoon on the lips
+AJAR = 0.05  # rad of the jaw, above which an open mouth is wanted
 AIM, MOVED = 0.05, 0.03  # rad, of movements, as in `controller`
 REFLEX = 0.25  # s that a bite reflex lasts
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
@@ -98,7 +86,12 @@ class Head:
         mujoco.mj_forward(model, data)
         # N m that hold head and jaw.
         self._weight = np.array(data.qfrc_bias[[j.dofadr[0] for j in joints]], np.float32)
-        self._place, self._spared = index(task), SPARED[task]
+        self._place, self._spared = index(task), REGISTERED[task].spared
+        person = person_kind(task)
+        self._columns, self._touch_unit = person.columns, person.touch_unit
+        assert isinstance(person.help, HeadHelp)
+        self._judge: Callable[[Perceived], Comfort] = load(person.help.feel)
+        self._want: Callable[[Perceived], tuple[jax.Array, jax.Array]] = load(person.help.intend)
 
     def initial(self, n: int) -> Mind:
         """Return the carry of N persons before their first observation."""
@@ -128,21 +121,23 @@ class Head:
             first: [N] whether an episode begins; then the carry is forgotten.
         """
         numbers = {name: row[:, place] for name, place in self._place.items()}
-        parts = {name: obs[:, where] for name, where in AT_MOUTH[self.task].items()}
+        names = ("tool", "progress", "touch", "flag")
+        parts = {name: obs[:, self._columns[name]] for name in names}
         now = obs[:, self._read]
         mind = self._begun(mind, row, obs, parts, first)
         tool = 0.1 * parts["tool"]
         drift = jnp.linalg.norm(tool - mind.tool, axis=-1) / STEP
         moving = mind.moving + STEP / SMOOTHED * (drift - mind.moving)
-        seen = [tool, MOUTH_UNIT[self.task] * parts["touch"], moving[:, None], parts["closed"]]
+        seen = [tool, self._touch_unit * parts["touch"], moving[:, None], parts["flag"]]
         newest = jnp.concatenate([now, *seen], axis=-1)
         past, late = common.remembered(mind.past, newest, numbers)
         mind = dataclasses.replace(mind, past=past, tool=tool, moving=moving)
         chance = common.uniform(mind.seed, mind.age, JOINTS + 1)
         place = parts["progress"].argmax(axis=1).astype(jnp.int32)
-        felt = self._felt(mind, late, place, numbers)
+        perceived = self._perceived(mind, late, place, numbers)
+        felt = self._felt(perceived)
         mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
-        mind = self._intend(mind, late, place, numbers, chance[:, JOINTS])
+        mind = self._intend(mind, perceived, chance[:, JOINTS])
         return self._move(mind, now, late, numbers, common.normal(chance[:, :JOINTS]))
 
     def _begun(
@@ -155,7 +150,7 @@ class Head:
         tool = 0.1 * parts["tool"]
         still = fresh.past.at[:, :, :JOINTS].set(now[:, None])
         still = still.at[:, :, JOINTS : JOINTS + 3].set(tool[:, None])
-        still = still.at[:, :, JOINTS + 5].set(parts["closed"])
+        still = still.at[:, :, JOINTS + 5].set(parts["flag"])
         fresh = dataclasses.replace(
             fresh,
             seed=common.seed_of(bits),
@@ -168,49 +163,51 @@ class Head:
         )
         return common.begun(first, fresh, mind)
 
-    def _felt(
+    def _perceived(
         self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers
-    ) -> reaction.Felt:
+    ) -> Perceived:
+        """Return what is perceived, of a delay ago, beside what the person knows of itself."""
+        return Perceived(
+            tool=late[:, JOINTS : JOINTS + 3],
+            force=late[:, JOINTS + 3],
+            moving=late[:, JOINTS + 4],
+            flag=late[:, JOINTS + 5],
+            place=place,
+            before=mind.place,
+            willing=mind.willing,
+            aim=mind.aim,
+            eager=0.5 + 0.5 * numbers["initiative"],
+            numbers=numbers,
+        )
+
+    def _felt(self, now: Perceived) -> reaction.Felt:
         """Return what is felt, of a delay ago."""
-        tool, force, moving = late[:, JOINTS : JOINTS + 3], late[:, JOINTS + 3], late[:, JOINTS + 4]
-        one = jnp.ones_like(force)
-        if self.task == "gentle_feeding":
-            unit, liked, speed = UNIT * one, 0.0 * one, one
-            out = tool[:, 0]
-            early = (place == WAITING) & (mind.willing < SOON + numbers["slow_start"])
-            # Squared: who has to wait 1.4 times as near or as far as it likes shows that.
-            waits = (jnp.maximum(out, 1e-3) / numbers["liked_wait"]) ** 2
-            waits = jnp.where(early, waits, one)
-            deep = jnp.maximum(-out, 1e-4) / numbers["liked_depth"]
-            near = jnp.where(out < 0.0, jnp.minimum(one, reaction.LIGHT * DEEP / deep), waits)
-            near = jnp.where(place >= LEAVING, one, near)
-        else:
-            unit = liked = numbers["liked_press"]
-            speed, near = moving / numbers["liked_speed"], one
+        comfort, one = self._judge(now), jnp.ones_like(now.force)
         # Away from the side from which the tool comes; who is met from the front turns to the left,
         # since the robot stands at the right.
-        side = jnp.where(tool[:, 1] > 0.01, -1.0, 1.0)
+        side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
         forward = jnp.sign(self._gear[LEAN])
         away = jnp.stack([-0.3 * forward * one, -0.4 * one, 0.85 * side, 0 * one, 0 * one], -1)
-        hurts = numbers["tolerance"] * unit
-        return reaction.Felt(force, hurts, liked, unit, speed, near, away)
+        return reaction.Felt(
+            force=now.force,
+            hurts=now.numbers["tolerance"] * comfort.unit,
+            liked=comfort.preferred,
+            asks=comfort.unit,
+            speed=comfort.speed,
+            near=comfort.near,
+            away=away,
+        )
 
-    def _intend(
-        self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers, chance: jax.Array
-    ) -> Mind:
+    def _intend(self, mind: Mind, now: Perceived, chance: jax.Array) -> Mind:
         """Decide where head and jaw should be, and move on towards it by minimum jerk."""
+        numbers = now.numbers
         stopped = common.stopped(mind.stopped, mind.reaction.discomfort, numbers["limit"])
         lapsed = common.lapsed(mind.lapsed, chance, numbers)
-        eager = 0.5 + 0.5 * numbers["initiative"]
-        if self.task == "gentle_feeding":
-            willing, wanted = self._eats(mind, late, place, numbers, eager)
-        else:
-            willing = jnp.where(place == mind.place, mind.willing + STEP * eager, 0.0)
-            wanted = self._shows(place, willing > numbers["slow_start"], mind.aim)
+        willing, wanted = self._want(now)
         willing = jnp.where(stopped, 0.0, willing)
         off = jnp.zeros_like(mind.aim)
         off = off.at[:, PITCH].set(numbers["belief_pitch"]).at[:, YAW].set(numbers["belief_yaw"])
-        opened = wanted[:, JAW] > NARROW
+        opened = wanted[:, JAW] > AJAR
         off = off.at[:, JAW].set(jnp.where(opened, numbers["belief_jaw"], 0.0))
         wanted = jnp.where(stopped[:, None], 0.0, wanted + off)
         # Another movement begins where another posture is wanted.
@@ -224,7 +221,7 @@ class Head:
         return dataclasses.replace(
             mind,
             stopped=stopped,
-            place=place,
+            place=now.place,
             willing=willing,
             lapsed=lapsed,
             aim=aim,
@@ -233,33 +230,6 @@ class Head:
             time=time,
             intended=begin + (aim - begin) * common.minimum_jerk(way, time)[:, None],
         )
-
-    def _eats(
-        self, mind: Mind, late: jax.Array, stage: jax.Array, numbers: Numbers, eager: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Return how ripe the wish to open is [N], s, and the posture wanted [N, 5]."""
-        tool, moving = late[:, JOINTS : JOINTS + 3], late[:, JOINTS + 4]
-        closed = late[:, JOINTS + 5]
-        out, aside = tool[:, 0], jnp.linalg.norm(tool[:, 1:], axis=-1)
-        waits = (out > 0.0) & (out < FARTHEST) & (aside < BESIDE) & (moving < SLOWLY)
-        off = jnp.log(jnp.maximum(out, 1e-3) / numbers["liked_wait"])
-        ripens = waits * jnp.exp(-0.5 * (off / RIPE) ** 2) * eager
-        waiting = stage == WAITING
-        # It closes between two bites, and has to want the next one anew.
-        willing = jnp.where(waiting & (closed > 0.5), mind.willing + STEP * ripens, 0.0)
-        willing = jnp.where(waiting, willing, mind.willing)
-        ripe = willing > SOON + numbers["slow_start"]
-        shut = (waiting & ~ripe) | (stage == TAKING)
-        jaw = jnp.where(shut, NARROW, WIDE)
-        return willing, jnp.zeros_like(mind.aim).at[:, JAW].set(jaw)
-
-    def _shows(self, place: jax.Array, ready: jax.Array, aim: jax.Array) -> jax.Array:
-        """Return the posture [N, 5] that shows a place on the teeth, once it is `ready` for it."""
-        known = jnp.minimum(place, PLACES - 1)
-        turn = TURNED * jnp.asarray(SHOWN_BY, jnp.float32)[known]
-        jaw = jnp.where(jnp.asarray(INNER)[known], OPENED, 0.0)
-        shown = jnp.zeros_like(aim).at[:, YAW].set(turn).at[:, JAW].set(jaw)
-        return jnp.where(ready[:, None], shown, aim)
 
     def _move(
         self, mind: Mind, now: jax.Array, late: jax.Array, numbers: Numbers, normal: jax.Array

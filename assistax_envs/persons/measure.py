@@ -1,8 +1,8 @@
 """Measure persons without a trained robot: what scripts earn with them, what can be read of them.
 
-python -m assistax_envs.persons.measure play gentle_scratch
-python -m assistax_envs.persons.measure read gentle_scratch
-python -m assistax_envs.persons.measure film gentle_scratch nine.png
+python -m assistax_envs.persons.measure play TASK
+python -m assistax_envs.persons.measure read TASK
+python -m assistax_envs.persons.measure film TASK nine.png
 """
 
 import argparse
@@ -15,17 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import assistax_envs
-from assistax_envs.gentle_scripts import script_of
 from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import INNER, persons
+from assistax_envs.preferences import WISHES
 from assistax_envs.registered import REGISTERED
+from assistax_envs.tasks.chain import SCRIPTS, script_of
 from assistax_envs.tasks.gentle_base import FELT
-from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS
 
-# Column of the robot's observation that holds the force, of scripts that keep to one.
-FORCE = {"gentle_scratch": 43, "gentle_bath": 37}
 SCRIPTED = 4.0  # N that the scripts keep to
 SWEEP = 4.0  # s, in which a probing script goes from a light to a hard touch and back
 WINDOWS = (2.0, 5.0)  # s from the first touch
@@ -47,16 +45,17 @@ def _program(
 ) -> tuple[Any, Any, Any]:
     """Return the environment, and programs that start episodes and play `steps` of them."""
     env, player = assistax_envs.make(task), PersonPlayer(task, family)
-    script = script_of(task, env.model)
+    script, column = script_of(task, env.model), SCRIPTS[task].force
 
     def command(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
         if not isinstance(robot, str):
             return robot[1](memory, obs, time)
         if robot == "idle":
             return memory, jnp.zeros((obs.shape[0], env.action_size["robot"]))
-        if robot == "probe" and task in FORCE:  # told that it is SCRIPTED when it is something else
+        # A probing script believes that the force is SCRIPTED when it is something else.
+        if robot == "probe" and column is not None:
             phase = jnp.abs((time / (STEPS_A_SECOND * SWEEP)) % 1.0 - 0.5) * 2.0
-            obs = obs.at[:, FORCE[task]].multiply(SCRIPTED / (1.0 + 14.0 * phase))
+            obs = obs.at[:, column].multiply(SCRIPTED / (1.0 + 14.0 * phase))
         return memory, script(obs)
 
     def step(row: jax.Array, loop: tuple[Any, ...], time: jax.Array) -> tuple[Any, Any]:
@@ -228,7 +227,7 @@ def main() -> None:
     """Run one of the module's commands."""
     parser = argparse.ArgumentParser(prog="python -m assistax_envs.persons.measure")
     parser.add_argument("what", choices=("play", "read", "film"))
-    parser.add_argument("task", choices=(*GENTLE_TASKS, *CARE_TASKS))
+    parser.add_argument("task", choices=tuple(WISHES))
     parser.add_argument("path", nargs="?", default="persons.png")
     parser.add_argument("--count", type=int)
     parser.add_argument("--family", choices=("spring", "muscle"), default="spring")
@@ -248,7 +247,7 @@ def main() -> None:
 
 def _print_read(task: str, rows: np.ndarray, family: str) -> None:
     place = index(task)
-    for robot in ("script", "probe") if task in FORCE else ("script",):
+    for robot in ("script",) if SCRIPTS[task].force is None else ("script", "probe"):
         seen = episodes(task, rows, robot, "person", family, steps=600)
         for name in wishes(task):
             for window in WINDOWS:

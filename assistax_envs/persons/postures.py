@@ -5,7 +5,6 @@ shows the skin that is to be touched to where the tool can come from, or brings 
 place. Shapes: N simulations, M postures, K points.
 """
 
-import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -13,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.persons.body import Arm
+from assistax_envs.persons.parameters import person_kind
 from assistax_envs.persons.senses import Senses
-from assistax_envs.tasks.arm_assist import LOWER_ARM
-from assistax_envs.tasks.bed_bath import arm_points
-from assistax_envs.tasks.gentle_bath import UNDERSIDE
-from assistax_envs.tasks.gentle_lift import ACROSS, MIDDLE
-from assistax_envs.tasks.gentle_scratch import HIDDEN
+from assistax_envs.registered import load
+from assistax_envs.tasks.base import LOWER_ARM
+from assistax_envs.tasks.person import ArmHelp
 
 EFFORT = 0.1  # of showing a point fully, for each square radian away from rest
 REACH = 0.65  # m from the robot's shoulder, beyond which it has to stretch for what it is shown
@@ -31,42 +29,23 @@ DAMPING = 1e-3  # m^2
 SOFTLY = 0.1  # width of that step
 
 
-@dataclasses.dataclass(frozen=True)
-class Help:
-    """How a task is helped."""
-
-    chooses: str  # "presents" one point, "shows" many, "brings" the forearm to its place
-    again: int  # steps after which a person looks for a better posture; 0: never
-    away: tuple[tuple[float, float], ...] = ()  # degrees about each segment: hidden at rest
-    most: float = np.inf  # share of the seat's torque that holding may take
-
-
-HELP: dict[str, Help] = {
-    "scratch": Help("presents", 0, HIDDEN, 0.95),
-    "bed_bath": Help("presents", 100, UNDERSIDE, 0.95),
-    "arm_assist": Help("brings", 0),
-    "gentle_scratch": Help("presents", 0, HIDDEN, 0.95),
-    "gentle_bath": Help("shows", 200, UNDERSIDE, 0.95),
-    "gentle_lift": Help("brings", 0),
-}
-
-
 class Postures:
     """Chooses among the postures of a task's scene."""
 
     def __init__(self, task: str, arm: Arm) -> None:
-        self.help = HELP[task]
-        self._arm, self._lift = arm, task == "gentle_lift"
+        help = person_kind(task).help
+        assert isinstance(help, ArmHelp)
+        self.help, self._arm = help, arm
         table = arm.postures(self.help.most)
         self._angles, self._load = table["angles"], table["load"]
         self._position, self._turn = table["position"], table["turn"]
         effort = ((self._angles - arm.rest) ** 2).sum(axis=1)
         raised = self._position[:, LOWER_ARM, 2] - self._position[0, LOWER_ARM, 2] - RAISED
         self._ease = -EFFORT * effort - 4.0 * np.maximum(raised, 0.0)  # [M]
-        if self.help.away:
+        if self.help.hidden:
             self._from = np.stack([self._side(segment) for segment in range(2)])
         if self.help.chooses == "shows":
-            self._shown = self._show(*_underside(arm))
+            self._shown = self._show(*load(self.help.points)(arm.model))
         self._choose: Callable[..., jax.Array] = getattr(self, f"_{self.help.chooses}")
 
     def best(self, senses: Senses, strength: jax.Array, place: jax.Array) -> jax.Array:
@@ -145,14 +124,16 @@ class Postures:
 
     def _way(self, senses: Senses, place: jax.Array) -> jax.Array:
         """Return the way [N, 3] of the forearm to where a person likes it, m."""
-        if not self._lift:
+        if self.help.across is None:
             return senses.to_place
-        # The observed place is the middle one.
-        return senses.to_place + (place[:, None] - MIDDLE) * jnp.asarray(ACROSS, jnp.float32)[None]
+        across, observed = self.help.across
+        return (
+            senses.to_place + (place[:, None] - observed) * jnp.asarray(across, jnp.float32)[None]
+        )
 
     def _side(self, segment: int) -> np.ndarray:
         """Return the direction [3] from which the tool can come to a segment at rest."""
-        low, high = self.help.away[segment]
+        low, high = self.help.hidden[segment]
         angle = np.radians(0.5 * (low + high) + 180.0)
         return self._turn[0, segment] @ np.array([np.cos(angle), np.sin(angle), 0.0], np.float32)
 
@@ -166,12 +147,3 @@ class Postures:
         far = np.linalg.norm(point + self._position[:, segment] - self._arm.robot, axis=-1)
         seen = 1.0 / (1.0 + np.exp((SEEN - facing) / SOFTLY))
         return (seen * np.exp(-np.maximum(0.0, far - REACH) / 0.1)).astype(np.float32)
-
-
-def _underside(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points that are wiped in gentle bath: segment [K] and offset [K, 3], m."""
-    segment, offset = arm_points(arm.model)
-    low, high = np.array(UNDERSIDE)[segment].T
-    angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
-    under = angle % 360.0 < high - low
-    return segment[under], offset[under]

@@ -9,10 +9,9 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from assistax_envs.tasks.gentle_base import FELT, STEP
+from assistax_envs.tasks.gentle_base import FELT, LIGHT, STEP
 
 MOST = 2.0  # discomfort beyond which nobody goes
-LIGHT = 0.5  # share of what is liked, below which a person leans in
 FAST = 2.0  # multiple of a liked speed, above which it is too fast
 DOSE = 0.1  # s times excess of force, above which the second law guards
 CALM = 1.0  # s, in which the second law forgets

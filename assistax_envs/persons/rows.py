@@ -15,6 +15,7 @@ from assistax_envs.persons.parameters import (
     grade,
     index,
     left,
+    person_kind,
 )
 
 PROGRAM_VERSION = 2  # goes up when the same row acts otherwise in the same situation
@@ -55,7 +56,7 @@ def person(task: str, number: int) -> Person:
     Raises:
         ValueError: there is no such task or number.
     """
-    _check(task)
+    person_kind(task)
     if not 0 <= number < COUNT:
         raise ValueError(f"person {number} is not there; allowed are 0 to {COUNT - 1}")
     family = FAMILIES[number >= CORNERS]
@@ -69,7 +70,7 @@ def persons(task: str) -> np.ndarray:
     Raises:
         ValueError: there is no such task.
     """
-    _check(task)
+    person_kind(task)
     table = _rows(task, _points(task))
     table.flags.writeable = False
     return table
@@ -101,7 +102,7 @@ def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
 
     The same secret gives the same rows: a season's hidden persons need no storage.
     """
-    _check(task)
+    person_kind(task)
     size = count * WIDTH
     stream = hashlib.shake_256(b"persons of " + task.encode() + b" from " + secret).digest(8 * size)
     shares = (np.frombuffer(stream, "<u8") >> 11).astype(np.float64) / 2.0**53
@@ -172,8 +173,3 @@ def _points(task: str) -> np.ndarray:
     corners = corners[(np.abs(corners - 0.5) > 0.4).sum(axis=1) >= BEYOND]
     inner = 0.1 + 0.8 * points[: INNER + COUNT - CORNERS]
     return np.concatenate([inner[:INNER], corners[: CORNERS - INNER], inner[INNER:]])
-
-
-def _check(task: str) -> None:
-    if task not in PARAMETERS:
-        raise ValueError(f"task is {task!r}; allowed are {', '.join(PARAMETERS)}")

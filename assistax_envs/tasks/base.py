@@ -23,6 +23,7 @@ HUMAN_JOINTS = (
 )
 HUMAN_ACTUATORS = ("human_right_shoulder1", "human_right_shoulder2", "human_right_elbow")
 ARM_SEGMENTS = ("right_upper_arm", "right_lower_arm")
+LOWER_ARM = 1  # row of ARM_SEGMENTS
 # Joint -> (angle, lowest offset, highest offset), rad: the tool points down in front of the base.
 ROBOT_READY = {
     "robot_joint1": (0.0, -0.1, 0.1),
@@ -135,6 +136,7 @@ class Task(Protocol):
     """
 
     name: str
+    scene: str  # name of the task whose scene, seat and tool it takes; its own name if registered
     weights: dict[str, float]  # of the reward terms
     pose: "Pose"  # where joints start
     sensors: "Sensors"  # what it reads

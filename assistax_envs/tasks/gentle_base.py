@@ -20,6 +20,7 @@ STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
 FELT = 0.3  # N, from where on a touch counts as one
 LIGHTEST = 0.1  # N, below which the hook has let go
+LIGHT = 0.5  # share of what a person prefers, below which it leans in
 
 
 @jax.tree_util.register_dataclass

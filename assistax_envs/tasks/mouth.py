@@ -34,6 +34,32 @@ class MouthReadings(TouchReadings):
     felt: jax.Array  # [N, K] N, of the tool on each lip, or on each row of teeth
 
 
+@dataclasses.dataclass(frozen=True)
+class Perceived:
+    """What a person at the mouth perceives after its delay, and what it knows of itself."""
+
+    tool: jax.Array  # [N, 3] m, in the mouth's frame
+    force: jax.Array  # [N] N, of all touches
+    moving: jax.Array  # [N] m/s, smoothed speed of the tool in the mouth's frame
+    flag: jax.Array  # [N] part "flag" of the observation
+    place: jax.Array  # [N] int32, index of the one-hot part "progress", without delay
+    before: jax.Array  # [N] int32, the same a step ago
+    willing: jax.Array  # [N] s for which the person has been willing
+    aim: jax.Array  # [N, 5] rad, the posture that it moves to
+    eager: jax.Array  # [N] 0.5 to 1, by the person's initiative
+    numbers: dict[str, jax.Array]  # [N] each, the person's numbers by name
+
+
+@dataclasses.dataclass(frozen=True)
+class Comfort:
+    """Forces and shares by which a person at the mouth judges what it perceives, [N] each."""
+
+    unit: jax.Array  # N: a tolerance of 1 is this force
+    preferred: jax.Array  # N: below a share of it pressure is missed
+    speed: jax.Array  # speed of the tool, as a share of the preferred one
+    near: jax.Array  # distance of the tool, as a share of the preferred one
+
+
 class MouthSensors(TouchSensors):
     """Reads such a scene; `felt` are the parts of which a force of the tool is what it is for."""
 

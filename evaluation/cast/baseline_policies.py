@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models import build_model
 from assistax_envs.own_settings import GENERATOR
+from assistax_envs.tasks.chain import script_of
 from population.networks.seat import SeatSizes
 
 
@@ -25,7 +25,7 @@ class ReferenceSpec(SeatSizes):
 
 @dataclasses.dataclass(frozen=True)
 class ScriptSpec(SeatSizes):
-    """A task's scripted robot: see `assistax_envs.scripted` and `gentle_scripts`."""
+    """A task's scripted robot, see `assistax_envs.tasks.chain.Script`."""
 
     task: str
 

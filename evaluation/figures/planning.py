@@ -21,10 +21,12 @@ S seeds of either method the variance of its mean is
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import polars as pl
 
+from assistax_envs.registered import ByTask
 from evaluation.figures.metrics.inference import POWER, MeanTest
 from evaluation.figures.metrics.variance import Spread, measure_spread
 
@@ -35,20 +37,10 @@ SEEDS = 64  # of a method at most
 # Of the egos of docs/data/v1 with test partners, trained with 16 seeds. All partners had the same
 # starts there, which no difference shows: the starts' share of an episode's variance is that of
 # eight IPPO and six MASAC robots of d1 with starts of each partner's own (docs/advice.md).
-MEASURED: dict[str, dict[str, Spread]] = {
-    "scratch": {
-        "ppo": Spread(0.8, 3.8, 0.0, 18.6, 7.8),
-        "sac": Spread(8.8, 5.1, 8.9, 37.6, 16.7),
-    },
-    "bed_bath": {
-        "ppo": Spread(17.1, 4.5, 35.9, 25.1, 1.1),
-        "sac": Spread(16.7, 9.7, 36.7, 25.3, 1.6),
-    },
-    "arm_assist": {
-        "ppo": Spread(187.7, 124.9, 203.9, 286.8, 99.8),
-        "sac": Spread(2242.1, 26.8, 126.5, 234.0, 16.6),
-    },
-}
+MEASURED: Mapping[str, Mapping[str, Spread]] = ByTask(
+    lambda kind: {method: Spread(*values) for method, values in kind.spreads.items()},
+    lambda kind: bool(kind.spreads),
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from assistax_base.digest import sha256
-from assistax_envs import gentle_scripts, scripted
-from assistax_envs.gentle_scripts import OWN, SCRIPTS
+from assistax_envs.tasks import chain
+from assistax_envs.tasks.chain import SCRIPTS
 from evaluation.cast.baseline_policies import ReferenceSpec, ScriptSpec
 from evaluation.cast.roster import Member, Roster, joined
 from evaluation.figures.normalised import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
@@ -80,8 +80,8 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
 def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
     """Return the scripted robot of a task, whose digest is the hash of its code."""
     spec = ScriptSpec("robot", observation_size, action_size, task=task)
-    code = (gentle_scripts, scripted) if task in OWN else (scripted,)
-    digest = sha256("".join(map(inspect.getsource, code)).encode())
+    modules = inspect.getmodule(SCRIPTS[task].play), chain
+    digest = sha256("".join(map(inspect.getsource, filter(None, modules))).encode())
     return _single(spec, Member(SCRIPT, digest))
 
 

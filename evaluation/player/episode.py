@@ -22,9 +22,8 @@ from assistax_envs.env import EPISODE_LENGTH
 from assistax_envs.overlay import LEVELS, MEANINGS
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.preferences import WISHES
-from assistax_envs.registered import REGISTERED
+from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.render import picture_model, pressing
-from assistax_envs.tasks import TASK_CLASSES
 from evaluation.player.scene import scene_content
 
 LARGEST_FILE = 256 * 1024 * 1024  # bytes
@@ -41,16 +40,6 @@ WISH_WORDS = {
     "wait": (100.0, "cm", "the tool waits {} cm before the mouth"),
     "depth": (1000.0, "mm", "the tool {} mm deep in the mouth"),
     "press": (1.0, "N", "the brush at {} N"),
-}
-GOALS = {
-    "scratch": "The robot scratches an itch on the person's arm.",
-    "bed_bath": "The robot wipes points on the arm of a person in bed.",
-    "arm_assist": "The robot lays the arm of a person in bed across its waist.",
-    "gentle_scratch": "The robot strokes an itch on the person's arm, to and fro.",
-    "gentle_bath": "The robot wipes points on the arm of a person in bed.",
-    "gentle_lift": "The robot lays the arm of a person in bed across its waist.",
-    "gentle_feeding": "The robot brings a spoon to the mouth that its person opens.",
-    "gentle_brushing": "The robot brushes the teeth of a person who opens the mouth.",
 }
 LEVEL_WORDS = ("a gentle touch", "more than a gentle touch", "more than a frail person bears")
 
@@ -143,8 +132,8 @@ def episode_content(episode: Episode) -> dict[str, Any]:
 
 
 def scene_of(episode: Episode) -> str:
-    """Return whose scene an episode is played in."""
-    return _scene(TASK_CLASSES[episode.about["task"]])
+    """Return the name of the task whose scene an episode is played in."""
+    return episode.about["task"]
 
 
 def seconds_of(episode: Episode) -> float:
@@ -171,8 +160,8 @@ def _about(path: Path) -> dict[str, Any]:
         known = {"seed": int(about["seed"]), "setting": _setting(about["disability"])}
     except (ArithmeticError, LookupError, TypeError, ValueError, RecursionError):
         raise _UnplayableError("its metadata does not say who plays what") from None
-    if task not in TASK_CLASSES:
-        raise _UnplayableError(f"its task is {shorten(task)}; known are {', '.join(TASK_CLASSES)}")
+    if task not in REGISTERED:
+        raise _UnplayableError(f"its task is {shorten(task)}; known are {', '.join(REGISTERED)}")
     if max(len(robot), len(person)) > LONGEST_NAME:
         raise _UnplayableError(f"a policy's name has more than {LONGEST_NAME} characters")
     names = {"robot": printable(robot), "person": printable(person)}
@@ -198,7 +187,7 @@ def _setting(described: Any) -> str:
 
 def _episode(table: pl.DataFrame, about: Mapping[str, Any], number: int) -> Episode:
     task = TASK_CLASSES[about["task"]]
-    joints = picture_model(_scene(task)).nq
+    joints = picture_model(about["task"]).nq
     if "episode" not in table.columns or "pose" not in table.columns:
         raise _UnplayableError("it has no poses: an older version recorded it")
     rows = table.filter(pl.col("episode") == number)
@@ -273,7 +262,7 @@ def _facts(episode: Episode) -> list[tuple[str, str]]:
         ("person", about["person"]),
         ("body", about["setting"]),
         ("likes", ", ".join(wishes) or "nothing special: people of this task have no wishes"),
-        ("task", f"{about['task']}, version {about['version']}. {GOALS[about['task']]}"),
+        ("task", f"{about['task']}, version {about['version']}. {REGISTERED[about['task']].goal}"),
         ("episode", f"{about['number']} of seed {about['seed']}, {steps} steps{end}"),
     ]
 
@@ -297,10 +286,6 @@ def _touches(episode: Episode) -> list[list[list[float]]]:
         pressed = np.column_stack(pressing(model, data, newtons, felt=is_felt(episode)))
         touches.append(_numbers(pressed[pressed[:, 6] > 0.0], 4))
     return touches
-
-
-def _scene(task: Any) -> str:
-    return getattr(task, "scene", task.name)
 
 
 def _gaps(episode: Episode) -> np.ndarray:

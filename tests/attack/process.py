@@ -190,10 +190,10 @@ def _few(count: int) -> Callable[..., int]:
 def _play_a_toy() -> None:
     """Put an environment in place of the tasks whose physics would take minutes to compile."""
     import assistax_envs
-    from assistax_envs.gentle_scripts import SCRIPTS
+    from evaluation.play import baselines
     from tests.population.toy_env import ToyEnv, match
 
-    SCRIPTS.clear()  # they read the observations of the true tasks
+    baselines.SCRIPTS = {}  # they read the observations of the true tasks
 
     def make(task: str, backend: str = "native", **_: Any) -> ToyEnv:
         toy = ToyEnv(match)

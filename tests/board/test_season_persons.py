@@ -26,6 +26,7 @@ from assistax_board.store import schema
 from assistax_board.submitting import _try_work
 from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.persons.rows import COUNT, drawn
+from assistax_envs.registered import REGISTERED
 from assistax_envs.versions import VERSIONS
 from assistax_zoo.shell.main import run
 from evaluation.cast.cast import choose_partners
@@ -99,7 +100,9 @@ def test_partners_of_another_environment_have_a_folder_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setitem(VERSIONS, TASK, 2)
+        older = dataclasses.replace(REGISTERED[TASK], version=2)
+        # The kinds that were loaded: a version that this installation does not have.
+        patch.setitem(REGISTERED._kinds, TASK, older)
         published(teams_of(2, task=TASK), tmp_path)
     with pytest.raises(ValueError, match="play version 2 of gentle_scratch, and persons version 3"):
         add_persons(tmp_path, TASK, 6)

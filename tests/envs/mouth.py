@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, EnvState, disability_params, make
-from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models.care_scenes import OPEN
 from assistax_envs.models.teeth import INNER, SHOWN_BY
 from assistax_envs.preferences import PREFERENCES
+from assistax_envs.tasks.chain import script_of
 from assistax_envs.tasks.mouth import TAKING, TURNED, WAITING
 from tests.envs.conftest import compiled, environment
 

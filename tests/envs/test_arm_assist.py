@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from assistax_envs import disability_params
-from assistax_envs.tasks.arm_assist import ARRIVED, LARGEST_NORM, ArmAssist, arm_assist_terms
+from assistax_envs.tasks.arm_assist.task import ARRIVED, LARGEST_NORM, ArmAssist, arm_assist_terms
 from tests.envs.conftest import compiled, environment, start
 from tests.envs.teams import Players, team
 

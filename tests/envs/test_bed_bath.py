@@ -9,7 +9,7 @@ import pytest
 
 from assistax_envs.tasks import Sensors
 from assistax_envs.tasks.base import REACH, Readings, rotate
-from assistax_envs.tasks.bed_bath import POINTS, BedBath, BedBathState
+from assistax_envs.tasks.bed_bath.task import POINTS, BedBath, BedBathState
 from tests.envs.conftest import environment, start
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from assistax_envs import TASKS
 from assistax_envs.models import build_model
-from assistax_envs.models.gentle_scenes import SCENES
-from assistax_envs.tasks import TASK_CLASSES
+from assistax_envs.registered import TASK_CLASSES
 from assistax_envs.tasks.base import ARM_SEGMENTS, ROBOT_JOINTS
-from assistax_envs.tasks.bed_bath import arm_points
+from assistax_envs.tasks.bed_bath.task import arm_points
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+from tests.envs.base_scenes import BASES
 from tests.envs.conftest import constant_actions, play, start
 
 ARM_TASKS = (*PAPER_TASKS, *GENTLE_TASKS)
@@ -74,7 +74,7 @@ def test_a_falling_arm_gains_no_energy_and_falls_through_nothing(task: str) -> N
     assert np.diff(energies[::20]).max() < 0.02  # J in 0.1 s
     assert energies[-1] < energies[0] - 0.5
     # m: by the thigh, mattress, over its edge
-    below = {"scratch": 0.6, "bed_bath": 0.62, "arm_assist": 0.45}[SCENES.get(task, task)]
+    below = {"scratch": 0.6, "bed_bath": 0.62, "arm_assist": 0.45}[BASES.get(task, task)]
     assert data.site("human_right_lower_arm").xpos[2] > below
 
 

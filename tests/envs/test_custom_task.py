@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from assistax_envs import make
-from assistax_envs.tasks.gentle_scratch import GentleScratch
-from assistax_envs.tasks.scratch import Scratch
+from assistax_envs.tasks.gentle_scratch.task import GentleScratch
+from assistax_envs.tasks.scratch.task import Scratch
 from tests.envs.conftest import random_actions, start
 
 

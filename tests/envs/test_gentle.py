@@ -16,22 +16,20 @@ import numpy as np
 import pytest
 
 import assistax_envs
-from assistax_envs import disability_params, scripted
-from assistax_envs.gentle_scripts import SCRIPTS, script_of
+from assistax_envs import disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.gentle_scenes import (
-    HUMAN_SHARE,
     LINKS,
     ROBOT_SHARE,
-    SCENES,
     SKIN,
     TRUNK,
     touching,
 )
 from assistax_envs.physics import PhysicsState
 from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, VALUES, WISHES, Preference
-from assistax_envs.scripted import Chain
+from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import HUMAN_JOINTS, Readings
+from assistax_envs.tasks.chain import SCRIPTS, Chain, script_of
 from assistax_envs.tasks.gentle_base import (
     TouchReadings,
     along_skin,
@@ -42,6 +40,7 @@ from assistax_envs.tasks.gentle_base import (
     world_force,
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
+from tests.envs.base_scenes import BASES
 from tests.envs.conftest import (
     compiled,
     constant_actions,
@@ -64,12 +63,12 @@ N = 64
 def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_trunk(
     task: str,
 ) -> None:
-    ours, theirs = build_model(task), build_model(SCENES[task])
+    ours, theirs = build_model(task), build_model(BASES[task])
     for name in ("body_mass", "body_pos", "jnt_range", "geom_size", "qpos_spring"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     for i in range(ours.nu):
         name = ours.actuator(i).name
-        share = ROBOT_SHARE if name.startswith("robot_") else HUMAN_SHARE[task]
+        share = ROBOT_SHARE if name.startswith("robot_") else REGISTERED[task].scene.human_share
         full = build_model("scratch").actuator(name).gear[0]
         assert ours.actuator(i).gear[0] == pytest.approx(share * full)
     for name in HUMAN_JOINTS:
@@ -439,7 +438,7 @@ def _gap(state) -> jax.Array:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_script_is_at_most_sixty_lines(task: str) -> None:
-    lines = inspect.getsource(SCRIPTS[task]).splitlines()
+    lines = inspect.getsource(SCRIPTS[task].play).splitlines()
     assert len(lines) <= 60
     assert ast.parse("\n".join(lines))
 
@@ -468,5 +467,4 @@ def test_the_jacobian_is_mujocos() -> None:
 
 def test_every_task_has_a_script() -> None:
     assert set(SCRIPTS) == set(TASKS)
-    assert all(inspect.getdoc(script) for script in SCRIPTS.values())
-    assert scripted.__doc__
+    assert all(inspect.getdoc(script.play) for script in SCRIPTS.values())

@@ -12,7 +12,7 @@ from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import TEETH
 from assistax_envs.models.teeth import INNER, OFF, ORDER, PLACES, SHOWN_BY, places
 from assistax_envs.preferences import PREFERENCES
-from assistax_envs.tasks.gentle_brushing import (
+from assistax_envs.tasks.gentle_brushing.task import (
     ASKED,
     AT,
     HALF,

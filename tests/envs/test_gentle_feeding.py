@@ -13,7 +13,7 @@ from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import OPEN, SEAT, STIFF_JOINTS
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, human_actuators, human_joints
-from assistax_envs.tasks.gentle_feeding import (
+from assistax_envs.tasks.gentle_feeding.task import (
     ASKED,
     MEAL,
     SERVE,

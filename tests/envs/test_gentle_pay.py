@@ -17,7 +17,7 @@ from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from assistax_envs.tasks.gentle_base import TouchReadings
 
 # The formula by itself, at values that play seldom reaches.
-from assistax_envs.tasks.gentle_lift import HANDWARD, THERE, UNDER, WAY, _lifted_at
+from assistax_envs.tasks.gentle_lift.task import HANDWARD, THERE, UNDER, WAY, _lifted_at
 from tests.envs.conftest import environment, play, start
 
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.models import build_model
-from assistax_envs.scripted import Chain
+from assistax_envs.tasks.chain import SCRIPTS, Chain, script_of
 from assistax_envs.versions import CARE_TASKS
 
+RANGES = {task: script.ranges for task, script in SCRIPTS.items() if script.ranges}
 SKIN = ("gentle_scratch", "gentle_bath")
 NORMAL = {
     "gentle_scratch": slice(37, 40),
@@ -57,7 +57,7 @@ def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
 @pytest.mark.parametrize("task", RANGES)
 def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
     model, obs = build_model(task), _seen(task)
-    own = OWN[task]
+    own = SCRIPTS[task].numbers
     assert set(own) == set(RANGES[task])
     # Somewhere in the ranges, where no number hides another.
     middle = {name: 0.5 * (low + high) for name, (low, high) in RANGES[task].items()}

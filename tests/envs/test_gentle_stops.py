@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import assistax_envs
-from assistax_envs.gentle_scripts import script_of
 from assistax_envs.models import build_model
 from assistax_envs.physics import SUBSTEPS, PhysicsState
 from assistax_envs.physics.base import felt_sensors
 from assistax_envs.tasks import gentle_base
 from assistax_envs.tasks.base import HUMAN_JOINTS
+from assistax_envs.tasks.chain import script_of
 from tests.envs.conftest import environment
 from tests.envs.fused.scenes import touching_states
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from assistax_envs.models.teeth import ORDER
-from assistax_envs.persons.head import JAW, LEAN, WIDE, YAW, Mind
+from assistax_envs.persons.head import JAW, LEAN, YAW, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH, person_kind
 from assistax_envs.persons.player import PersonPlayer
 from assistax_envs.persons.rows import INNER, persons
-from assistax_envs.persons.senses import AT_MOUTH, MOUTH_UNIT
+from assistax_envs.tasks.gentle_feeding.eating import WIDE
 from assistax_envs.tasks.mouth import ENTERING, TAKING, TURNED, WAITING
 from tests.envs.conftest import start
 
@@ -50,12 +50,12 @@ def met(
     player, act = acting(task, family)
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     rows = jnp.asarray(np.resize(np.array(row, np.float32), (BATCH, WIDTH)))
-    seen, where = at_rest(task).copy(), AT_MOUTH[task]
+    seen, where = at_rest(task).copy(), person_kind(task).columns
     seen[where["tool"]] = 10.0 * np.array(tool)
     seen[where["progress"]] = 0.0
     seen[where["progress"].start + stage] = 1.0
-    seen[where["closed"]] = 1.0
-    seen[where["touch"]] = touch / MOUTH_UNIT[task]
+    seen[where["flag"]] = 1.0
+    seen[where["touch"]] = touch / person_kind(task).touch_unit
     obs, mind = jnp.asarray(np.tile(seen, (BATCH, 1))), player.initial_carry((BATCH,))
     action = jnp.zeros((BATCH, 5))
     for step in range(steps):

@@ -12,13 +12,13 @@ from assistax_envs.persons import muscles, reaction
 from assistax_envs.persons.body import JOINTS
 from assistax_envs.persons.controller import Controller, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, index, left
+from assistax_envs.persons.parameters import PARAMETERS, WIDTH, index, left, person_kind
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import (
     INNER,
     persons,
 )
-from assistax_envs.persons.senses import columns, sense
+from assistax_envs.persons.senses import sense
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
 from tests.envs.conftest import constant_actions, each_of, environment, one_gentle_task, play, start
@@ -65,7 +65,7 @@ def watched(
     rows: np.ndarray, touches: np.ndarray, task: str = "gentle_scratch", family: str = "spring"
 ) -> tuple[list[Mind], np.ndarray]:
     """Return carries and actions [T, N, 3] while forces [T] N act on an arm that is held still."""
-    count, where = len(rows), columns(task)["touch"]
+    count, where = len(rows), person_kind(task).columns["touch"]
     row = jnp.asarray(np.resize(rows, (BATCH, WIDTH)))  # one size: compiled once
     mind, minds, actions = player(task, family).initial_carry((BATCH,)), [], []
     for time, touch in enumerate(touches):
@@ -81,7 +81,7 @@ def watched(
 @each_of(tuple(task for task in PARAMETERS if REGISTERED[task].seat == "arm"))
 def test_senses_read_what_the_human_observes(task: str) -> None:
     env = environment(task, "fused")
-    assert list(columns(task).values())[-1].stop == env.observation_size["human"]
+    assert list(person_kind(task).columns.values())[-1].stop == env.observation_size["human"]
     actions = constant_actions(3, 3, 0.3, 0.2)
     state = play(task, "fused", start(task, "fused", ["d1"] * 3, seed=5), actions)[-1]
     senses = sense(task, state.obs["human"])
@@ -91,7 +91,9 @@ def test_senses_read_what_the_human_observes(task: str) -> None:
     position, _ = controller(task).arm.frames(senses.position)
     seen = state.obs["human"]
     for segment, name in enumerate(("upper_arm", "lower_arm")):
-        np.testing.assert_allclose(position[:, segment], seen[:, columns(task)[name]], atol=5e-3)
+        np.testing.assert_allclose(
+            position[:, segment], seen[:, person_kind(task).columns[name]], atol=5e-3
+        )
 
 
 @pytest.mark.parametrize("task", ["gentle_scratch", "gentle_lift"])

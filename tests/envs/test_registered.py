@@ -1,45 +1,118 @@
-"""A task is registered in one place, which is read without JAX."""
+"""Tasks are found by name: our own, and those of installed packages, without JAX."""
 
 import ast
+import dataclasses
 import json
 import subprocess
 import sys
-from importlib import resources
+from importlib import metadata, resources
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from assistax_envs import make
-from assistax_envs.gentle_scripts import SCRIPTS
+from assistax_envs import make, registered
+from assistax_envs.models.build import scene_sha256
 from assistax_envs.preferences import VALUES, WISHES
-from assistax_envs.registered import REGISTERED
-from assistax_envs.tasks import TASK_CLASSES
-from assistax_envs.tasks.scratch import Scratch
+from assistax_envs.registered import GROUP, OURS, REGISTERED, TASK_CLASSES, Kinds
+from assistax_envs.tasks.chain import SCRIPTS, script_of
+from assistax_envs.tasks.kind import Scene
+from assistax_envs.tasks.scratch import TASK as SCRATCH
+from assistax_envs.tasks.scratch.task import Scratch
 from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo", "workshop", "board")
 
 
-def test_every_table_of_tasks_is_the_registered_one() -> None:
+class Mine(Scratch):
+    name = scene = "mine"
+
+
+TEXT = resources.files("assistax_envs.tasks.scratch").joinpath("scene.xml").read_text()
+MINE = dataclasses.replace(
+    SCRATCH, name="mine", version=7, make=f"{__name__}:Mine", scene=Scene(TEXT), paper=False
+)
+
+
+@pytest.fixture
+def outside(monkeypatch: pytest.MonkeyPatch):
+    """Give the entry points of installed packages: names and places."""
+
+    def give(*places: tuple[str, str]) -> None:
+        found = metadata.EntryPoints(
+            metadata.EntryPoint(name, place, GROUP) for name, place in places
+        )
+        kinds = Kinds()
+        monkeypatch.setattr(registered, "entry_points", lambda group: found.select(group=group))
+        monkeypatch.setitem(REGISTERED.__dict__, "_kinds", {})
+        monkeypatch.setitem(REGISTERED.__dict__, "_entries", kinds._entries)
+
+    return give
+
+
+def test_tables_have_every_task_in_order() -> None:
     tables = (TASKS, VERSIONS, TASK_CLASSES, SCRIPTS)
     assert all(tuple(table) == tuple(REGISTERED) for table in tables)
-    assert (*PAPER_TASKS, *GENTLE_TASKS, *CARE_TASKS) == TASKS
+    assert (*PAPER_TASKS, *GENTLE_TASKS, *CARE_TASKS) == OURS == TASKS[: len(OURS)]
     assert tuple(WISHES) == (*GENTLE_TASKS, *CARE_TASKS)
 
 
 @pytest.mark.parametrize("task", REGISTERED)
-def test_a_row_names_what_there_is(task: str) -> None:
-    row = REGISTERED[task]
-    assert TASK_CLASSES[task].name == task
-    assert (resources.files("assistax_envs.models") / f"{row.tool}.xml").is_file()
-    assert set(row.wishes) <= set(VALUES)
+def test_kind_names_what_exists(task: str) -> None:
+    kind = REGISTERED[task]
+    assert TASK_CLASSES[task].name == TASK_CLASSES[task].scene == kind.name == task
+    assert (resources.files("assistax_envs.models") / f"{kind.tool}.xml").is_file()
+    assert set(kind.preferences) <= set(VALUES) and kind.goal.endswith(".")
 
 
-def test_tasks_are_known_without_jax() -> None:
+def test_kind_refuses_unknown_preferences() -> None:
+    with pytest.raises(ValueError, match="mine has preferences about taste; allowed are force"):
+        dataclasses.replace(MINE, preferences=("taste",))
+
+
+def test_outside_task_plays_with_scene_and_script(outside) -> None:
+    outside(("mine", f"{__name__}:MINE"))
+    assert tuple(REGISTERED) == (*OURS, "mine") and VERSIONS["mine"] == 7
+    env = make("mine", "native")
+    assert (env.task, env.version) == ("mine", 7)
+    assert scene_sha256("mine") == scene_sha256("scratch")
+    obs = jnp.asarray(np.random.default_rng(0).normal(size=(2, 34)), jnp.float32)
+    np.testing.assert_array_equal(
+        script_of("mine", env.model)(obs), script_of("scratch", env.model)(obs)
+    )
+
+
+@pytest.mark.parametrize(
+    ("places", "message"),
+    [
+        (
+            [("scratch", "lab.tasks:TASK")],
+            "package lab.tasks:TASK adds a task 'scratch', which",
+        ),
+        ([("a", "one:TASK"), ("a", "two:TASK")], "a task 'a', which one:TASK has too; rename"),
+        ([("mine", "no_such_module:TASK")], r"'mine' .* cannot be loaded \(ModuleNotFoundError: "),
+        (
+            [("mine", f"{__name__}:TEXT")],
+            "point 'mine' .* gives str; it must give a TaskKind",
+        ),
+        (
+            [("other", f"{__name__}:MINE")],
+            "'other' .* gives a task 'mine'; it must give a",
+        ),
+    ],
+)
+def test_bad_entry_names_its_package(outside, places, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        outside(*places)
+        [REGISTERED[name] for name in REGISTERED]
+
+
+def test_kinds_load_without_jax() -> None:
     code = (
-        "import json, sys; import assistax_envs.registered, assistax_envs.versions, "
-        "assistax_envs.preferences; print(json.dumps(sorted({'jax', 'mujoco'} & set(sys.modules))))"
+        "import json, sys, assistax_envs.versions as v, assistax_envs.preferences; dict(v.VERSIONS)"
+        "; print(json.dumps(sorted({'jax', 'mujoco'} & set(sys.modules))))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == []
@@ -56,7 +129,7 @@ def membership_tests(source: str) -> list[int]:
     ]
 
 
-def test_nobody_asks_for_a_task_by_its_kind() -> None:
+def test_no_module_asks_for_a_group_of_tasks() -> None:
     assert membership_tests("if task not in GENTLE_TASKS:\n    pass") == [1]  # planted
     lines = {
         str(path.relative_to(ROOT)): numbers
@@ -67,9 +140,9 @@ def test_nobody_asks_for_a_task_by_its_kind() -> None:
     assert lines == {}
 
 
-def test_a_class_without_a_scene_is_refused_with_what_to_do() -> None:
-    class Mine(Scratch):
-        name = "mine"
+def test_class_of_an_unknown_scene_is_refused() -> None:
+    class Lost(Scratch):
+        name, scene = "lost", "nowhere"
 
-    with pytest.raises(ValueError, match="there is no scene 'mine'; set the class's `scene`"):
-        make(Mine, "native")
+    with pytest.raises(ValueError, match="there is no scene 'nowhere'; set the class's `scene`"):
+        make(Lost, "native")

@@ -20,8 +20,8 @@ import pytest
 from assistax_envs import EnvState, gl
 from assistax_envs.models import build, build_dressed, build_model
 from assistax_envs.overlay import COSTS, EARNS, LEVELS, Figures, panel
+from assistax_envs.registered import TASK_CLASSES
 from assistax_envs.render import Renderer
-from assistax_envs.tasks import TASK_CLASSES
 from tests.envs.conftest import each_of, environment, start
 from tests.system import needs
 

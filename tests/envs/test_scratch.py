@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.tasks.scratch import BEST_FORCE, BEST_SPEED, scratch_terms
+from assistax_envs.tasks.scratch.task import BEST_FORCE, BEST_SPEED, scratch_terms
 
 
 def test_a_perfect_episode_earns_the_papers_bound() -> None:

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+from assistax_envs.tasks.chain import Script
 from evaluation.cast.baseline_policies import (
     ReferencePolicy,
     ReferenceSpec,
@@ -112,7 +113,7 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A script of the matrix game, which plays row 1."""
-    monkeypatch.setattr("evaluation.play.baselines.SCRIPTS", {"matrix": None})
+    monkeypatch.setattr("evaluation.play.baselines.SCRIPTS", {"matrix": Script(lambda *_: None)})
     monkeypatch.setattr("evaluation.cast.baseline_policies.build_model", lambda task: None)
     monkeypatch.setattr(
         "evaluation.cast.baseline_policies.script_of",

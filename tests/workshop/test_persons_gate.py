@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assistax_envs.gentle_scripts import RANGES
+from assistax_envs.tasks.chain import SCRIPTS
 from assistax_workshop.gates import persons, persons_reading
 from assistax_workshop.gates.persons import SINGLE, STRANGERS, Plan, run_stages
 from assistax_workshop.gates.persons_table import FEW, gates_of_persons, read_stages
@@ -37,7 +37,7 @@ def test_stages_write_what_each_robot_earns_with_each_person(
         "wishes read by script",
     ]
     found = files["search"]
-    assert len(found["scores"]) == 25 and set(found["numbers"]) == set(RANGES[TASK])
+    assert len(found["scores"]) == 25 and set(found["numbers"]) == set(SCRIPTS[TASK].ranges)
     assert np.shape(found["sides"]["corners"]["return"]) == (2, 3, 2)
     read = [gate.told for gate in gates_of_persons(TASK, files) if "read" in gate.gate]
     assert read and set(read) == {FEW}

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from assistax_base.digest import sha256
-from assistax_envs.versions import VERSIONS
 from population.networks.tensors import take_row
 from zoo.parameters.encoding import encode_shard
 from zoo.parameters.storage import read_shard
@@ -94,6 +93,6 @@ def test_changed_splits_and_settings_are_found(registry: Registry) -> None:
 def test_another_environment_version_is_a_note(
     registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(VERSIONS, "scratch", 2)
+    monkeypatch.setattr("zoo.verify.VERSIONS", {"scratch": 2})
     report = verify(registry)
     assert report.ok and "scratch version 1; installed is 2" in report.notes[0]

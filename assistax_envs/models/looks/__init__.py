@@ -15,7 +15,6 @@ import numpy as np
 HIDDEN = 3  # the group of what collides, which MuJoCo's viewers do not show at first
 SIDES, STEPS = 16, 3  # corners of a tube's section, rings from one row to the next
 UNPAINTED = [0.5, 0.5, 0.5, 1.0]  # MuJoCo's own default: the material's colour is shown
-FURNITURE = {"scratch": "wheelchair", "bed_bath": "wide_bed", "arm_assist": "narrow_bed"}
 PRIMITIVES = {
     name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
     for name in ("capsule", "cylinder", "ellipsoid", "box")
@@ -24,8 +23,10 @@ PRIMITIVES = {
 
 @functools.cache
 def look(name: str) -> dict[str, Any]:
-    """Return the content of a file of looks."""
-    return tomllib.loads(resources.files(__name__).joinpath(f"{name}.toml").read_text())
+    """Return the content of a file of looks: a name in this folder, or "PACKAGE:NAME.toml"."""
+    package, _, file = name.rpartition(":")
+    folder = resources.files(package or __name__)
+    return tomllib.loads(folder.joinpath(file if package else f"{file}.toml").read_text())
 
 
 def palettes() -> list[dict[str, list[float]]]:
@@ -36,11 +37,14 @@ def palettes() -> list[dict[str, list[float]]]:
 def dress(scene: mujoco.MjSpec, furniture: str, tool: str) -> None:
     """Put what pictures show onto a scene, and hide what it stands for. In place.
 
-    Shapes that are `only` for a tool are left out with others.
+    Args:
+        scene: The scene, tool attached.
+        furniture: Name of the looks of its furniture; without one its own geoms are shown.
+        tool: Tool in the robot's hand: shapes that are `only` for another one are left out.
     """
     cameras: dict[str, Any] = {}
     head = "mouth" if scene.body("human_jaw") else "head"
-    for name in ("room", "panda", "person", FURNITURE[furniture], head):
+    for name in ("room", "panda", "person", *[furniture] * bool(furniture), head):
         parts = look(name)
         for material, (red, green, blue, shine) in parts.get("materials", {}).items():
             scene.add_material(

@@ -53,6 +53,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from assistax_base.statistics import score_matrix
+from assistax_envs.registered import ByTask
 
 CONFIDENCE = 0.95
 ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
@@ -64,14 +65,9 @@ _INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are compu
 
 # Standard deviation between seeds of one method of their means over partners: root mean square over
 # the zoo's PPO and SAC egos of each task; tests/evaluation/test_ranks.py computes them.
-SEED_SDS: Mapping[str, float] = {
-    "scratch": 5.8,
-    "bed_bath": 15.7,
-    "arm_assist": 1595.0,
-    "gentle_scratch": 18.3,
-    "gentle_bath": 31.5,
-    "gentle_lift": 88.5,
-}
+SEED_SDS: Mapping[str, float] = ByTask(
+    lambda kind: kind.seed_sd, lambda kind: kind.seed_sd is not None
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,11 +11,11 @@ import numpy as np
 
 from assistax_envs import TASKS as TASKS
 from assistax_envs.models import build_model
-from assistax_envs.models.gentle_scenes import SCENES
 from assistax_envs.physics.base import values_width
 from assistax_envs.physics.fused import generate
 from assistax_envs.physics.fused.runtime import cache, cpu
 from assistax_envs.versions import CARE_TASKS
+from tests.envs.base_scenes import BASES
 
 ELBOW = "human_right_elbow"
 DEEP = 0.025  # m; the thinnest two capsules that meet have their axes 0.041 apart
@@ -137,7 +137,7 @@ def team_states(task: str) -> tuple[States, np.ndarray]:
 
     Of a gentle task's scene, the states of the paper's task from whose scene it is made.
     """
-    base, model = SCENES.get(task, task), scene(task)
+    base, model = BASES.get(task, task), scene(task)
     with np.load(Path(__file__).with_name("team_states.npz")) as file:
         arrays = {k.removeprefix(f"{base}_"): v for k, v in file.items() if k.startswith(base)}
     if task in CARE_TASKS:  # of a scripted pair

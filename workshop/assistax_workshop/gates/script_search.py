@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, make
-from assistax_envs.gentle_scripts import OWN, RANGES, script_of
 from assistax_envs.persons import numbers
+from assistax_envs.tasks.chain import SCRIPTS, script_of
 from assistax_workshop.gates.persons import (
     STRANGERS,
     Plan,
@@ -55,7 +55,7 @@ def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[s
     """
     if plan.tries < ROUNDS * ELITE:
         raise ValueError(f"tries is {plan.tries}; give at least {ROUNDS * ELITE}")
-    env, names = make(plan.task, plan.backend), list(RANGES[plan.task])
+    env, names = make(plan.task, plan.backend), list(SCRIPTS[plan.task].ranges)
     policy, rng = TriedScript(env), np.random.default_rng(0)
     rollout = rollout_with_persons(plan, env, policy)
     training = numbers("training")
@@ -89,14 +89,15 @@ def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[s
 
 def _own_places(task: str) -> np.ndarray:
     """Return where a script's own numbers lie between their least and their most, as shares."""
+    script = SCRIPTS[task]
     return np.array(
-        [(OWN[task][n] - low) / (high - low) for n, (low, high) in RANGES[task].items()]
+        [(script.numbers[n] - low) / (high - low) for n, (low, high) in script.ranges.items()]
     )
 
 
 def _stack(task: str, places: np.ndarray) -> dict[str, jax.Array]:
     """Return the numbers by name, [tries] each, at places [tries, numbers]."""
-    ranges = np.array(list(RANGES[task].values()))
+    ranges = np.array(list(SCRIPTS[task].ranges.values()))
     values = ranges[:, 0] + places * (ranges[:, 1] - ranges[:, 0])
     columns = np.array([[float(f"{value:.4g}") for value in row] for row in values], np.float32)
-    return dict(zip(RANGES[task], jnp.asarray(columns.T), strict=True))
+    return dict(zip(SCRIPTS[task].ranges, jnp.asarray(columns.T), strict=True))

@@ -14,6 +14,7 @@ import jax
 
 from assistax_envs import make
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.registered import ByTask
 from assistax_workshop.gates.audit import held_roster
 from assistax_workshop.gates.audit_teams import read_teams
 from assistax_zoo.shell.console import TrainingLine
@@ -28,23 +29,10 @@ from population.runs.train import train
 from population.trainers.frozen_partners import FrozenPartners
 from zoo.registry import load_registry
 
-# Of PPO's presets, what all runs of a task change. Noise of the size of a whole joint's torque rubs
-# nobody gently, hence the small deviation at the start; what keeps it from shrinking before both
-# have found their part of the act is the bonus, which ends with the run. MAPPO learns at IPPO's
-# rate. On a CPU `--set num_envs=256 --steps 6M` gives a team of scratch or bath in five minutes.
-GENTLE: Mapping[str, Any] = {
-    "initial_log_std": -1.2,
-    "anneal_lr": True,
-    "anneal_entropy": True,
-    "learning_rate": 1e-3,
-}
-CHANGES: Mapping[str, Mapping[str, Any]] = {
-    "gentle_scratch": {**GENTLE, "entropy_coef": 3e-3},
-    "gentle_bath": {**GENTLE, "entropy_coef": 3e-3},
-    "gentle_lift": {**GENTLE, "entropy_coef": 6e-3},
-    "gentle_feeding": {**GENTLE, "entropy_coef": 3e-3},
-    "gentle_brushing": {**GENTLE, "entropy_coef": 3e-3},
-}
+# Changes of PPO's presets for all runs of a task.
+CHANGES: Mapping[str, Mapping[str, Any]] = ByTask(
+    lambda kind: kind.recipe, lambda kind: bool(kind.recipe)
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,7 +37,7 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.scratch import START
+from assistax_envs.tasks.scratch.task import START
 
 HALF = 0.01  # m, from the itch to either end, along the arm
 AT_END = 0.005  # m over the skin, how near the tool comes to an end: strokes are longer than 1 cm
@@ -45,12 +45,9 @@ OFF_END = (
     0.02  # m, how far the middle of the tool's round tip, of radius 1 cm, may be from an end in all
 )
 STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
-# Degrees about each segment's axis, from its frame's x to its y, where the tool cannot come while
-# the arm rests. By inverse kinematics from the robot's start, 2,000 points: of those inside 8% can
-# be touched, of those outside 84%.
-HIDDEN = ((90.0, 200.0), (150.0, 295.0))
-# Where itches lie. Of 1,536 itches in the arcs above the script scratches 24% with a human that
-# does nothing, near the arcs' ends; in these it scratches 1%.
+# Degrees about each segment's axis, where itches lie: inside of `scratch.person.HIDDEN`. Of 1,536
+# itches there the script scratches 24% with a human that does nothing, near the arcs' ends; in
+# these arcs it scratches 1%.
 ARCS = ((110.0, 165.0), (175.0, 285.0))
 ENOUGH = 12  # strokes: half of what the slowest wish leaves time for, 33 less the way there
 
@@ -80,7 +77,7 @@ class GentleScratch:
     fixed pay teaches haste.
     """
 
-    name = "gentle_scratch"
+    name = scene = "gentle_scratch"
     stops: ClassVar = True
     target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0), "ends": (0.05, 0.20, 0.75, 1.0)}
 

@@ -49,7 +49,7 @@ class Scratch:
     `exp(-d^2/sigma) + [d < 0.1] (v/v* e^(-v/v*)) (f/f* e^(-f/f*))`.
     """
 
-    name = "scratch"
+    name = scene = "scratch"
     stops: ClassVar = False
     target_colours: ClassVar = {"itch": (0.95, 0.05, 0.55, 1.0)}  # of `targets`, RGBA
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.preferences import PLACES
-from assistax_envs.tasks.arm_assist import LOWER_ARM, START
+from assistax_envs.tasks.arm_assist.task import START
 from assistax_envs.tasks.base import (
     HUMAN_ACTUATORS,
+    LOWER_ARM,
     Measures,
     Pose,
     observations,
@@ -35,12 +35,12 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
+from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
 
 # m: the forearm's place is so far from EDGE, across the waist. Everywhere there an arm slides off
 # the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
 # that it likes (from 0.3 to 0.2 or 0.1), and cannot draw it up.
-EDGE, ACROSS = (-0.338, -0.382, 0.765), (0.78, 0.6258, 0.0)
-MIDDLE = PLACES[1]  # m: what the robot takes for the place
+EDGE = (-0.338, -0.382, 0.765)
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
 # anywhere between, as if it had slipped so far. Who always starts with the whole way finds its
 # first half, and stays there: docs/tasks.md.
@@ -94,7 +94,7 @@ class GentleLift:
     Most of it without a touch, with the hook at the distance that the human likes.
     """
 
-    name = "gentle_lift"
+    name = scene = "gentle_lift"
     stops: ClassVar = True
     target_colours: ClassVar = {
         "section": (0.95, 0.05, 0.55, 1.0),

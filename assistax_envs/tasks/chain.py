@@ -1,23 +1,25 @@
-"""Scripted robots: a few lines for each task that drive the tool to its target.
+"""Scripted robots: the chain of joints that a script drives, and the script of a task.
 
-What such a script earns with a passive human is what a task pays without coordination: a task on
-which it does well says little about partners. It sees what a trained robot sees, and has no memory.
+A script sees what a trained robot sees, and has no memory. Its return with a passive human is what
+a task pays without coordination: a task on which it does well says little about partners.
 
 Shapes: N simulations; observations [N, O] of the robot, actions [N, 7].
 """
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.registered import REGISTERED
+from assistax_envs.registered import ByTask, load
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
 
 DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
-UNDER = 0.045 * DOWN  # m, from the middle of the forearm to where the bar carries it
+Numbers = Mapping[str, Any]
 TURN = 0.2  # m, weight of the shaft's direction against the tool's place
 
 
@@ -91,28 +93,41 @@ class Chain:
         return share / jnp.maximum(1.0, jnp.abs(share).max(axis=1, keepdims=True))
 
 
-def scripted_robot(task: str, model: mujoco.MjModel) -> Callable[[jax.Array], jax.Array]:
-    """Return the script of a task: from observations [N, O] of the robot to actions [N, 7]."""
-    return jax.tree_util.Partial(SCRIPTS[task], Chain(model))
+@dataclasses.dataclass(frozen=True)
+class Script:
+    """Script of a task.
+
+    Attributes:
+        play: From the chain, the script's numbers and observations to actions.
+        numbers: Numbers that it plays by; the best of a search with persons
+            (`assistax-zoo gates persons TASK --only search`).
+        ranges: Least and largest value that a search tries of each number.
+        force: Column of the robot's observation with the force that the script keeps to; None if
+            it keeps to no force.
+    """
+
+    play: Callable[[Chain, Numbers, jax.Array], jax.Array]
+    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    force: int | None = None
 
 
-def go(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Scratch and bed bath: to the target by the shortest way, and stay."""
-    return chain.drive(obs, capped(6.0 * obs[:, 30:33], 0.8), _down(obs), turn=0.0, damping=1e-3)
+SCRIPTS: Mapping[str, Script] = ByTask(lambda kind: load(kind.script))
 
 
-def lift(chain: Chain, obs: jax.Array) -> jax.Array:
-    """Arm assist: the bar under the forearm, then with it to the waist."""
-    to_section, distance, to_waist = obs[:, 30:33], obs[:, 33:34], obs[:, 43:46]
-    under = to_section + UNDER
-    carry = capped(4.0 * to_waist, 0.5) + 2.0 * to_section
-    return chain.drive(obs, jnp.where(distance < 0.08, carry, capped(4.0 * under, 0.3)), _down(obs))
+def script_of(
+    task: str, model: mujoco.MjModel, numbers: Numbers | None = None
+) -> Callable[[jax.Array], jax.Array]:
+    """Return a task's script: from observations [N, O] of the robot to actions [N, 7].
 
-
-# Scripts of the paper's tasks; `assistax_envs.gentle_scripts` has the others.
-SCRIPTS: dict[str, Callable[[Chain, jax.Array], jax.Array]] = {
-    name: globals()[task.script] for name, task in REGISTERED.items() if task.paper
-}
+    Args:
+        task: The task.
+        model: Model of its scene.
+        numbers: Numbers that replace some of the script's own.
+    """
+    script = SCRIPTS[task]
+    chosen = {**script.numbers, **(numbers or {})}
+    return jax.tree_util.Partial(script.play, Chain(model), chosen)
 
 
 def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:
@@ -121,7 +136,8 @@ def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:
     return vector * jnp.minimum(1.0, most / jnp.maximum(length, 1e-9))
 
 
-def _down(obs: jax.Array) -> jax.Array:
+def down(obs: jax.Array) -> jax.Array:
+    """Return the direction downwards [N, 3] for each row of observations."""
     return jnp.broadcast_to(DOWN, (obs.shape[0], 3))
 
 
@@ -130,3 +146,8 @@ def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     w1, u1, w2, u2 = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     w = w1 * w2 - (u1 * u2).sum(-1, keepdims=True)
     return jnp.concatenate([w, w1 * u2 + w2 * u1 + jnp.cross(u1, u2)], axis=-1)
+
+
+def unit(vector: jax.Array) -> jax.Array:
+    """Return vectors [N, 3] of length 1 in the same directions; shorter ones than 1e-6 m shrink."""
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)

@@ -24,7 +24,7 @@ from assistax_envs.tasks.gentle_base import (
     wishes,
     with_preference,
 )
-from assistax_envs.tasks.gentle_feeding import AtMouth, arm_at
+from assistax_envs.tasks.gentle_feeding.task import AtMouth, arm_at
 from assistax_envs.tasks.mouth import OPENED, TURNED, MouthReadings
 
 HALF = 0.008  # m, from a place's middle to either end of its strokes
@@ -83,7 +83,7 @@ class BrushState:
 class GentleBrushing(AtMouth):
     """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
 
-    name = "gentle_brushing"
+    name = scene = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
     terms: ClassVar = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
     felt: ClassVar = TEETH

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.tasks.arm_assist import LOWER_ARM
-from assistax_envs.tasks.base import Measures, Pose, observations, rotate
-from assistax_envs.tasks.bed_bath import START, arm_points
+from assistax_envs.tasks.base import LOWER_ARM, Measures, Pose, observations, rotate
+from assistax_envs.tasks.bed_bath.person import UNDERSIDE
+from assistax_envs.tasks.bed_bath.task import START, arm_points
 from assistax_envs.tasks.gentle_base import (
     COSTS,
     SOFT,
@@ -34,10 +34,6 @@ from assistax_envs.tasks.gentle_base import (
 NEAR = 0.04
 SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
 PRESS = 0.5  # N, likewise
-# Degrees about each segment's axis, from its frame's x to its y: where the pad comes little while
-# the arm rests, and what rolling it inward shows. Who rolled outward first, where there were points
-# too, stayed there: docs/tasks.md.
-UNDERSIDE = ((90.0, 270.0), (165.0, 340.0))
 # Steps that a point is under the pad until it is clean, if it is wiped as it is liked: less liked
 # takes longer. So touching down does not decide what a point pays.
 DWELL = 50.0
@@ -70,7 +66,7 @@ class WipeState:
 class GentleBath:
     """Progress to the nearest point, and pay for each point: by the force and the speed."""
 
-    name = "gentle_bath"
+    name = scene = "gentle_bath"
     stops: ClassVar = True
     target_colours: ClassVar = {"next": (0.95, 0.05, 0.55, 1.0), "to wipe": (0.05, 0.20, 0.75, 1.0)}
 
@@ -87,11 +83,7 @@ class GentleBath:
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._told, self._whatever = told, whatever
-        segment, offset = arm_points(model)
-        low, high = np.array(UNDERSIDE)[segment].T
-        angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
-        under = angle % 360.0 < high - low
-        self._segment, self._offset = segment[under], offset[under]
+        self._segment, self._offset = underside(model)
         asked = self._segment == LOWER_ARM
         self._asked = np.array(asked, np.float32)  # [K]
         self._spared = int(asked.sum()) - ENOUGH  # points that may stay unwiped
@@ -202,6 +194,15 @@ class GentleBath:
         return r.arm_position[:, self._segment] + rotate(
             turn, jnp.broadcast_to(offset, (*turn.shape[:2], 3))
         )
+
+
+def underside(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points to wipe: their segments [K], and offsets [K, 3] in its frame, m."""
+    segment, offset = arm_points(model)
+    low, high = np.array(UNDERSIDE)[segment].T
+    angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low
+    under = angle % 360.0 < high - low
+    return segment[under], offset[under]
 
 
 def _distance(points: jax.Array, r: TouchReadings) -> jax.Array:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.tasks.base import (
+    LOWER_ARM,
     ROBOT_JOINTS,
     SIGMA,
     Measures,
@@ -44,7 +45,6 @@ ARRIVED = 0.1  # m, how near to it counts as solved
 LARGEST_NORM = (
     2.0 * 3.0**0.5
 )  # of the difference of two rotation matrices, by the triangle inequality
-LOWER_ARM = 1  # row of ARM_SEGMENTS
 
 
 @jax.tree_util.register_dataclass
@@ -63,7 +63,7 @@ class ArmAssist:
     instead, under the same bound.
     """
 
-    name = "arm_assist"
+    name = scene = "arm_assist"
     stops: ClassVar = False
     target_colours: ClassVar = {
         "section": (0.95, 0.05, 0.55, 1.0),

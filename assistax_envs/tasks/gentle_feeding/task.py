@@ -117,7 +117,7 @@ class AtMouth:
 class GentleFeeding(AtMouth):
     """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
 
-    name = "gentle_feeding"
+    name = scene = "gentle_feeding"
     target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
 
     terms: ClassVar = {

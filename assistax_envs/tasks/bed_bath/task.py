@@ -54,7 +54,7 @@ class BedBath:
     `exp(-d^2/sigma) + [d < 0.1] [f > 0]`, the second once for each point.
     """
 
-    name = "bed_bath"
+    name = scene = "bed_bath"
     stops: ClassVar = False
     target_colours: ClassVar = {
         "next": (0.95, 0.05, 0.55, 1.0),
