@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.tasks import Sensors
-from assistax_envs.tasks.base import REACH, Readings, rotate
+from assistax_envs.tasks.base import REACH, Readings, Sensors, rotate
 from assistax_envs.tasks.bed_bath.task import POINTS, BedBath, BedBathState
 from tests.envs.conftest import environment, start
 

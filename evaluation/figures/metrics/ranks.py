@@ -66,7 +66,7 @@ _INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are compu
 # Standard deviation between seeds of one method of their means over partners: root mean square over
 # the zoo's PPO and SAC egos of each task; tests/evaluation/test_ranks.py computes them.
 SEED_SDS: Mapping[str, float] = ByTask(
-    lambda kind: kind.seed_sd, lambda kind: kind.seed_sd is not None
+    lambda kind: kind.seed_sd or 0.0, lambda kind: kind.seed_sd is not None
 )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from assistax_envs.persons import measure, numbers, persons
 from assistax_envs.persons.parameters import index
+from assistax_envs.tasks.chain import SCRIPTS
 from assistax_workshop.gates.persons import Plan
 from population.networks.policy import Policy
 from population.runs.trained import read_trained_run
@@ -26,7 +27,7 @@ def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str
     task, found = plan.task, {}
     rows = persons(task)[numbers("training")][:READERS]
     robots: dict[str, Any] = {kind: _trained(plan, kind) for kind in TRAINED}
-    robots |= {"probe": "probe"} if task in measure.FORCE else {}
+    robots |= {"probe": "probe"} if SCRIPTS[task].force is not None else {}
     robots["script"] = "script"
     for name, robot in robots.items():
         if robot is not None:
