@@ -21,10 +21,10 @@ class EnvParams:
     strength: jax.Array
     elbow_range: jax.Array
     tremor: jax.Array
-    # int32: k for pk, 0 where one is drawn anew at each reset. Only the gentle tasks look at it.
-    preference: jax.Array
-    # `gentle_base.Liking` of persons, whose wishes are no row of the table; in place of preference.
-    likes: Any = None
+    # int32: k for pk, 0 if one is drawn anew at each reset. Only the gentle tasks look at it.
+    preference_code: jax.Array
+    # `gentle_base.Preferences` of persons, whose values are no row of the table; replaces the code.
+    preference: Any = None
     # int32: which of some persons it is, where somebody keeps count of that. No environment looks.
     person: Any = None
 
@@ -46,9 +46,9 @@ def disability_params(
         field.name: jnp.asarray([getattr(row, field.name) for row in rows], jnp.float32)
         for field in dataclasses.fields(Disability)
     }
-    likes = np.full(len(rows), DRAWN) if preferences is None else np.asarray(preferences)
-    codes = [_preference(str(name)) for name in likes.ravel()]
-    return EnvParams(**body, preference=jnp.asarray(codes, jnp.int32).reshape(likes.shape))
+    names = np.full(len(rows), DRAWN) if preferences is None else np.asarray(preferences)
+    codes = [_preference(str(name)) for name in names.ravel()]
+    return EnvParams(**body, preference_code=jnp.asarray(codes, jnp.int32).reshape(names.shape))
 
 
 def _disability(setting: str | Disability) -> Disability:

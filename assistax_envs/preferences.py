@@ -41,7 +41,7 @@ PRESSES = (0.5, 1.0, 2.0)  # N
 # likes, or all numbers of a person.
 Told = bool | Literal["partner"]
 # What of it matters in a task, and is observed there.
-WISHES: Mapping[str, tuple[str, ...]] = ByTask(
+PREFERRED: Mapping[str, tuple[str, ...]] = ByTask(
     lambda kind: kind.preferences, lambda kind: bool(kind.preferences)
 )
 VALUES = {
@@ -76,15 +76,15 @@ DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each e
 
 def preferences_of(task: str) -> tuple[str, ...]:
     """Return the preferences that humans play under if none are chosen; the paper's have none."""
-    return tuple(PREFERENCES) if task in WISHES else ()
+    return tuple(PREFERENCES) if task in PREFERRED else ()
 
 
 def check_preferences(task: str, names: Sequence[str]) -> None:
     """Refuse names that are no preferences, none, one twice, and any of them for another task."""
-    if task not in WISHES:
+    if task not in PREFERRED:
         raise ValueError(
             f"the humans of {task} have no preferences; leave them out, or choose "
-            f"{', '.join(WISHES)}"
+            f"{', '.join(PREFERRED)}"
         )
     unknown = [name for name in names if name not in PREFERENCES]
     if unknown or not names or len(set(names)) < len(names):

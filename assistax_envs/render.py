@@ -25,7 +25,7 @@ from assistax_envs.mujoco_warnings import warnings_logged
 from assistax_envs.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.own_settings import own_settings
 from assistax_envs.physics import SUBSTEPS
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from assistax_envs.tasks.base import TOUCHABLE, Sensors, Task
 
 if TYPE_CHECKING:
@@ -268,7 +268,7 @@ def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> di
     """Return what players show of T states of one simulation.
 
     `pose` and `velocity` of all joints [T, nq], `target_NAME` [T, 3 K] in m, NaN where one is not
-    to be shown, and `wish_NAME` [T] of a human that has wishes.
+    to be shown, and `wish_NAME` [T], the preferred values of a human that has preferences.
     """
     joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(one.task for one in states))
     poses, velocities = (
@@ -284,8 +284,8 @@ def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> di
     _, targets = _locate(task, task.sensors, joined, jnp.asarray(np.stack(values), jnp.float32))
     columns = {"pose": poses, "velocity": velocities}
     columns |= {f"target_{n}": np.asarray(p).reshape(len(poses), -1) for n, p in targets.items()}
-    if (likes := getattr(joined, "likes", None)) is not None:
-        columns |= {f"wish_{name}": np.asarray(getattr(likes, name)) for name in WISHES[task.name]}
+    for name in PREFERRED.get(task.name, ()):
+        columns[f"wish_{name}"] = np.asarray(getattr(joined.preference, name))
     return columns
 
 

@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 
 from assistax_base.validated import Many, validated
 from assistax_envs.disability import DISABILITY_SETTINGS
-from assistax_envs.preferences import WISHES, Told, check_preferences
+from assistax_envs.preferences import PREFERRED, Told, check_preferences
 from assistax_envs.versions import TASKS
 from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
 
@@ -60,9 +60,9 @@ class TrainConfig:
     key: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.told and not (self.partners and self.task in WISHES):
+        if self.told and not (self.partners and self.task in PREFERRED):
             raise ValueError(
-                f"told is for robots that train with partners in a task of {', '.join(WISHES)}; "
+                f"told is for robots that train with partners in a task of {', '.join(PREFERRED)}; "
                 f"in {self.task} of this run nobody can be told a wish: leave told out"
             )
         if self.preferences:

@@ -19,7 +19,7 @@ from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import INNER, persons
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.chain import SCRIPTS, script_of
 from assistax_envs.tasks.gentle_base import FELT
@@ -180,7 +180,7 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
     return float(hit.mean()), len(hit)
 
 
-def wishes(task: str) -> list[str]:
+def preference_parameters(task: str) -> list[str]:
     """Return the names of what persons of a task wish, tolerance among it."""
     return [name for name in index(task) if name.startswith("liked")] + ["tolerance"]
 
@@ -227,7 +227,7 @@ def main() -> None:
     """Run one of the module's commands."""
     parser = argparse.ArgumentParser(prog="python -m assistax_envs.persons.measure")
     parser.add_argument("what", choices=("play", "read", "film"))
-    parser.add_argument("task", choices=tuple(WISHES))
+    parser.add_argument("task", choices=tuple(PREFERRED))
     parser.add_argument("path", nargs="?", default="persons.png")
     parser.add_argument("--count", type=int)
     parser.add_argument("--family", choices=("spring", "muscle"), default="spring")
@@ -249,7 +249,7 @@ def _print_read(task: str, rows: np.ndarray, family: str) -> None:
     place = index(task)
     for robot in ("script",) if SCRIPTS[task].force is None else ("script", "probe"):
         seen = episodes(task, rows, robot, "person", family, steps=600)
-        for name in wishes(task):
+        for name in preference_parameters(task):
             for window in WINDOWS:
                 wish = rows[:, place[name]]
                 share, of = read(seen, wish, window)

@@ -15,7 +15,7 @@ from assistax_envs.persons.controller import Controller
 from assistax_envs.persons.head import Head
 from assistax_envs.persons.parameters import WIDTH, index
 from assistax_envs.registered import REGISTERED
-from assistax_envs.tasks.gentle_base import Liking
+from assistax_envs.tasks.gentle_base import Preferences
 
 # Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
 # and rounded otherwise, so that a person's last bits would depend on where in a batch it stands. A
@@ -85,19 +85,19 @@ def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
 
 @own_settings()
 def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
-    """Return the bodies and wishes that the environment needs of persons with rows [N, 25].
+    """Return the bodies and preferences that the environment needs of persons with rows [N, 25].
 
     Strength and tremor are the person's own, and not taken twice.
     """
     place, n = index(task), len(rows)
     column = {name: jnp.asarray(rows[:, where]) for name, where in place.items()}
     one = jnp.ones(n, jnp.float32)
-    names = (field.name for field in dataclasses.fields(Liking))
-    likes = Liking(*(column.get(f"liked_{name}", one) for name in names))
+    names = (field.name for field in dataclasses.fields(Preferences))
+    preference = Preferences(*(column.get(f"liked_{name}", one) for name in names))
     return EnvParams(
         strength=one,
         elbow_range=column["range"],
         tremor=jnp.zeros(n, jnp.float32),
-        preference=jnp.zeros(n, jnp.int32),
-        likes=likes,
+        preference_code=jnp.zeros(n, jnp.int32),
+        preference=preference,
     )

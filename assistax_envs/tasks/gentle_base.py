@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.physics.base import felt_sensors
-from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
+from assistax_envs.preferences import PREFERENCES, PREFERRED, VALUES
 from assistax_envs.tasks.base import Measures, Pose, Readings, Sensors, human_joints, rotate
 from assistax_envs.tasks.gentle_rules import LIMITS
 
@@ -25,8 +25,8 @@ LIGHT = 0.5  # share of what a person prefers, below which it leans in
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Liking:
-    """The preference of each simulation's human, [N] each."""
+class Preferences:
+    """Values that each simulation's human prefers, [N] each."""
 
     force: jax.Array  # N
     speed: jax.Array  # m/s
@@ -38,23 +38,27 @@ class Liking:
 
     def observed(self, task: str) -> jax.Array:
         """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""
-        shares = (getattr(self, wish) / VALUES[wish][1] for wish in WISHES[task])
+        shares = (getattr(self, name) / VALUES[name][1] for name in PREFERRED[task])
         return jnp.stack([jnp.log(share) for share in shares], axis=-1)
 
 
-def liking(preference: jax.Array, key: jax.Array) -> Liking:
-    """Return the preference of one simulation.
+def draw_preferences(code: jax.Array, key: jax.Array) -> Preferences:
+    """Return the preferences of one simulation.
 
-    Row `preference` - 1 of `PREFERENCES`, or one drawn where it is 0.
+    Row `code` - 1 of `PREFERENCES`, or one drawn if it is 0.
     """
     table = jnp.asarray([dataclasses.astuple(one) for one in PREFERENCES.values()], jnp.float32)
     drawn = jax.random.randint(key, (), 0, len(PREFERENCES))
-    return Liking(*table[jnp.where(preference > 0, preference - 1, drawn)])
+    return Preferences(*table[jnp.where(code > 0, code - 1, drawn)])
 
 
-def wishes(params: Any, key: jax.Array) -> Liking:
-    """Return what the human of one simulation likes: its own wishes, or those of a preference."""
-    return liking(params.preference, key) if params.likes is None else params.likes
+def episode_preferences(params: Any, key: jax.Array) -> Preferences:
+    """Return the preferences of one simulation's human: its own, or those of its code."""
+    return (
+        draw_preferences(params.preference_code, key)
+        if params.preference is None
+        else params.preference
+    )
 
 
 @jax.tree_util.register_dataclass

@@ -21,7 +21,7 @@ from assistax_envs.disability import DISABILITY_SETTINGS, Disability
 from assistax_envs.env import EPISODE_LENGTH
 from assistax_envs.overlay import LEVELS, MEANINGS
 from assistax_envs.physics import SUBSTEPS
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.render import picture_model, pressing
 from evaluation.player.scene import scene_content
@@ -32,7 +32,7 @@ LARGEST_VALUE = 1e5  # of any number that is shown: N, m, rad
 MOST_TARGETS, MOST_TERMS = 64, 32
 LONGEST_NAME = 200  # characters
 # What a wish says, its factor, digits and unit, and the words after it.
-WISH_WORDS = {
+PREFERENCE_WORDS = {
     "force": (1.0, "N", "a touch of {} N"),
     "speed": (100.0, "cm/s", "strokes at {} cm/s"),
     "distance": (100.0, "cm", "the hook {} cm away once the arm lies"),
@@ -52,7 +52,7 @@ class Episode:
     poses: np.ndarray  # [T, nq] rad
     velocities: np.ndarray  # [T, nq] rad/s
     targets: dict[str, np.ndarray]  # name -> [T, 3 K] m, NaN where one is not shown
-    wishes: dict[str, float]
+    preferences: dict[str, float]
     force: np.ndarray  # [T] N
     speed: np.ndarray | None  # [T] m/s
     reward: np.ndarray  # [T]
@@ -112,15 +112,15 @@ def episode_content(episode: Episode) -> dict[str, Any]:
             {
                 "name": name,
                 "value": value,
-                "scale": WISH_WORDS[name][0],
-                "unit": WISH_WORDS[name][1],
+                "scale": PREFERENCE_WORDS[name][0],
+                "unit": PREFERENCE_WORDS[name][1],
             }
-            for name, value in episode.wishes.items()
+            for name, value in episode.preferences.items()
         ],
         "force": _numbers(episode.force, 3),
         "hurts": hurts.tolist(),
         "speed": None if episode.speed is None else _numbers(episode.speed, 4),
-        "distance": _numbers(_gaps(episode), 4) if "distance" in episode.wishes else None,
+        "distance": _numbers(_gaps(episode), 4) if "distance" in episode.preferences else None,
         "rests": (episode.terms.get("rest", np.zeros(len(episode.reward))) > 0.0).tolist(),
         "reward": _numbers(episode.reward, 5),
         "terms": {name: _numbers(values, 5) for name, values in episode.terms.items()},
@@ -210,7 +210,7 @@ def _episode(table: pl.DataFrame, about: Mapping[str, Any], number: int) -> Epis
         poses=_column(rows, "pose", joints),
         velocities=_column(rows, "velocity", joints),
         targets={name: _column(rows, f"target_{name}", -1) for name in targets},
-        wishes={name: _wish(rows, name) for name in WISHES.get(about["task"], ())},
+        preferences={name: _preferred(rows, name) for name in PREFERRED.get(about["task"], ())},
         force=gained("force"),
         speed=gained("speed") if "speed" in rows.columns else None,
         reward=gained("reward"),
@@ -243,7 +243,7 @@ def _column(rows: pl.DataFrame, name: str, width: int = 0, *, last: bool = True)
     return values
 
 
-def _wish(rows: pl.DataFrame, name: str) -> float:
+def _preferred(rows: pl.DataFrame, name: str) -> float:
     values = _column(rows, f"wish_{name}")
     if values[0] <= 0.0 or (values != values[0]).any():
         raise _UnplayableError(f"the person's wish of {name} changes, or is not above 0")
@@ -253,7 +253,9 @@ def _wish(rows: pl.DataFrame, name: str) -> float:
 def _facts(episode: Episode) -> list[tuple[str, str]]:
     """Return what stands beside the scene: a name and a text each."""
     about = episode.about
-    wishes = [WISH_WORDS[name][2].format(_short(name, v)) for name, v in episode.wishes.items()]
+    wishes = [
+        PREFERENCE_WORDS[name][2].format(_short(name, v)) for name, v in episode.preferences.items()
+    ]
     steps = len(episode.reward) - 1
     end = "" if steps == EPISODE_LENGTH else ", where the recording ends"
     end = ", then a protective stop: the person was hurt" if episode.stopped else end
@@ -268,7 +270,7 @@ def _facts(episode: Episode) -> list[tuple[str, str]]:
 
 
 def _short(name: str, value: float) -> str:
-    return f"{value * WISH_WORDS[name][0]:.3g}"
+    return f"{value * PREFERENCE_WORDS[name][0]:.3g}"
 
 
 def _touches(episode: Episode) -> list[list[list[float]]]:

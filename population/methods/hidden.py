@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from population.environment import Environment, EnvState, ShowingMore
 from population.networks.policy import normalise
 from population.networks.seat import Params
@@ -36,7 +36,7 @@ class WithHidden(ShowingMore):
     def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
         super().__init__(env)
         self._partners, self._num_envs = partners, num_envs
-        self._wishes = len(WISHES.get(env.task, ()))
+        self._wishes = len(PREFERRED.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
         width = self._wishes + len(_SETTING) + self._numbers.shape[1]
         self.observation_size |= {WHO: 1, HIDDEN: width}

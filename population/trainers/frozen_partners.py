@@ -11,7 +11,7 @@ import numpy as np
 
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
-from assistax_envs.tasks.gentle_base import liking
+from assistax_envs.tasks.gentle_base import draw_preferences
 from population.environment import Environment
 from population.networks.members import member_map
 from population.networks.policy import Policy
@@ -108,8 +108,10 @@ class FrozenPartners:
         return humans
 
     def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
-        """Return humans [N] whose wishes no reset draws anew: those that are open, by their key."""
-        return dataclasses.replace(humans, likes=jax.vmap(liking)(humans.preference, keys))
+        """Return humans [N] whose preferences no reset draws anew; keys [N] draw the open ones."""
+        return dataclasses.replace(
+            humans, preference=jax.vmap(draw_preferences)(humans.preference_code, keys)
+        )
 
     @property
     def numbers(self) -> np.ndarray | None:

@@ -46,9 +46,9 @@ class RotatingPartners:
         humans = jax.tree.map(lambda leaf: jnp.roll(leaf, -place)[:n], humans)
         if self.preferences:
             names = self.preferences
-            codes = disability_params(["d1"] * len(names), names).preference
+            codes = disability_params(["d1"] * len(names), names).preference_code
             drawn = jax.random.randint(of_preferences, (n,), 0, len(names))
-            humans = dataclasses.replace(humans, preference=codes[drawn])
+            humans = dataclasses.replace(humans, preference_code=codes[drawn])
         return (place, self.frozen.initial_carry(seats)), humans
 
     def act(

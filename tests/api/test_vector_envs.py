@@ -79,14 +79,16 @@ def test_a_splits_preferences_are_those_of_its_training_half() -> None:
     env = az.vector_env("gentle_scratch", 8, form="jaxmarl", backend="native")
     _, state = jax.jit(env.reset)(jax.random.key(0))
     allowed = load_registry().split("gentle_scratch").preferences["train"]
-    assert set(np.asarray(state.env.params.preference).tolist()) <= {int(p[1:]) for p in allowed}
+    assert set(np.asarray(state.env.params.preference_code).tolist()) <= {
+        int(p[1:]) for p in allowed
+    }
 
 
 def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:
     options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s10-v2", "form": "jaxmarl"}
     env = az.vector_env("gentle_scratch", 8, preferences="p2,p7", backend="native", **options)
     _, state = jax.jit(env.reset)(jax.random.key(0))
-    assert set(np.asarray(state.env.params.preference).tolist()) == {2, 7}
+    assert set(np.asarray(state.env.params.preference_code).tolist()) == {2, 7}
 
 
 def test_forms_and_wrong_arguments() -> None:

@@ -266,7 +266,7 @@ def still_episode() -> bytes:
         poses=np.zeros((length, 16)),
         velocities=np.zeros((length, 16)),
         targets={"itch": np.full((length, 3), 0.5)},
-        wishes={},
+        preferences={},
         force=zero,
         speed=None,
         reward=np.arange(6.0),

@@ -41,7 +41,7 @@ class LaidOut:
         self.task: Any = env._task
         params = disability_params(["d1"], [preference])
         begun = compiled(task, "native")[0](jax.random.split(jax.random.key(0), 1), params)
-        self.likes, self.begun = PREFERENCES[preference], begun.task
+        self.preference, self.begun = PREFERENCES[preference], begun.task
         # Readings as the environment makes them, of a state that is set by hand.
         ranges = env._joint_range(params)
         self.read = env._sensors.read(env._physics.forward(begun.physics, ranges))

@@ -26,7 +26,14 @@ from assistax_envs.models.gentle_scenes import (
     touching,
 )
 from assistax_envs.physics import PhysicsState
-from assistax_envs.preferences import FORCES, PREFERENCES, SPEEDS, VALUES, WISHES, Preference
+from assistax_envs.preferences import (
+    FORCES,
+    PREFERENCES,
+    PREFERRED,
+    SPEEDS,
+    VALUES,
+    Preference,
+)
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import HUMAN_JOINTS, Readings
 from assistax_envs.tasks.chain import SCRIPTS, Chain, script_of
@@ -35,8 +42,8 @@ from assistax_envs.tasks.gentle_base import (
     along_skin,
     bump,
     costs,
+    draw_preferences,
     in_segment,
-    liking,
     world_force,
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
@@ -294,7 +301,7 @@ def test_names_go_through_all_forces_and_speeds() -> None:
     }
     # Any two values that matter in one task meet once.
     for first, other in itertools.chain.from_iterable(
-        itertools.combinations(wishes, 2) for wishes in WISHES.values()
+        itertools.combinations(wishes, 2) for wishes in PREFERRED.values()
     ):
         pairs = {
             (getattr(preference, first), getattr(preference, other))
@@ -315,13 +322,17 @@ def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -
             jax.random.split(jax.random.key(seed), N), disability_params(["d1"] * N, names)
         )
         likes = [PREFERENCES[name] for name in names]
-        np.testing.assert_allclose(state.task.likes.force, [like.force for like in likes])
-        np.testing.assert_allclose(state.task.likes.speed, [like.speed for like in likes])
-        np.testing.assert_allclose(state.task.likes.distance, [like.distance for like in likes])
-    drawn = reset(keys, disability_params(["d1"] * N)).task.likes
+        np.testing.assert_allclose(state.task.preference.force, [like.force for like in likes])
+        np.testing.assert_allclose(state.task.preference.speed, [like.speed for like in likes])
+        np.testing.assert_allclose(
+            state.task.preference.distance, [like.distance for like in likes]
+        )
+    drawn = reset(keys, disability_params(["d1"] * N)).task.preference
     pairs = set(zip(drawn.force.tolist(), drawn.speed.tolist(), strict=True))
     assert len(pairs) == len(PREFERENCES)
-    again = reset(jax.random.split(jax.random.key(4), N), disability_params(["d1"] * N)).task.likes
+    again = reset(
+        jax.random.split(jax.random.key(4), N), disability_params(["d1"] * N)
+    ).task.preference
     assert (np.asarray(again.force) != np.asarray(drawn.force)).any()
 
 
@@ -329,7 +340,7 @@ def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -
 def test_an_episode_draws_its_preference_once(task: str) -> None:
     first = start(task, "native", ["d1"] * 8)
     last = play(task, "native", first, random_actions(8, 5))[-1]
-    jax.tree.map(np.testing.assert_array_equal, first.task.likes, last.task.likes)
+    jax.tree.map(np.testing.assert_array_equal, first.task.preference, last.task.preference)
 
 
 @one_gentle_task
@@ -340,14 +351,15 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
         name
         for name, preference in PREFERENCES.items()
         if all(
-            getattr(preference, wish) != getattr(PREFERENCES["p1"], wish) for wish in WISHES[task]
+            getattr(preference, wish) != getattr(PREFERENCES["p1"], wish)
+            for wish in PREFERRED[task]
         )
     )
     first, other = (
         reset(keys, disability_params(["d1"] * 2, [name] * 2)).obs for name in ("p1", apart)
     )
     np.testing.assert_array_equal(first["robot"], other["robot"])
-    count = len(WISHES[task])
+    count = len(PREFERRED[task])
     for who in ("human", "global"):
         assert (first[who] != other[who]).sum(axis=1).tolist() == [count] * 2
         np.testing.assert_array_equal(first[who][:, :-count], other[who][:, :-count])
@@ -388,7 +400,7 @@ def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
     env = assistax_envs.make(task, "native", told=("human", "robot"))
     sizes = env.observation_size, environment(task, "native").observation_size
     more = sizes[0]["robot"] - sizes[1]["robot"]
-    assert more >= len(WISHES[task])
+    assert more >= len(PREFERRED[task])
     obs = env.reset(jax.random.split(jax.random.key(6), 4), disability_params(["d1"] * 4)).obs
     np.testing.assert_array_equal(obs["robot"][:, -more:], obs["human"][:, -more:])
 
@@ -405,9 +417,11 @@ def test_preferences_change_nothing_in_the_papers_tasks() -> None:
 
 
 def test_a_preference_is_drawn_by_its_own_key() -> None:
-    names = {float(liking(jnp.int32(0), jax.random.key(seed)).force) for seed in range(20)}
+    names = {
+        float(draw_preferences(jnp.int32(0), jax.random.key(seed)).force) for seed in range(20)
+    }
     assert names == set(FORCES)
-    assert float(liking(jnp.int32(9), jax.random.key(0)).force) == FORCES[-1]
+    assert float(draw_preferences(jnp.int32(9), jax.random.key(0)).force) == FORCES[-1]
 
 
 # Scripts.

@@ -113,7 +113,7 @@ class Table(LaidOut):
 
 
 def liked_steps(table: Table) -> int:
-    return round(STROKE / table.likes.speed / 0.02)
+    return round(STROKE / table.preference.speed / 0.02)
 
 
 @pytest.mark.slow

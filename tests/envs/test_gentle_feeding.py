@@ -156,10 +156,10 @@ class Table(LaidOut):
 
     def eat(self) -> None:
         """Take one bite as it is liked best."""
-        self.play(self.likes.wait, 0.0)
-        self.play(self.likes.wait, 0.4)
-        self.play(-self.likes.depth, 0.4, steps=SERVE)
-        self.play(-self.likes.depth, 0.15, bite=2.0, steps=15)
+        self.play(self.preference.wait, 0.0)
+        self.play(self.preference.wait, 0.4)
+        self.play(-self.preference.depth, 0.4, steps=SERVE)
+        self.play(-self.preference.depth, 0.15, bite=2.0, steps=15)
         self.play(0.09, 0.15)
         self.play(0.09, 0.0)
 

@@ -127,7 +127,7 @@ def test_an_environment_pays_by_the_person_s_own_wishes(task: str) -> None:
     state = jax.jit(env.reset)(keys, person_params(task, rows))
     for name in ("force", "speed", "distance", "place"):
         if f"liked_{name}" in place:
-            liked = getattr(state.task.likes, name)
+            liked = getattr(state.task.preference, name)
             np.testing.assert_array_equal(liked, rows[:, place[f"liked_{name}"]])
 
 

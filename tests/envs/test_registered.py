@@ -14,7 +14,7 @@ import pytest
 
 from assistax_envs import make, registered
 from assistax_envs.models.build import scene_sha256
-from assistax_envs.preferences import VALUES, WISHES
+from assistax_envs.preferences import PREFERRED, VALUES
 from assistax_envs.registered import GROUP, OURS, REGISTERED, TASK_CLASSES, Kinds
 from assistax_envs.tasks.chain import SCRIPTS, script_of
 from assistax_envs.tasks.kind import Scene
@@ -56,7 +56,7 @@ def test_tables_have_every_task_in_order() -> None:
     tables = (TASKS, VERSIONS, TASK_CLASSES, SCRIPTS)
     assert all(tuple(table) == tuple(REGISTERED) for table in tables)
     assert (*PAPER_TASKS, *GENTLE_TASKS, *CARE_TASKS) == OURS == TASKS[: len(OURS)]
-    assert tuple(WISHES) == (*GENTLE_TASKS, *CARE_TASKS)
+    assert tuple(PREFERRED) == (*GENTLE_TASKS, *CARE_TASKS)
 
 
 @pytest.mark.parametrize("task", REGISTERED)

@@ -305,7 +305,7 @@ def test_a_person_acts_as_itself():
     task, someone = "gentle_scratch", person("gentle_scratch", 42)
     batch = Batch(task, Persons(task, [42]), 2, "native")
     _, state = jax.jit(batch.reset)(jax.random.key(1))
-    np.testing.assert_allclose(state.env.params.likes.force[0], someone.row[18])
+    np.testing.assert_allclose(state.env.params.preference.force[0], someone.row[18])
     player = PersonPlayer(task)
     human = jax.jit(player.act)(
         {"row": jnp.asarray(someone.row)},

@@ -121,7 +121,7 @@ def test_persons_bring_their_bodies_and_wishes() -> None:
     rows = [int(name.split("-")[1]) for name in ids]
     expected = person_params(TASK, persons(TASK)[rows])
     np.testing.assert_array_equal(block[2].elbow_range, expected.elbow_range)
-    np.testing.assert_array_equal(block[2].likes.force, expected.likes.force)
+    np.testing.assert_array_equal(block[2].preference.force, expected.preference.force)
     assert [len(stack["row"]) for stack in block[1]] == [2, 1]  # a stack for each family
 
 
@@ -141,12 +141,14 @@ def test_a_film_shows_a_person_with_its_own_body_and_wishes() -> None:
     registry = load_registry()
     name = "gentle_scratch/person-00042-v3"
     partner, row = zoo_partner(registry, name), persons(TASK)[[42]]
-    np.testing.assert_array_equal(partner.humans.likes.force, person_params(TASK, row).likes.force)
+    np.testing.assert_array_equal(
+        partner.humans.preference.force, person_params(TASK, row).preference.force
+    )
     assert partner.setting == Disability(1.0, float(row[0][index(TASK)["range"]]), 0.0)
     env = make(TASK, "native")
     pair = Pair(env, "zero", name, lambda: registry, steps=1)
     *_, state = pair.play(lambda: None)
-    np.testing.assert_array_equal(state.params.likes.force, partner.humans.likes.force)
+    np.testing.assert_array_equal(state.params.preference.force, partner.humans.preference.force)
     assert np.abs(partner.act(np.zeros(partner.spec.observation_size, np.float32))).max() <= 1.0
     for options in ({"preference": "p1"}, {"disability": "d3"}):
         with pytest.raises(ValueError, match="leave disability and preference out"):

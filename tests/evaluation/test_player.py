@@ -17,11 +17,11 @@ from playwright.sync_api import Browser, Page, expect
 import assistax_zoo as az
 from assistax_base.digest import sha256
 from assistax_base.files import METADATA_KEY
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED
 from assistax_envs.render import picture_model
 from evaluation.player.episode import (
-    WISH_WORDS,
+    PREFERENCE_WORDS,
     Episode,
     episode_content,
     read_episode,
@@ -85,7 +85,7 @@ def test_an_episode_is_that_of_the_table(recording: Path, episode: Episode) -> N
         steps["reward"].to_numpy(), abs=1e-4
     )
     wishes = {"force": rows["wish_force"][0], "speed": rows["wish_speed"][0]}
-    assert episode.wishes == wishes and wishes["force"] in (2.0, 4.0, 8.0)
+    assert episode.preferences == wishes and wishes["force"] in (2.0, 4.0, 8.0)
     assert not episode.stopped
 
 
@@ -320,7 +320,7 @@ def test_a_page_is_played_by_keys_and_says_how_touches_are_liked(
     for page in shown_in(browser, tmp_path / "page.html", 400):
         slider, player = page.get_by_label("Moment of the episode"), page.locator("[data-steps]")
         worst = int(np.argmax(episode.force))
-        assert episode.force[worst] > 2 * episode.wishes["force"]
+        assert episode.force[worst] > 2 * episode.preferences["force"]
         player.focus()
         for key, moment in (("ArrowRight", 1), ("End", STEPS), ("ArrowLeft", STEPS - 1)):
             page.keyboard.press(key)
@@ -349,7 +349,7 @@ def test_a_page_of_a_person_names_its_wishes(browser: Browser, tmp_path: Path) -
         who = page.locator(".episode-who")
         expect(who).to_contain_text(PERSON)
         expect(who).to_contain_text("its own: a person of the zoo")
-        expect(who).to_contain_text(f"a touch of {shown.wishes['force']:.3g} N")
+        expect(who).to_contain_text(f"a touch of {shown.preferences['force']:.3g} N")
 
 
 @pytest.mark.slow
@@ -373,4 +373,4 @@ def test_what_is_packed_is_what_was_shown(episode: Episode) -> None:
 
 def test_every_task_and_wish_has_its_words():
     assert all(kind.goal for kind in REGISTERED.values())
-    assert set(WISH_WORDS) >= {wish for wishes in WISHES.values() for wish in wishes}
+    assert set(PREFERENCE_WORDS) >= {wish for wishes in PREFERRED.values() for wish in wishes}

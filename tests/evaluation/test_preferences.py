@@ -60,12 +60,12 @@ class Fond(MatrixGame):
     def step(self, state: Any, actions: Any) -> Any:
         after = super().step(state, actions)
         return after._replace(
-            measures=self._felt(after), reward=state.params.preference.astype(jnp.float32)
+            measures=self._felt(after), reward=state.params.preference_code.astype(jnp.float32)
         )
 
     @staticmethod
     def _felt(state: Any) -> Any:
-        contact = state.params.preference.astype(jnp.float32)
+        contact = state.params.preference_code.astype(jnp.float32)
         return state.measures._replace(contact=contact, violated=contact == 9.0)
 
 
@@ -166,7 +166,7 @@ class Pressing(Fond):
 
     @staticmethod
     def _felt(state: Any) -> Any:
-        felt = state.params.preference.astype(jnp.float32)
+        felt = state.params.preference_code.astype(jnp.float32)
         return Pressed(*state.measures[:3], felt, felt == 9.0, 1.5 * felt, felt > 6.0, felt, felt)
 
 

@@ -160,8 +160,8 @@ def test_each_member_keeps_its_own_person() -> None:
     state = initial_state(run, trainer)
     humans = state.simulations.env.params
     np.testing.assert_array_equal(humans.person, np.repeat([0, 1, 2], 4))
-    force = person_params(TASK, rows).likes.force
-    np.testing.assert_array_equal(humans.likes.force, np.repeat(force, 4))
+    force = person_params(TASK, rows).preference.force
+    np.testing.assert_array_equal(humans.preference.force, np.repeat(force, 4))
     keys = jax.random.split(jax.random.key(8), 12)
     np.testing.assert_array_equal(partners.renewed(humans, keys).person, humans.person)
     with pytest.raises(ValueError, match="member 3 has no person; there are 3 of them"):

@@ -94,11 +94,13 @@ def test_every_partner_plays_under_its_own_disability():
 def test_partners_take_turns_in_the_preferences_that_are_named_and_in_no_others():
     run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
     state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
-    likes = state.simulations.env.params.preference.reshape(2, 3, 4)  # member, partner, simulation
+    likes = state.simulations.env.params.preference_code.reshape(
+        2, 3, 4
+    )  # member, partner, simulation
     expected = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
     np.testing.assert_array_equal(likes, [expected, expected])
     drawn = initial_state(config(PPO), PPO(run.trainer, ToyEnv(match), 1, population()))
-    assert not drawn.simulations.env.params.preference.any()
+    assert not drawn.simulations.env.params.preference_code.any()
     assert TrainConfig.from_json(json.loads(json.dumps(run.to_json()))) == run
     assert "preferences" not in config(PPO).to_json()  # so that older runs go on
 

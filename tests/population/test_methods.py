@@ -169,7 +169,7 @@ def test_series_keep_partner_wish_and_memory_and_end_together():
     state = initial_state(run, trainer)
     collect = jax.jit(trainer.collect, compiler_options=FAST_COMPILE)
     for _ in range(4):
-        turn, likes = state.simulations.series.turn, state.simulations.env.params.likes.force
+        turn, likes = state.simulations.series.turn, state.simulations.env.params.preference.force
         step = np.asarray(state.simulations.env.step)
         state, batch, _ = collect(state, others.params)
         more = np.asarray(turn) < 2
@@ -179,7 +179,7 @@ def test_series_keep_partner_wish_and_memory_and_end_together():
         np.testing.assert_array_equal(first, ends)
         assert ends.argmax(0)[~more].tolist() == (3 - step)[~more].tolist()
         np.testing.assert_array_equal(state.simulations.series.turn, np.where(more, turn + 1, 0))
-        kept = np.asarray(state.simulations.env.params.likes.force) == np.asarray(likes)
+        kept = np.asarray(state.simulations.env.params.preference.force) == np.asarray(likes)
         assert kept[more].all() and not kept[~more].all()
 
 

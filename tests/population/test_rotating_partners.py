@@ -51,11 +51,11 @@ def test_whoever_sits_there_acts_with_its_own_body(n: int) -> None:
             body = DISABILITY_SETTINGS[SETTINGS[name]]
             np.testing.assert_allclose(humans.strength[index], body.strength)
             np.testing.assert_allclose(humans.elbow_range[index], body.elbow_range)
-            assert humans.preference[index] == 0
+            assert humans.preference_code[index] == 0
 
 
 def test_preferences_are_drawn_among_those_allowed() -> None:
     rotating = RotatingPartners(population(), ("p2", "p7"))
-    drawn = [np.asarray(humans.preference) for _, humans in episodes(rotating, 40, 2)]
+    drawn = [np.asarray(humans.preference_code) for _, humans in episodes(rotating, 40, 2)]
     assert set(np.concatenate(drawn).tolist()) == {2, 7}
     assert not np.array_equal(*drawn)

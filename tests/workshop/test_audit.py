@@ -12,7 +12,7 @@ import pytest
 import assistax_zoo as az
 from assistax_base.errors import ZooError
 from assistax_envs import disability_params, make
-from assistax_envs.preferences import PREFERENCES, VALUES, WISHES
+from assistax_envs.preferences import PREFERENCES, PREFERRED, VALUES
 from assistax_workshop.gates import audit as audits
 from assistax_workshop.gates.audit import WrongBeliefEnv
 from assistax_workshop.gates.audit_gates import Gate, gates_of
@@ -161,11 +161,11 @@ def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task:
     wrong, keys = WrongBeliefEnv(env), jax.random.split(jax.random.key(0), 9)
     params = disability_params(["d1"] * 9, list(PREFERENCES))
     first, other = (jax.jit(environment.reset)(keys, params) for environment in (env, wrong))
-    jax.tree.map(np.testing.assert_array_equal, first.task.likes, other.task.likes)
+    jax.tree.map(np.testing.assert_array_equal, first.task.preference, other.task.preference)
     np.testing.assert_array_equal(first.obs["robot"], other.obs["robot"])
-    count = len(WISHES[task])
+    count = len(PREFERRED[task])
     np.testing.assert_array_equal(first.obs["human"][:, :-count], other.obs["human"][:, :-count])
-    for column, wish in enumerate(WISHES[task], start=-count):
+    for column, wish in enumerate(PREFERRED[task], start=-count):
         values = VALUES[wish]
         for row, liked in enumerate(PREFERENCES.values()):
             believed = values[1] * np.exp(float(other.obs["human"][row, column]))

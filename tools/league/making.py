@@ -13,7 +13,7 @@ from typing import Any, Literal
 from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
-from assistax_envs.preferences import WISHES
+from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons import recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
@@ -245,7 +245,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     alone = row.source == "each" and split.rule == PERSONS
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
-    if split.task in WISHES and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
+    if split.task in PREFERRED and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
     if split.rule != PERSONS:
         recipe.pop("num_envs", None)  # of which every team gets the same share

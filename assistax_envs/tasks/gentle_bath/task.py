@@ -18,15 +18,15 @@ from assistax_envs.tasks.gentle_base import (
     COSTS,
     SOFT,
     STEP,
-    Liking,
+    Preferences,
     TouchReadings,
     TouchSensors,
     along_skin,
     bump,
     costs,
+    episode_preferences,
     in_segment,
     touch_measures,
-    wishes,
     with_preference,
 )
 
@@ -60,7 +60,7 @@ class WipeState:
     drift: jax.Array  # [2, 3] m/s, its smoothed velocity there
     nearest: jax.Array  # m, to the nearest point a step ago
     violated: jax.Array  # bool, some contact was above the hard limit
-    likes: Liking
+    preference: Preferences
 
 
 class GentleBath:
@@ -93,7 +93,7 @@ class GentleBath:
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, WipeState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
-        pose_key, likes_key = jax.random.split(key)
+        pose_key, preference_key = jax.random.split(key)
         nan = jnp.full((), jnp.nan, jnp.float32)
         state = WipeState(
             left=jnp.asarray(self._asked),
@@ -101,7 +101,7 @@ class GentleBath:
             drift=jnp.zeros((2, 3), jnp.float32),
             nearest=nan,
             violated=jnp.zeros((), bool),
-            likes=wishes(params, likes_key),
+            preference=episode_preferences(params, preference_key),
         )
         return self.pose.draw(pose_key), state
 
@@ -146,9 +146,9 @@ class GentleBath:
             speed[:, None] * 10.0,
             left,
         )
-        obs = with_preference(observations(r, *goal), s.likes.observed(self.name), self._told)
+        obs = with_preference(observations(r, *goal), s.preference.observed(self.scene), self._told)
         violated = s.violated | r.hurt
-        state = WipeState(left, tool, drift, nearest, violated, s.likes)
+        state = WipeState(left, tool, drift, nearest, violated, s.preference)
         return state, obs, terms, touch_measures(r, near, done & ~violated, violated)
 
     def _wiped(
@@ -158,7 +158,7 @@ class GentleBath:
 
         `under` [N, K] has the points under the pad, `speed` [N] is that of the pad over the skin.
         """
-        liked = bump(r.on_arm, s.likes.force) * bump(speed, s.likes.speed)
+        liked = bump(r.on_arm, s.preference.force) * bump(speed, s.preference.speed)
         # Squared, as in gentle scratch: an episode is too short for whoever does not care.
         well = self._whatever + (1.0 - self._whatever) * liked**2
         most = 2.0 * SOFT  # some people like 10 N

@@ -17,11 +17,11 @@ from assistax_envs.models.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
 from assistax_envs.tasks.base import Measures, human_joints, observations, rotate
 from assistax_envs.tasks.gentle_base import (
     STEP,
-    Liking,
+    Preferences,
     bump,
     costs,
+    episode_preferences,
     touch_measures,
-    wishes,
     with_preference,
 )
 from assistax_envs.tasks.gentle_feeding.task import AtMouth, arm_at
@@ -77,7 +77,7 @@ class BrushState:
     liked: jax.Array  # sum over them of how well the human liked the force
     left: jax.Array  # m of the way to that end a step ago; NaN before the first step
     violated: jax.Array  # bool, some contact was above its limit
-    likes: Liking
+    preference: Preferences
 
 
 class GentleBrushing(AtMouth):
@@ -101,7 +101,7 @@ class GentleBrushing(AtMouth):
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, BrushState]:
         """Draw the start pose [nq], the first place and, where it is not given, the preference."""
-        pose_key, likes_key, place_key, start_key, side_key = jax.random.split(key, 5)
+        pose_key, preference_key, place_key, start_key, side_key = jax.random.split(key, 5)
         place = jax.random.randint(place_key, (), 0, PLACES)
         out = jax.random.uniform(start_key, maxval=2.0 * (BEFORE - 1))
         there = out > BEFORE - 1  # half of the episodes start at the place itself
@@ -124,7 +124,7 @@ class GentleBrushing(AtMouth):
             liked=zero,
             left=jnp.full((), jnp.nan, jnp.float32),
             violated=jnp.zeros((), bool),
-            likes=wishes(params, likes_key),
+            preference=episode_preferences(params, preference_key),
         )
 
     def targets(self, task_state: BrushState, readings: MouthReadings) -> dict[str, jax.Array]:
@@ -151,10 +151,13 @@ class GentleBrushing(AtMouth):
         there = spot.shown & (spot.aside < BESIDE) & ~full
         touching = there & (spot.force > LIGHTEST) & (spot.force < HARDEST)
         arrived = touching & (s.side * spot.at > HALF - AT_END) & (jnp.abs(spot.at) < HALF + AT_END)
-        time, liked = s.time + there, s.liked + there * bump(spot.force, s.likes.press) ** SHARP
+        time, liked = (
+            s.time + there,
+            s.liked + there * bump(spot.force, s.preference.press) ** SHARP,
+        )
         took = jnp.maximum(time, 1.0)
-        wished = STROKE / s.likes.speed / STEP  # steps
-        well = liked / took * bump(wished / took, jnp.ones_like(took)) ** SHARP
+        preferred_steps = STROKE / s.preference.speed / STEP  # steps
+        well = liked / took * bump(preferred_steps / took, jnp.ones_like(took)) ** SHARP
         does = jnp.minimum(WHATEVER + (1.0 - WHATEVER) * well, STROKES - s.brushed) * arrived
         brushed = s.brushed + does
         finished = brushed > STROKES - SPARED
@@ -240,7 +243,7 @@ class GentleBrushing(AtMouth):
         )
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))
         # How well the force was liked is for the human to feel: a robot that saw it would be told.
-        seen = jnp.column_stack([liked, s.likes.observed(self.name)])
+        seen = jnp.column_stack([liked, s.preference.observed(self.scene)])
         return with_preference(obs, seen, self._told)
 
 

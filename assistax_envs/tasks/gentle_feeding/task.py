@@ -17,11 +17,11 @@ from assistax_envs.models.care_scenes import LIPS, OPEN
 from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations
 from assistax_envs.tasks.gentle_base import (
     COSTS,
-    Liking,
+    Preferences,
     bump,
     costs,
+    episode_preferences,
     touch_measures,
-    wishes,
     with_preference,
 )
 from assistax_envs.tasks.mouth import (
@@ -89,7 +89,7 @@ class FeedState:
     earned: jax.Array  # what this bite has paid: a spill takes it back
     tilted: jax.Array  # bool: the last step spilt
     violated: jax.Array  # bool, some contact was above its limit
-    likes: Liking
+    preference: Preferences
 
 
 class AtMouth:
@@ -133,7 +133,7 @@ class GentleFeeding(AtMouth):
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
-        pose_key, likes_key, start_key = jax.random.split(key, 3)
+        pose_key, preference_key, start_key = jax.random.split(key, 3)
         place = jax.random.uniform(start_key, maxval=1.5 * (len(WAY) - 1))
         back = place > len(WAY) - 1
         place = jnp.where(back, 2 * (len(WAY) - 1) - place, place)
@@ -159,7 +159,7 @@ class GentleFeeding(AtMouth):
             earned=jnp.zeros((), jnp.float32),
             tilted=jnp.zeros((), bool),
             violated=jnp.zeros((), bool),
-            likes=wishes(params, likes_key),
+            preference=episode_preferences(params, preference_key),
         )
 
     def targets(self, task_state: FeedState, readings: MouthReadings) -> dict[str, jax.Array]:
@@ -188,8 +188,8 @@ class GentleFeeding(AtMouth):
         left = _left(s.stage, r, out, aside)
         first = jnp.isnan(s.left)
         pay = {
-            "open": passed[WAITING] * _well(bump(jnp.maximum(out, 0.0), s.likes.wait) ** 2),
-            "serve": passed[ENTERING] * _well(jnp.exp(-(((out + s.likes.depth) / WIDE) ** 2))),
+            "open": passed[WAITING] * _well(bump(jnp.maximum(out, 0.0), s.preference.wait) ** 2),
+            "serve": passed[ENTERING] * _well(jnp.exp(-(((out + s.preference.depth) / WIDE) ** 2))),
             "take": passed[TAKING].astype(jnp.float32),
             "leave": passed[LEAVING].astype(jnp.float32),
         }
@@ -218,7 +218,7 @@ class GentleFeeding(AtMouth):
             earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
             tilted=spilt,
             violated=violated,
-            likes=s.likes,
+            preference=s.preference,
         )
         obs = self._observed(state, r, speed)
         success = (bites >= ASKED) & ~violated
@@ -269,7 +269,7 @@ class GentleFeeding(AtMouth):
             speed[:, None] * 10.0,
         )
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))
-        return with_preference(obs, state.likes.observed(self.name), self._told)
+        return with_preference(obs, state.preference.observed(self.scene), self._told)
 
 
 def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) -> jax.Array:

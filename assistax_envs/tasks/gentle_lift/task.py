@@ -26,13 +26,13 @@ from assistax_envs.tasks.gentle_base import (
     COSTS,
     LIGHTEST,
     STEP,
-    Liking,
+    Preferences,
     TouchReadings,
     TouchSensors,
     bump,
     costs,
+    episode_preferences,
     touch_measures,
-    wishes,
     with_preference,
 )
 from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
@@ -85,7 +85,7 @@ class LiftState:
     held: jax.Array  # int32, steps of rest in a row
     longest: jax.Array  # int32
     violated: jax.Array  # bool, some contact was above the hard limit
-    likes: Liking
+    preference: Preferences
 
 
 class GentleLift:
@@ -118,18 +118,18 @@ class GentleLift:
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, LiftState]:
         """Draw the start pose [nq] and, where it is not given, the preference."""
-        pose_key, likes_key, start_key = jax.random.split(key, 3)
+        pose_key, preference_key, start_key = jax.random.split(key, 3)
         nan, zero = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), jnp.int32)
-        likes = wishes(params, likes_key)
+        preference = episode_preferences(params, preference_key)
         state = LiftState(
-            waist=_place(likes.place),
+            waist=_place(preference.place),
             section=jnp.full(3, jnp.nan, jnp.float32),
             left=nan,
             under=nan,
             held=zero,
             longest=zero,
             violated=jnp.zeros((), bool),
-            likes=likes,
+            preference=preference,
         )
         return self._slipped(self.pose.draw(pose_key), start_key), state
 
@@ -154,7 +154,7 @@ class GentleLift:
         speed = jnp.linalg.norm(jnp.where(first[:, None], 0.0, section - s.section), axis=-1) / STEP
         rest = (left < THERE) & (speed < CALM) & (r.force < LIGHTEST)
         _, under = to_target(_lifted_at(section, r), r)
-        liked = bump(distance, s.likes.distance) ** 2
+        liked = bump(distance, s.preference.distance) ** 2
         terms = {
             "approach": jnp.where(first | (left < THERE), 0.0, s.under - under),
             "lift": jnp.where(first, 0.0, s.left - left),
@@ -175,9 +175,9 @@ class GentleLift:
             speed[:, None] * 10.0,
         )
         # Whether the arm rests where it should is for the human to feel.
-        seen = jnp.column_stack([jnp.minimum(held, HOLD) / HOLD, s.likes.observed(self.name)])
+        seen = jnp.column_stack([jnp.minimum(held, HOLD) / HOLD, s.preference.observed(self.scene)])
         obs = with_preference(observations(r, *goal), seen, self._told)
-        state = LiftState(s.waist, section, left, under, held, longest, violated, s.likes)
+        state = LiftState(s.waist, section, left, under, held, longest, violated, s.preference)
         done = (longest >= HOLD) & ~violated
         return state, obs, terms, touch_measures(r, left, done, violated)
 

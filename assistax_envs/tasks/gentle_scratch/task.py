@@ -26,15 +26,15 @@ from assistax_envs.tasks.gentle_base import (
     FELT,
     SOFT,
     STEP,
-    Liking,
+    Preferences,
     TouchReadings,
     TouchSensors,
     along_skin,
     bump,
     costs,
+    episode_preferences,
     in_segment,
     touch_measures,
-    wishes,
     with_preference,
 )
 from assistax_envs.tasks.scratch.task import START
@@ -66,7 +66,7 @@ class StrokeState:
     liked: jax.Array  # sum over them of how well the human liked the force
     strokes: jax.Array  # int32, done
     violated: jax.Array  # bool, some contact was above the hard limit
-    likes: Liking
+    preference: Preferences
 
 
 class GentleScratch:
@@ -107,7 +107,7 @@ class GentleScratch:
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, StrokeState]:
         """Draw the start pose [nq], the itch and, where it is not given, the preference."""
-        pose_key, itch_key, side_key, likes_key = jax.random.split(key, 4)
+        pose_key, itch_key, side_key, preference_key = jax.random.split(key, 4)
         segment, offset = self._itch(itch_key)
         nan, zero = jnp.full(3, jnp.nan, jnp.float32), jnp.zeros((), jnp.float32)
         state = StrokeState(
@@ -120,7 +120,7 @@ class GentleScratch:
             liked=zero,
             strokes=jnp.zeros((), jnp.int32),
             violated=jnp.zeros((), bool),
-            likes=wishes(params, likes_key),
+            preference=episode_preferences(params, preference_key),
         )
         return self.pose.draw(pose_key), state
 
@@ -147,11 +147,15 @@ class GentleScratch:
         distance = jnp.linalg.norm(to_end, axis=-1)
         near = (along_skin(to_end, tool) < AT_END) & (distance < OFF_END)
         arrived = touching & (r.force < SOFT) & near
-        time, liked = s.time + 1.0, s.liked + touching * bump(r.on_arm, s.likes.force) ** 2
-        wished = STROKE / s.likes.speed / STEP  # steps
+        time, liked = s.time + 1.0, s.liked + touching * bump(r.on_arm, s.preference.force) ** 2
+        preferred_steps = STROKE / s.preference.speed / STEP  # steps
         terms = {
             "progress": jnp.where(first, 0.0, s.distance - distance),
-            "stroke": arrived * wished * jnp.exp(1.0 - wished / time) * liked / time,
+            "stroke": arrived
+            * preferred_steps
+            * jnp.exp(1.0 - preferred_steps / time)
+            * liked
+            / time,
         } | costs(r)
         after = dataclasses.replace(
             s,
@@ -164,7 +168,7 @@ class GentleScratch:
         )
         goal, left = self._goal(after, r, step, time)
         # How well the force was liked is for the human to feel: a robot that saw it would be told.
-        seen = jnp.column_stack([liked / time, s.likes.observed(self.name)])
+        seen = jnp.column_stack([liked / time, s.preference.observed(self.scene)])
         obs = with_preference(observations(r, *goal), seen, self._told)
         done = (after.strokes >= ENOUGH) & ~after.violated
         return (

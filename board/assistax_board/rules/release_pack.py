@@ -109,14 +109,14 @@ def add_persons(folder: Path, task: str, count: int) -> Path:
             play another version of the environment.
     """
     from assistax_base.files import exclusive
-    from assistax_envs.preferences import WISHES, preferences_of
+    from assistax_envs.preferences import PREFERRED, preferences_of
     from assistax_envs.versions import VERSIONS
     from zoo.persons.registered import described
     from zoo.registry import load_registry
     from zoo.saving import save_registry
 
     if not preferences_of(task):
-        raise ValueError(f"task {task!r} has no persons; allowed are {', '.join(WISHES)}")
+        raise ValueError(f"task {task!r} has no persons; allowed are {', '.join(PREFERRED)}")
     if not 2 <= count <= MOST_PERSONS:
         raise ValueError(f"count is {count}; allowed are 2 to {MOST_PERSONS}")
     path, version = folder / REGISTRY_FILE, VERSIONS[task]

@@ -18,8 +18,8 @@ import polars as pl
 
 from assistax_envs import disability_params, make
 from assistax_envs.own_settings import key_of, own_settings
-from assistax_envs.preferences import PREFERENCES, VALUES, WISHES, preferences_of
-from assistax_envs.tasks.gentle_base import FELT, Liking
+from assistax_envs.preferences import PREFERENCES, PREFERRED, VALUES, preferences_of
+from assistax_envs.tasks.gentle_base import FELT, Preferences
 from assistax_envs.tasks.gentle_rules import HARD
 from assistax_workshop.gates.audit_gates import (
     Condition,
@@ -98,10 +98,10 @@ class WrongBeliefEnv:
         return self._exchanged(self._env.step(state, actions))
 
     def _exchanged(self, state: Any) -> Any:
-        task, likes = self._env.task, state.task.likes
+        task, likes = self._env.task, state.task.preference
         other = {wish: _next(getattr(likes, wish), values) for wish, values in VALUES.items()}
-        believed = Liking(**other).observed(task)
-        human = state.obs["human"].at[:, -len(WISHES[task]) :].set(believed)
+        believed = Preferences(**other).observed(task)
+        human = state.obs["human"].at[:, -len(PREFERRED[task]) :].set(believed)
         obs = {**state.obs, "human": human}
         return dataclasses.replace(state, obs=obs)
 
@@ -155,7 +155,7 @@ def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
             f"{len(others.response.robots.ids)} best responses for {len(teams.humans.ids)} teams; "
             "give one for each, in their order"
         )
-    if task not in WISHES and (others.told or others.blind or others.ego_told):
+    if task not in PREFERRED and (others.told or others.blind or others.ego_told):
         raise ValueError(
             f"the humans of {task} have no preferences; name no told or blind teams, and no told "
             "egos"
@@ -201,7 +201,7 @@ def _play(
             played[Condition[name.upper()]] = table.play(
                 name, pairs.robots, pairs.humans, env=there, paired=True
             )
-    if task in WISHES:
+    if task in PREFERRED:
         played[Condition.MISTAKEN] = table.play(
             "mistaken",
             teams.robots,

@@ -32,7 +32,7 @@ def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str
     for name, robot in robots.items():
         if robot is not None:
             seen = measure.episodes(task, rows, robot, steps=plan.horizon or STEPS)
-            of = {wish: rows[:, index(task)[wish]] for wish in measure.wishes(task)}
+            of = {wish: rows[:, index(task)[wish]] for wish in measure.preference_parameters(task)}
             found[name] = {wish: _read(seen, values) for wish, values in of.items()}
             progress(f"wishes read by {name}: {found[name]}")
     return {"about": {"task": task, "persons": len(rows)}, "read": found}
