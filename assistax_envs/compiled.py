@@ -1,4 +1,4 @@
-"""Where the fused engine's machine code lies, and whether it may be run. Imports nothing heavy."""
+"""Folder of the fused engine's machine code, and its safety check. Imports nothing heavy."""
 
 import os
 from pathlib import Path
@@ -9,15 +9,15 @@ VARIABLE = "XDG_CACHE_HOME"
 def folder() -> Path:
     """Return this user's folder of compiled programs, which need not exist.
 
-    It is not where partners are cached: that cache may be shared by many users, and nobody may run
-    machine code that others can write.
+    Partners have another cache, which users may share: machine code that others can write is
+    unsafe.
     """
     home = os.environ.get(VARIABLE) or os.path.expanduser("~/.cache")
     return Path(home, "assistax-zoo", "fused")
 
 
 def refused(path: Path) -> str | None:
-    """Return why nothing in an existing folder is run, None where it is this user's alone."""
+    """Return the reason not to run code of an existing folder; None if it is this user's alone."""
     status = path.stat()
     if status.st_uid == os.getuid() and not status.st_mode & 0o022:
         return None

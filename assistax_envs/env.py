@@ -34,7 +34,7 @@ from assistax_envs.tremor import TremorFilter
 from assistax_envs.versions import engine, playable_version
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
-AT_END = 0.02  # rad from an end of its range, where a joint counts as at its end
+AT_END = 0.02  # rad from an end of its range, within which a joint counts as at its end
 
 
 @jax.tree_util.register_dataclass
@@ -58,7 +58,7 @@ class EnvState:
 
 
 class Env:
-    """A task on a backend. Make it with `make`; never map it: the batch axis is its own."""
+    """A task on a physics backend. Make it with `make`, and never map it: it has a batch axis."""
 
     @own_settings()
     def __init__(
@@ -98,7 +98,7 @@ class Env:
         self._seat = np.array([joint.id for joint in seat])
         self._seat_angles = np.array([joint.qposadr[0] for joint in seat])
         self._spared = REGISTERED[scene].spared
-        # What a disability's range is of, and its rest angle: where the scene starts it.
+        # Joints that a disability stiffens, and their rest angles: those at which the scene starts.
         stiff = [self.model.joint(name) for name in STIFF_JOINTS[REGISTERED[scene].seat]]
         self._stiff = np.array([joint.id for joint in stiff])
         self._rest = self._task.pose.angle[[joint.qposadr[0] for joint in stiff]]
@@ -157,8 +157,7 @@ class Env:
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
-            earns 0. One that a protective stop ended is to be reset: what comes after counts for
-            nothing.
+            earns 0. Reset a simulation that a protective stop ended: its later steps do not count.
         """
         action = {role: jnp.asarray(taken, jnp.float32) for role, taken in action.items()}
         tremor, shake = self._shake(state)
@@ -223,8 +222,8 @@ class Env:
             camera: a camera of the scene, or "close"; the scene's first one if not given.
             width: pixels.
             height: pixels.
-            caption: lines to write below, of which the last names the human: who is named the same
-                looks the same.
+            caption: lines to write below. The last names the human: humans of the same name look
+                the same.
 
         Raises:
             ValueError: there is no such simulation or camera, or this machine lacks EGL and OSMesa.
@@ -237,20 +236,20 @@ class Env:
         return self._renderers[size].frame(state, index, camera, caption)
 
     def shown(self, states: Sequence[EnvState]) -> dict[str, np.ndarray]:
-        """Return by column what players show of T states of one simulation; see `render.shown`."""
+        """Return the columns [T, ...] that players draw T states of one simulation from."""
         from assistax_envs.render import shown
 
         return shown(self._task, self.model, states)
 
     def close(self) -> None:
-        """Give back what `render` drew with: an OpenGL context belongs to the thread that drew."""
+        """Free the OpenGL contexts of `render`; call it in the thread that drew."""
         while self._renderers:
             self._renderers.popitem()[1].close()
 
     def _control(
         self, params: EnvParams, action: dict[str, jax.Array], shake: jax.Array
     ) -> jax.Array:
-        """Return the controls [N, nu]: what is left of the human's strength, and its tremor."""
+        """Return the controls [N, nu]: the human's have its strength and its tremor."""
         strength = self._left(params.strength)
         human = jnp.clip(action["human"], -1.0, 1.0) * strength[:, None] + shake
         control = jnp.zeros((human.shape[0], self.model.nu), jnp.float32)
@@ -258,14 +257,14 @@ class Env:
         return control.at[:, self._actuators["human"]].set(jnp.clip(human, -1.0, 1.0))
 
     def _left(self, share: jax.Array) -> jax.Array:
-        """Return what a setting leaves of strength or range [N], of which a scene may spare some.
+        """Return the share [N] of strength or range that is left in this scene.
 
-        Nothing is computed where none is spared: the paper's tasks stay as they are to the bit.
+        Scenes that spare no share return it as it is: the paper's tasks keep their bits.
         """
         return 1.0 - (1.0 - self._spared) * (1.0 - share) if self._spared else share
 
     def _joint_range(self, params: EnvParams) -> jax.Array:
-        """Return joint limits [N, njnt, 2], those of stiff joints drawn in about their rest."""
+        """Return joint limits [N, njnt, 2], narrowed about rest for the impaired joints."""
         full, left = jnp.asarray(self.model.jnt_range, jnp.float32), self._left(params.elbow_range)
         rest = self._rest[:, None]
         stiff = rest[None] + left[:, None, None] * (full[self._stiff] - rest)[None]
@@ -276,7 +275,10 @@ class Env:
         )
 
     def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
-        """Advance the tremor: its filter state and torque share [N, 3]. None costs nothing."""
+        """Return the tremor's next filter state and its torque share [N, 3].
+
+        A batch without tremor draws no noise.
+        """
 
         def noise(state: EnvState) -> tuple[jax.Array, jax.Array]:
             keys = jax.vmap(jax.random.fold_in)(state.key, state.step)
@@ -300,7 +302,7 @@ def make(
     """Make the environment of `task`.
 
     Args:
-        task: one of `TASKS`, or a class of your own that says in `scene` whose scene it takes.
+        task: one of `TASKS`, or a class of your own whose `scene` names the task of its scene.
         backend: "fused" (CPUs and NVIDIA GPUs), "native" (MuJoCo on CPU threads), "mjx" (XLA),
             "mjx-warp" (NVIDIA GPUs), or "auto": the fastest one here.
         weights: reward weights by term that replace those of Table 5.

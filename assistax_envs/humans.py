@@ -1,4 +1,4 @@
-"""Who the human in each simulation is: its impairment and its preference, as arrays."""
+"""The human of each simulation as arrays: impairment and preference."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ class EnvParams:
     strength: jax.Array
     elbow_range: jax.Array
     tremor: jax.Array
-    # int32: k for pk, 0 if one is drawn anew at each reset. Only the gentle tasks look at it.
+    # int32: k for pk, 0 if one is drawn anew at each reset. Tasks without preferences ignore it.
     preference_code: jax.Array
     # `gentle_base.Preferences` of persons, whose values are no row of the table; replaces the code.
     preference: Any = None
-    # int32: which of some persons it is, where somebody keeps count of that. No environment looks.
+    # int32: the person's number, kept for callers. Environments ignore it.
     person: Any = None
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C while JAX runs: the work goes on in a thread of its own, and stops between two dispatches.
+"""Ctrl-C while JAX runs: work runs in its own thread, and stops between two dispatches.
 
 CPython raises KeyboardInterrupt in the main thread, wherever that is. Inside a callback that XLA
 runs there, the exception is lost, comes back as an error of XLA's, or breaks the interpreter. So
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class StoppedError(Exception):
-    """The work was asked to stop; nobody sees this but whoever asked."""
+    """Raised inside work that was asked to stop; `interruptible` catches it."""
 
 
 def interruptible(work: Callable[[Callable[[], None]], T]) -> T:

@@ -26,7 +26,7 @@ MOST_WITH_TERMS, MOST_WITH_NAMES = 0.42, 1 / 3  # of a picture's height, for wor
 
 @dataclasses.dataclass(frozen=True)
 class Figures:
-    """What a step of one simulation says of itself."""
+    """Figures of one step of one simulation, written below its picture."""
 
     title: str
     terms: dict[str, float]  # weighted reward terms
@@ -42,7 +42,7 @@ def force_colour(newtons: float) -> tuple[float, ...]:
 
 
 def panel_height(width: int, height: int, figures: Figures, caption: tuple[str, ...]) -> int:
-    """Return how many of a picture's lines of pixels the words take, 0 where there is no room."""
+    """Return the height in pixels that the words take of a picture; 0 if there is no room."""
     if height < SMALLEST:
         return 0
     font = _font(width, height)
@@ -52,7 +52,7 @@ def panel_height(width: int, height: int, figures: Figures, caption: tuple[str, 
 def panel(
     width: int, rows: int, height: int, figures: Figures, caption: tuple[str, ...]
 ) -> np.ndarray:
-    """Return what stands below a picture of this height, uint8 [rows, width, 3]."""
+    """Return the strip below a picture of this height, uint8 [rows, width, 3]."""
     font = _font(width, height)
     image = Image.new("RGB", (width, max(rows, 1)), PAPER)
     draw, y = ImageDraw.Draw(image), font.size // 2
@@ -67,7 +67,7 @@ def panel(
 
 @dataclasses.dataclass(frozen=True)
 class _Item:
-    """Words, behind a patch of a colour or above a bar where they have one."""
+    """Words, with an optional patch of colour before them or an optional bar below them."""
 
     text: str
     room: int  # pixels, with those to the next item
@@ -79,7 +79,7 @@ class _Item:
 def _lines(
     font: Any, width: int, height: int, figures: Figures, caption: tuple[str, ...]
 ) -> list[list[_Item]]:
-    """Return what is written; terms and caption only where the scene keeps most of the picture."""
+    """Return the lines to write; terms and caption only if the scene keeps most of the picture."""
     lines = _flow(_facts(font, figures), width - font.size)
     terms = _terms(font, width, figures.terms)
     names = _flow([_item(font, text) for text in caption], width - font.size)
@@ -90,7 +90,7 @@ def _lines(
 
 
 def _facts(font: Any, figures: Figures) -> list[_Item]:
-    """Return clock, touch and distance, and what the colours mean: in all frames as long."""
+    """Return clock, touch, distance and the legend of colours; equally long in all frames."""
     ends = [f"{level:.0f}" for level, _ in LEVELS[1:]]
     words = (f"< {ends[0]} N", f"{ends[0]}-{ends[1]} N", f"> {ends[1]} N")
     colours = [colour for _, colour in LEVELS]
@@ -121,7 +121,7 @@ def _terms(font: Any, width: int, terms: Mapping[str, float]) -> list[list[_Item
 def _item(
     font: Any, text: str, colour: Any = None, widest: str = "", *, is_round: bool = False
 ) -> _Item:
-    """Return words with room for the widest that may stand there, a patch and a gap."""
+    """Return an item with room for its widest text, a patch and a gap."""
     long = max(font.getlength(text), font.getlength(widest))
     return _Item(text, round(long + font.size * (2 if colour else 1)), colour, is_round=is_round)
 
@@ -168,7 +168,7 @@ def _bytes(colour: tuple[float, ...]) -> tuple[int, ...]:
 
 
 def _font(width: int, height: int) -> Any:
-    """Return letters that are read in films of 320 to 480 pixels, and grow with the picture."""
+    """Return a font that is legible in films of 320 to 480 pixels and grows with the picture."""
     wished = max(8 + width // 80, width // 46)
     return ImageFont.load_default(max(9, min(wished, height // 14)))
 

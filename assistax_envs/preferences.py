@@ -1,8 +1,6 @@
-"""What a human likes, readable without JAX or MuJoCo: preferences p1..p9 of the gentle tasks.
+"""Preferences p1 to p9 of humans in the gentle tasks. Imports no JAX or MuJoCo.
 
-A disability is what a body can do; a preference is what a person wishes. The human observes its
-own, the robot does
-not, and the reward of both depends on it.
+The human observes its own preference, the robot does not, and the reward of both depends on it.
 """
 
 import dataclasses
@@ -14,7 +12,7 @@ from assistax_envs.registered import ByTask
 
 @dataclasses.dataclass(frozen=True)
 class Preference:
-    """How a human likes to be touched."""
+    """Preferred values of a human: of touch, place and distance."""
 
     force: float  # N, of the tool on its arm
     speed: float  # m/s, of the tool over its skin
@@ -37,10 +35,10 @@ PLACES = (0.1, 0.2, 0.3)  # m
 WAITS = (0.04, 0.08, 0.16)  # m
 DEPTHS = (0.012, 0.02, 0.028)  # m
 PRESSES = (0.5, 1.0, 2.0)  # N
-# What robots are told that no robot may observe, for rows to compare with: nothing, what the human
-# likes, or all numbers of a person.
+# Secrets that a robot observes in rows to compare with: nothing, the human's preference, or all
+# numbers of a person.
 Told = bool | Literal["partner"]
-# What of it matters in a task, and is observed there.
+# Quantities that humans of a task have a preference about, and observe.
 PREFERRED: Mapping[str, tuple[str, ...]] = ByTask(
     lambda kind: kind.preferences, lambda kind: bool(kind.preferences)
 )
@@ -75,12 +73,16 @@ DRAWN = "drawn"  # a preference that is drawn anew, among all of them, at each e
 
 
 def preferences_of(task: str) -> tuple[str, ...]:
-    """Return the preferences that humans play under if none are chosen; the paper's have none."""
+    """Return p1 to p9, or no names for a task whose humans have no preferences."""
     return tuple(PREFERENCES) if task in PREFERRED else ()
 
 
 def check_preferences(task: str, names: Sequence[str]) -> None:
-    """Refuse names that are no preferences, none, one twice, and any of them for another task."""
+    """Check names of preferences for a task.
+
+    Raises:
+        ValueError: The task has no preferences, or a name is unknown, missing or given twice.
+    """
     if task not in PREFERRED:
         raise ValueError(
             f"the humans of {task} have no preferences; leave them out, or choose "

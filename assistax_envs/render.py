@@ -95,8 +95,8 @@ class Renderer:
             state: [N] simulations.
             index: which of them.
             camera: a camera of the scene, or "close"; the scene's first one if not given.
-            caption: lines to write below, of which the last names the human: who is named the same
-                looks the same.
+            caption: lines to write below. The last names the human: humans of the same name look
+                the same.
 
         Returns:
             uint8 [height, width, 3].
@@ -124,7 +124,7 @@ class Renderer:
         return np.concatenate([pixels[::-1], panel(width, below, height, figures, caption)])
 
     def close(self) -> None:
-        """Give the OpenGL context back; the renderer draws no more."""
+        """Free the OpenGL context; the renderer cannot draw afterwards."""
         if self._context is not None:
             self._context.make_current()
             if self._gl is not None:
@@ -188,7 +188,7 @@ class Renderer:
         geom.size[:] = radius
 
     def _draw_touches(self, one: "EnvState") -> None:
-        """Draw a disc where the robot touches, and an arrow that ends where the force acts."""
+        """Draw a disc at each touch, and an arrow that ends at the point of the total force."""
         felt = one.measures.contact is not None  # gentle scenes record all touches, not the tool's
         newtons = float(one.measures.force[0])
         points, ways, sizes = pressing(self.model, self._data, newtons, felt=felt)
@@ -227,14 +227,14 @@ class Renderer:
 
 
 def picture_model(scene: str) -> mujoco.MjModel:
-    """Return a scene as it is shown; what is near is a contact in it, without a force."""
+    """Return a scene for pictures, in which near geoms make a contact without a force."""
     model = build_dressed(scene)
     model.pair_margin[:] = model.pair_gap[:] = NEAR
     return model
 
 
 def wear(model: mujoco.MjModel, person: str) -> None:
-    """Give the human the skin, hair and clothes of a name: the same in all its pictures."""
+    """Dress the human in the skin, hair and clothes of a name, the same in all its pictures."""
     worn = palettes()[zlib.crc32(person.encode()) % len(palettes())]
     for material, colour in worn.items():
         model.material(material).rgba[:3] = colour
@@ -243,10 +243,10 @@ def wear(model: mujoco.MjModel, person: str) -> None:
 def pressing(
     model: mujoco.MjModel, data: mujoco.MjData, newtons: float, *, felt: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where the robot presses the human: points and directions [K, 3], and N of each [K].
+    """Return the robot's touches on the human: points and directions [K, 3], and forces [K] in N.
 
-    The pose gives where, and how forces share; the recorded force gives how much: the motors'
-    torques, which a state does not hold, press too.
+    The pose gives the places and their shares of the force. The size is the recorded force, since
+    a state lacks the motors' torques.
 
     Args:
         model: Of `picture_model`.
@@ -265,7 +265,7 @@ def pressing(
 
 @own_settings()
 def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> dict[str, np.ndarray]:
-    """Return what players show of T states of one simulation.
+    """Return the columns that players draw T states of one simulation from.
 
     `pose` and `velocity` of all joints [T, nq], `target_NAME` [T, 3 K] in m, NaN where one is not
     to be shown, and `wish_NAME` [T], the preferred values of a human that has preferences.
@@ -292,9 +292,9 @@ def shown(task: Task, model: mujoco.MjModel, states: "Sequence[EnvState]") -> di
 def _touches(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> list[tuple[np.ndarray, np.ndarray, float, bool]]:
-    """Return where the robot is at the human, the nearest first.
+    """Return contacts of robot and human, the nearest first.
 
-    Of each the direction in which it presses, with how many N, and whether it is tool on arm.
+    Of each its point, the direction of the force, its size in N, and whether it is tool on arm.
     """
     arm, tool_body = {f"human_{name}" for name in TOUCHABLE}, model.body(TOOL_BODY).id
     found = []
@@ -322,7 +322,7 @@ def check_size(width: int, height: int) -> None:
 def _locate(
     task: Task, sensors: Sensors, task_state: Any, values: jax.Array
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Return where the tool [1, 3] and the task's targets [1, K, 3] are."""
+    """Return the positions of the tool [1, 3] and of the task's targets [1, K, 3]."""
     readings = sensors.read(values)
     return readings.tool_position, task.targets(task_state, readings)
 

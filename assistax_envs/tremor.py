@@ -27,9 +27,9 @@ class TremorFilter:
         return jnp.zeros((size, joints, 2), jnp.float32)
 
     def step(self, state: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Filter `noise` [N, joints] once (transposed direct form II).
+        """Return the next state, and the output [N, joints] for `noise` [N, joints].
 
-        Return the state and the output.
+        Transposed direct form II.
         """
         output = self._b[0] * noise + state[..., 0]
         first = self._b[1] * noise - self._a[1] * output + state[..., 1]

@@ -42,7 +42,7 @@ def scene_sha256(task: str) -> str | None:
 
 
 def build_dressed(task: str) -> mujoco.MjModel:
-    """Compile the same scene for pictures: what collides is hidden behind what it stands for."""
+    """Compile the same scene for pictures, with looks in place of the geoms that collide."""
     scene = _scene(task)
     dress(scene, REGISTERED[task].looks, REGISTERED[task].tool)
     return scene.compile()

@@ -1,4 +1,4 @@
-"""The scene of acts of care at the mouth: the wheelchair of scratch, a head that turns, a jaw.
+"""Scene of acts of care at the mouth: the wheelchair of scratch, a head that turns, a jaw.
 
 The arms rest, without joints. The human's seat has five torques: the trunk leans, the neck turns
 about three axes, and the jaw opens. Lengths in m, angles in rad, in the torso's frame.
@@ -63,7 +63,11 @@ FACE = ("human_head", "human_upper_lip", "human_lower_lip", "human_chin", "human
 def give_mouth(scene: mujoco.MjSpec, teeth: bool) -> None:
     """Give the person of the wheelchair's scene a head that turns and a mouth that opens.
 
-    In place, before a tool is attached; its teeth only where they are brushed.
+    Changes the scene in place, before a tool is attached.
+
+    Args:
+        scene: The scene.
+        teeth: Whether the mouth has teeth.
     """
     _rest_arms(scene)
     _give_head(scene)
@@ -76,7 +80,7 @@ def give_mouth(scene: mujoco.MjSpec, teeth: bool) -> None:
 
 
 def _rest_arms(scene: mujoco.MjSpec) -> None:
-    """Take the arms' joints out, and all contacts but the robot's."""
+    """Delete the arms' joints, and all contacts but the robot's."""
     for body, joints in RESTING.items():
         for name, angle in joints.items():
             joint = scene.joint(f"human_{name}")
@@ -165,7 +169,7 @@ def _bar(body: mujoco.MjsBody, name: str, pos: np.ndarray, size: float, mass: fl
 
 
 def _give_seat(scene: mujoco.MjSpec) -> None:
-    """Let the human's seat drive trunk, neck and jaw, and let it feel them."""
+    """Add actuators of trunk, neck and jaw to the human's seat, and sensors of their joints."""
     scene.joint(f"human_{LEAN}").damping = [LEAN_DAMPING, 0, 0]
     torques = {LEAN: LEAN_TORQUE, "jaw": JAW_TORQUE}
     torques |= {name: row[-1] for name, row in NECK_JOINTS.items()}
@@ -187,7 +191,7 @@ def _give_seat(scene: mujoco.MjSpec) -> None:
 
 
 def touch_mouth(scene: mujoco.MjSpec, teeth: bool) -> None:
-    """Let the tool, attached, touch the face; what teeth or lips feel of it is what it is for."""
+    """Let the attached tool touch the face, with sensors of its force on teeth or lips."""
     for sensor in list(scene.sensors):
         if sensor.name.startswith("force-"):
             scene.delete(sensor)

@@ -1,6 +1,4 @@
-"""The scenes of the gentle tasks: those of the paper's, softened, and with all touches felt.
-
-The skin gives way, the robot is in reduced mode, its links touch the human.
+"""Softening of a scene: the skin gives way, the robot runs in reduced mode, all touches are felt.
 
 The changes are made on the parsed MJCF, so that a body or a piece of furniture is described once.
 """
@@ -54,9 +52,9 @@ def soften(scene: mujoco.MjSpec, human_share: float) -> None:
 
 
 def _give_contacts(scene: mujoco.MjSpec) -> None:
-    """Let all of the robot, from its elbow on, touch the human.
+    """Add contacts of the human with all of the robot from its elbow on.
 
-    Else it passes through it where that is the short way.
+    Without them the robot takes short ways through the human.
     """
     known = {frozenset((pair.geomname1, pair.geomname2)) for pair in scene.pairs}
     like = scene.pairs[0]
@@ -75,14 +73,14 @@ def _give_contacts(scene: mujoco.MjSpec) -> None:
 
 
 def touching(geom1: str, geom2: str) -> tuple[str, str] | None:
-    """Return the robot's and the human's part of a contact pair, None where one has no part."""
+    """Return the robot's and the human's geom of a contact pair; None if it lacks either."""
     robot = [name for name in (geom1, geom2) if name.startswith("robot_")]
     human = [name for name in (geom1, geom2) if name.startswith("human_") or name in LEGS]
     return (robot[0], human[0]) if robot and human else None
 
 
 def _feel(scene: mujoco.MjSpec, robot: str, human: str) -> None:
-    """Sense the strongest contact between two geoms: force, normal and tangent, 9 numbers."""
+    """Add a sensor of the strongest contact of two geoms: force, normal, tangent, 9 numbers."""
     data = mujoco.mjtConDataField
     fields = (data.mjCONDATA_FORCE, data.mjCONDATA_NORMAL, data.mjCONDATA_TANGENT)
     what = sum(1 << int(field) for field in fields)

@@ -1,4 +1,4 @@
-"""Twelve places on the teeth: where a brush should be for each, in the mouth's frame.
+"""Twelve places on the teeth, and a brush's position for each, in the mouth's frame.
 
 Rows are right, front and left, above and below, outside and inside. The lower ones go with the jaw.
 """

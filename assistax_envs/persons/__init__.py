@@ -1,4 +1,4 @@
-"""Persons: partners made of numbers, who react in public. `docs/persons.md` says what they are."""
+"""Persons: partners made of numbers, whose reactions robots can see. See `docs/persons.md`."""
 
 import importlib
 from typing import TYPE_CHECKING

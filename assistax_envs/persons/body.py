@@ -1,4 +1,4 @@
-"""A person's right arm as constants of a scene: how it turns, what it weighs, where it may lie.
+"""A person's right arm as constants of a scene: joints, weights and possible postures.
 
 Shapes: N simulations, M postures; joints are those of `HUMAN_ACTUATORS`: two of the shoulder, the
 elbow. The trunk counts as resting: it bends by hundredths of a radian.
@@ -16,9 +16,9 @@ from assistax_envs.tasks.base import ARM_SEGMENTS, HUMAN_ACTUATORS, ROBOT_JOINTS
 JOINTS = len(HUMAN_ACTUATORS)
 GRAVITY = 9.81  # m/s^2
 GRID = (9, 9, 7)  # postures tried, over each joint's range
-FACE = 0.25  # m from the middle of the head to that of the forearm: nobody holds it nearer
+FACE = 0.25  # m from the middle of the head to that of the forearm: no arm is held nearer
 PLACES = 8  # along the way to a posture, where nothing may be in between
-DEEP = 0.004  # m: a posture that lies deeper than this in anything is none
+DEEP = 0.004  # m: postures that lie deeper than this in anything are left out
 _PARTS = ("human_right_upper_arm", "human_right_lower_arm", "human_right_hand")
 
 
@@ -55,7 +55,7 @@ class Arm:
         self.radius = np.array([site.size[0] for site in sites], np.float32)  # [2] m
 
     def frames(self, angles: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return where upper and lower arm are, [N, 2, 3] and [N, 2, 3, 3], z along each."""
+        """Return positions [N, 2, 3] and frames [N, 2, 3, 3] of both segments, z along each."""
         turns = self._turns(angles)
         position, turn = [], []
         for segment, count in enumerate((JOINTS - 1, JOINTS)):
@@ -88,10 +88,10 @@ class Arm:
         return jnp.stack(columns, axis=-1)
 
     def postures(self, most: float) -> dict[str, np.ndarray]:
-        """Return postures that the arm may lie in, inside nothing, and that it can hold.
+        """Return postures that the arm can hold without lying inside anything.
 
         Args:
-            most: of the seat's torque that holding may take; infinite where somebody else holds.
+            most: share of the seat's torque that holding may take; infinite if the robot holds it.
 
         Returns:
             "angles" [M, 3], "position" [M, 2, 3] of the segments, "turn" [M, 2, 3, 3] from their
@@ -185,7 +185,7 @@ class Arm:
 
 
 def _moved(point: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Return where the joints' motions take a point [3], [N, 3]: the last joint's first."""
+    """Return the images [N, 3] of a point [3] under the joints' motions, the last joint's first."""
     moved = jnp.asarray(point)[None]
     for turn, shift in reversed(turns):
         moved = _apply(turn, moved) + shift
@@ -193,7 +193,7 @@ def _moved(point: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax.A
 
 
 def _turned(vector: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Return how the joints' motions turn a direction [3], [N, 3]."""
+    """Return the images [N, 3] of a direction [3] under the joints' rotations."""
     turned = jnp.asarray(vector)[None]
     for turn, _ in reversed(turns):
         turned = _apply(turn, turned)

@@ -1,4 +1,4 @@
-"""What every person does alike, with an arm or with a head. Pure functions of N simulations.
+"""Parts of the program that persons with an arm and with a head share: pure functions.
 
 Chance is a hash of an episode's seed and the step, exact integers: the same seed and step give the
 same numbers on every machine, whatever else is in the batch.
@@ -52,7 +52,7 @@ def _mixed(words: jax.Array) -> jax.Array:
 
 
 def begun(first: jax.Array, fresh: Any, old: Any) -> Any:
-    """Return a carry that is fresh where an episode begins; `first` [N] says where."""
+    """Return the carry, fresh in simulations whose episode begins; `first` [N] marks them."""
 
     def choose(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
@@ -61,7 +61,7 @@ def begun(first: jax.Array, fresh: Any, old: Any) -> Any:
 
 
 def remembered(past: jax.Array, newest: jax.Array, numbers: Numbers) -> tuple[jax.Array, jax.Array]:
-    """Return the past [N, LATEST, K] with the newest [N, K] first, and what was a delay ago."""
+    """Return the past [N, LATEST, K] with the newest [N, K] first, and the row of a delay ago."""
     past = jnp.concatenate([newest[:, None], past[:, :-1]], axis=1)
     steps = jnp.clip(jnp.round(numbers["delay"] / STEP), 0, LATEST - 1).astype(jnp.int32)
     return past, jnp.take_along_axis(past, steps[:, None, None], axis=1)[:, 0]
@@ -73,7 +73,7 @@ def stopped(before: jax.Array, discomfort: jax.Array, limit: jax.Array) -> jax.A
 
 
 def lapsed(left: jax.Array, chance: jax.Array, numbers: Numbers) -> jax.Array:
-    """Return the seconds until attention is back; `chance` [N] says who loses it now."""
+    """Return the seconds [N] until attention is back; a small `chance` [N] loses it now."""
     begins = chance < numbers["lapses"] * (STEP / 60.0)
     return jnp.where(begins, LAPSE, jnp.maximum(left - STEP, 0.0))
 
@@ -84,7 +84,7 @@ def under_way(way: jax.Array, starts: jax.Array, lapsed: jax.Array) -> jax.Array
 
 
 def minimum_jerk(way: jax.Array, time: jax.Array) -> jax.Array:
-    """Return the share of a movement that is done: Flash and Hogan 1985."""
+    """Return the share of a movement that is done after `way` s: Flash and Hogan 1985."""
     t = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 

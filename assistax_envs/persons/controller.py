@@ -21,7 +21,7 @@ from assistax_envs.persons.senses import Senses, sense
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
 
-CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative from which on nothing, or a touch, is waited for
+CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative above which it waits for nothing, or a touch
 LIMP = 0.1  # tone of an arm at rest
 RISE, FALL = 0.1, 0.4  # s, of the tone
 AIM = 0.1  # rad, how well a posture is aimed at
@@ -123,7 +123,7 @@ class Controller:
             row: [N, 25] numbers of `PARAMETERS`.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
-            first: [N] whether an episode begins; then the carry is forgotten.
+            first: [N] whether an episode begins: its carry is fresh.
         """
         numbers = {name: row[:, place] for name, place in self._place.items()}
         strength = 1.0 - (1.0 - self._spared) * (1.0 - numbers["strength"])
@@ -139,7 +139,7 @@ class Controller:
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, now: Senses, first: jax.Array
     ) -> Mind:
-        """Forget all where an episode begins.
+        """Return the carry, fresh in simulations whose episode begins.
 
         Its chance comes from the bits of the joints' start, which the episode's key drew and which
         are the same on every backend, and from those of the row.
@@ -163,10 +163,10 @@ class Controller:
     def _look(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array], strength: jax.Array
     ) -> Mind:
-        """Look for the posture that helps: first, and now and then in some tasks.
+        """Search the posture that helps: at first, and again in tasks that say so.
 
-        In training only a few simulations begin an episode at any step, and searching for everybody
-        took 80% of a step of gentle scratch. Always `SEARCHED` at a time: sizes change no bit.
+        In training only a few simulations begin an episode at any step, and a search for all of
+        them took 80% of a step of gentle scratch. Always `SEARCHED` at a time: sizes change no bit.
         """
         again = self.postures.help.again
         due = mind.age % again == 0 if again else mind.age == 0
@@ -191,7 +191,7 @@ class Controller:
     def _feel(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array]
     ) -> tuple[Mind, reaction.Felt, jax.Array]:
-        """Return what is felt, of a delay ago, and the joints' position then [N, 3]."""
+        """Return carry, touch of a delay ago, and the joints' position then [N, 3]."""
         away, slip = self._touch(mind, now)
         touching = now.force > FELT
         keep = STEP / SMOOTHED
@@ -207,7 +207,7 @@ class Controller:
         past, then = common.remembered(mind.past, newest, numbers)
         position, force, speed, near, away = jnp.split(then, (3, 4, 5, 6), axis=1)
         force = force[:, 0]
-        # Who is carried has no liking for it, and misses no pressure.
+        # A carried person prefers no force, and misses no pressure.
         unit = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
         liked = jnp.zeros_like(unit) if self._carried else unit
         hurts, asks = numbers["tolerance"] * unit, self._asked * unit

@@ -1,10 +1,10 @@
-"""A person at the mouth: opens, turns its head, closes, and shows what is too much or too little.
+"""A person at the mouth: moves its head and jaw, and shows discomfort.
 
 The same person as `controller`'s, with another body: its row has numbers of neck and jaw in place
-of an arm's. It opens for a spoon that waits where it likes, or shows the teeth that are to be
-brushed; it turns away from what comes too near too soon, goes too deep, presses too hard or rubs
-too fast, and leans towards what is too far or too light. Shapes: N simulations; joints are those of
-the seat: trunk, pitch, yaw and roll of the neck, jaw.
+of an arm's. It turns away from a tool that comes too near too soon, goes too deep, presses too hard
+or rubs too fast, and leans towards one that is too far or too light. Its task's `HeadHelp` has the
+rest. Shapes: N simulations; joints are those of the seat: trunk, pitch, yaw and roll of the neck,
+jaw.
 """
 
 import dataclasses
@@ -118,7 +118,7 @@ class Head:
             row: [N, 25] numbers of `PARAMETERS`.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
-            first: [N] whether an episode begins; then the carry is forgotten.
+            first: [N] whether an episode begins: its carry is fresh.
         """
         numbers = {name: row[:, place] for name, place in self._place.items()}
         names = ("tool", "progress", "touch", "flag")
@@ -143,7 +143,7 @@ class Head:
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, parts: Numbers, first: jax.Array
     ) -> Mind:
-        """Forget all where an episode begins; its chance comes from the bits of the start."""
+        """Return the carry, fresh where an episode begins; bits of the start seed its chance."""
         now = obs[:, self._read]
         bits = jax.lax.bitcast_convert_type(jnp.concatenate([now, row], axis=1), jnp.uint32)
         fresh = self.initial(obs.shape[0])
@@ -166,7 +166,7 @@ class Head:
     def _perceived(
         self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers
     ) -> Perceived:
-        """Return what is perceived, of a delay ago, beside what the person knows of itself."""
+        """Return the perception of a delay ago, with the person's own state."""
         return Perceived(
             tool=late[:, JOINTS : JOINTS + 3],
             force=late[:, JOINTS + 3],
@@ -181,9 +181,9 @@ class Head:
         )
 
     def _felt(self, now: Perceived) -> reaction.Felt:
-        """Return what is felt, of a delay ago."""
+        """Return the touch of a delay ago, as the reaction takes it."""
         comfort, one = self._judge(now), jnp.ones_like(now.force)
-        # Away from the side from which the tool comes; who is met from the front turns to the left,
+        # Away from the side from which the tool comes; a tool in front turns the head to the left,
         # since the robot stands at the right.
         side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
         forward = jnp.sign(self._gear[LEAN])

@@ -1,4 +1,4 @@
-"""Measure persons without a trained robot: what scripts earn with them, what can be read of them.
+"""Measure persons without a trained robot: returns of scripts, and preferences that can be read.
 
 python -m assistax_envs.persons.measure play TASK
 python -m assistax_envs.persons.measure read TASK
@@ -72,7 +72,7 @@ def _program(
             "success": state.measures.success & ~stopped,
             "violated": state.measures.violated,
             "discomfort": carry.reaction.discomfort,
-            # At the mouth a person shows what it likes before anybody touches it.
+            # At the mouth a person shows its preference before the first touch.
             "met": (state.measures.force > FELT) | (REGISTERED[task].seat == "mouth"),
             "obs": obs["robot"],
         }
@@ -106,16 +106,16 @@ def episodes(
     Args:
         task: one of the gentle tasks.
         rows: [N, 25] of the persons.
-        robot: "script", "idle", or "probe": the script whose force goes from 1 to 15 N and back in
-            4 s, where it keeps to a force; or a robot of one's own.
-        human: "person", or "idle": it has the person's body and wishes, and does nothing.
+        robot: "script"; "idle"; "probe", the script with a force from 1 to 15 N and back in 4 s, if
+            it keeps to a force; or a robot of your own.
+        human: "person", or "idle": a human of the person's body and preference that does nothing.
         family: of the persons.
         steps: to play.
         seed: of the episodes' starts.
 
     Returns:
-        Arrays [T, N] "reward", "force", "success", "violated", "discomfort", "met" (whether what a
-        person shows may be read) and [T, N, O] "obs".
+        Arrays [T, N] "reward", "force", "success", "violated", "discomfort", "met" (whether a
+        person can be read: it was touched, or is at the mouth) and [T, N, O] "obs".
     """
     _, begin, play = _program(task, robot, human, family, steps)
     keys = jax.random.split(key_of(seed), len(rows))
@@ -125,7 +125,7 @@ def episodes(
 
 
 def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
-    """Return means over persons of what episodes of `episodes` came to."""
+    """Return mean figures over persons of the episodes of `episodes`, by name."""
     success, violated = seen["success"].any(axis=0), seen["violated"].any(axis=0)
     touching = seen["force"][seen["force"] > FELT]
     return {
@@ -139,20 +139,20 @@ def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
     }
 
 
-def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[float, int]:
-    """Return in which share of unseen persons a linear reader finds the third of a wish.
+def read(seen: dict[str, np.ndarray], preference: np.ndarray, window: float) -> tuple[float, int]:
+    """Return the share of unseen persons whose third of a preference a linear reader finds.
 
-    It sees means, spreads and changes of what the robot observes from the first touch on, at the
-    mouth from the start on, and how the arm answered to light and to hard touches.
+    The reader has means, spreads and changes of the robot's observations from the first touch on,
+    at the mouth from the start on, and the arm's answers to light and to hard touches.
 
     Args:
         seen: of `episodes`.
-        wish: [N] of the persons.
+        preference: [N] of the persons.
         window: s.
 
     Returns:
-        The share, and of how many persons; a third is chance. 0 of 0 if hardly anybody was touched
-        for so long.
+        The share, and the number of persons that it is of; a third is chance. 0 of 0 if fewer than
+        `LEAST_READ` persons were touched for so long.
     """
     obs, force, touched = seen["obs"], seen["force"], seen["met"]
     begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
@@ -168,7 +168,7 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
         answers = _answers(part, force[when, person])
         features.append(np.concatenate([*halves, part.std(axis=0), change, answers]))
     x = np.array(features, np.float64)
-    thirds = np.searchsorted(np.quantile(wish, [1 / 3, 2 / 3]), wish[enough])
+    thirds = np.searchsorted(np.quantile(preference, [1 / 3, 2 / 3]), preference[enough])
     train = np.arange(len(x)) % 3 > 0
     spread = x[train].std(axis=0)
     x = (x - x[train].mean(axis=0)) / np.where(spread > 1e-9, spread, np.inf)
@@ -181,12 +181,12 @@ def read(seen: dict[str, np.ndarray], wish: np.ndarray, window: float) -> tuple[
 
 
 def preference_parameters(task: str) -> list[str]:
-    """Return the names of what persons of a task wish, tolerance among it."""
+    """Return the names of a task's parameters that are preferences, and tolerance."""
     return [name for name in index(task) if name.startswith("liked")] + ["tolerance"]
 
 
 def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return how the arm moved after touches of each strength, and how frequent those were.
+    """Return the arm's motion after touches of each strength, and their frequencies.
 
     Args:
         part: [T, O] what the robot observed.
@@ -251,9 +251,9 @@ def _print_read(task: str, rows: np.ndarray, family: str) -> None:
         seen = episodes(task, rows, robot, "person", family, steps=600)
         for name in preference_parameters(task):
             for window in WINDOWS:
-                wish = rows[:, place[name]]
-                share, of = read(seen, wish, window)
-                mixed = np.random.default_rng(0).permutation(wish)
+                preference = rows[:, place[name]]
+                share, of = read(seen, preference, window)
+                mixed = np.random.default_rng(0).permutation(preference)
                 chance, _ = read(seen, mixed, window)
                 print(
                     f"{task}, {robot}: {name} from {window:g} s in {share:.0%} of {of} "

@@ -34,7 +34,7 @@ PRESSED = 0.05, 0.35  # co-contraction at ease, and what full discomfort adds
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """What the muscles are to do."""
+    """Command to the muscles."""
 
     intended: jax.Array  # [N, 3] rad
     position: jax.Array  # [N, 3] rad
@@ -50,7 +50,7 @@ class Command:
 def spring(
     command: Command, activation: jax.Array, numbers: dict[str, jax.Array], damping: np.ndarray
 ) -> tuple[jax.Array, jax.Array]:
-    """Return activation, which a spring has none of, and torques [N, 3].
+    """Return the activation unchanged, and the torques [N, 3] of a spring.
 
     tau = a [K (q_eq - q) - D qd + s g(q)], K = scale (K0 + K1 |tau|) (1 + c), of which a share
     acts on the position of a delay ago. `damping` [3] is the scene's: D is what is missing.

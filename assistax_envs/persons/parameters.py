@@ -32,12 +32,12 @@ FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a car
 
 
 def index(task: str) -> dict[str, int]:
-    """Return where in a row of a task each number stands."""
+    """Return the place of each number in a row of a task, by name."""
     return {parameter.name: place for place, parameter in enumerate(PARAMETERS[task])}
 
 
 def left(task: str, share: float) -> float:
-    """Return what a share of strength or range leaves in a task's scene."""
+    """Return the share of strength or range that is left in a task's scene."""
     return 1.0 - (1.0 - REGISTERED[task].spared) * (1.0 - share)
 
 

@@ -71,7 +71,7 @@ class PersonPlayer:
 
 @own_settings()
 def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
-    """Return whom of some persons each episode meets: their numbers [N], from its key [N].
+    """Draw a person for each episode from its key [N]: numbers [N] among `numbers`.
 
     The same key draws the same person, whatever else is drawn from it. `person_params` of their
     rows is the human that the environment is reset with, and "row" is what `PersonPlayer` acts by.
@@ -85,7 +85,7 @@ def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
 
 @own_settings()
 def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
-    """Return the bodies and preferences that the environment needs of persons with rows [N, 25].
+    """Return the humans [N] of persons with rows [N, 25]: their bodies and preferences.
 
     Strength and tremor are the person's own, and not taken twice.
     """

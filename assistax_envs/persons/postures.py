@@ -1,4 +1,4 @@
-"""The posture that helps, by task: a row names what a person tries to do with its arm.
+"""The posture of the arm that helps the robot.
 
 A person looks for it among postures in which its arm lies in nothing and that it can hold. It
 shows the skin that is to be touched to where the tool can come from, or brings the forearm to its
@@ -54,7 +54,7 @@ class Postures:
         Args:
             senses: what a person perceives.
             strength: [N] share of the seat's torque that it has.
-            place: [N] m across the waist where it likes its forearm to lie; of lift alone.
+            place: [N] m, preferred place of the forearm across the waist; other tasks ignore it.
         """
         score = self._choose(senses, place) + jnp.asarray(self._ease)[None]
         if np.isfinite(self.help.most):
@@ -64,11 +64,11 @@ class Postures:
         return self._nearer(chosen, senses, place) if self.help.chooses == "brings" else chosen
 
     def there(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return whether the forearm lies where a person likes it, [N]; of `best`'s arguments."""
+        """Return whether the forearm lies at its preferred place, [N]; arguments as of `best`."""
         return jnp.linalg.norm(self._way(senses, place), axis=-1) < THERE
 
     def _presents(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return how well each posture shows the target [N, M]."""
+        """Return a score [N, M] of how well each posture shows the target."""
         del place
         position, turn = self._arm.frames(senses.position)
         local = jnp.einsum("nsij,nsi->nsj", turn, senses.target[:, None] - position)
@@ -88,19 +88,19 @@ class Postures:
         return 2.0 * jnp.minimum(facing, 0.8) - 4.0 * jnp.maximum(0.0, far - REACH)
 
     def _shows(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return which share of the points that are left each posture shows [N, M]."""
+        """Return a score [N, M] of postures by the share of the left points that they show."""
         del place
         left = senses.unwiped / jnp.maximum(senses.unwiped.sum(axis=1, keepdims=True), 1.0)
         return 4.0 * left @ jnp.asarray(self._shown).T
 
     def _brings(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return how near each posture brings the forearm to its place [N, M]; 1 for 10 cm."""
+        """Return a score [N, M] of postures by the forearm's way to its place; -1 for 10 cm."""
         forearm = jnp.asarray(self._position)[None, :, LOWER_ARM]
         away = jnp.linalg.norm(self._goal(senses, place)[:, None] - forearm, axis=-1)
         return -10.0 * away
 
     def _goal(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return where the forearm should lie [N, 3]."""
+        """Return the preferred position of the forearm [N, 3], m."""
         position, _ = self._arm.frames(senses.position)
         return position[:, LOWER_ARM] + self._way(senses, place)
 
@@ -123,7 +123,7 @@ class Postures:
         return angles
 
     def _way(self, senses: Senses, place: jax.Array) -> jax.Array:
-        """Return the way [N, 3] of the forearm to where a person likes it, m."""
+        """Return the way [N, 3] of the forearm to its preferred place, m."""
         if self.help.across is None:
             return senses.to_place
         across, observed = self.help.across
@@ -138,7 +138,7 @@ class Postures:
         return self._turn[0, segment] @ np.array([np.cos(angle), np.sin(angle), 0.0], np.float32)
 
     def _show(self, segment: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Return how well each posture shows each point, [M, K] in [0, 1]."""
+        """Return the degree [M, K], 0 to 1, to which each posture shows each point."""
         outward = offset * np.array([1.0, 1.0, 0.0], np.float32)
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         normal = np.einsum("mkij,kj->mki", self._turn[:, segment], outward)

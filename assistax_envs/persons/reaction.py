@@ -1,6 +1,6 @@
-"""What a person shows: discomfort, stiffening, withdrawal, leaning in. Two laws, one a family.
+"""Reactions of a person: discomfort, stiffening, withdrawal, leaning in. Two laws, one a family.
 
-This is what a robot can read with anybody. Shapes: N simulations; shifts [N, J] rad are of the
+A robot can read them with every person. Shapes: N simulations; shifts [N, J] rad are of the
 intended posture.
 """
 
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from assistax_envs.tasks.gentle_base import FELT, LIGHT, STEP
 
-MOST = 2.0  # discomfort beyond which nobody goes
+MOST = 2.0  # largest excess of a touch that counts
 FAST = 2.0  # multiple of a liked speed, above which it is too fast
 DOSE = 0.1  # s times excess of force, above which the second law guards
 CALM = 1.0  # s, in which the second law forgets
@@ -21,21 +21,21 @@ FLINCH = 0.2  # s
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Felt:
-    """What a person feels, after its delay."""
+    """Touch that a person feels, after its delay."""
 
     force: jax.Array  # [N] N, of all touches
     hurts: jax.Array  # [N] N, from where on
-    liked: jax.Array  # [N] N; 0 where no pressure is missed
+    liked: jax.Array  # [N] N, preferred; 0 if no pressure is missed
     asks: jax.Array  # [N] N, a push that asks for help
-    speed: jax.Array  # [N] what slides, as a share of what is liked; 1 where nobody minds
-    near: jax.Array  # [N] distance of a robot that waits, likewise; 1 where nobody minds
+    speed: jax.Array  # [N] sliding speed, as a share of the preferred one; 1 if it does not matter
+    near: jax.Array  # [N] distance of a robot that waits, likewise
     away: jax.Array  # [N, J] unit joint direction that moves the skin away from the tool
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Reaction:
-    """How a person feels; the carry of either law."""
+    """State of a person's reaction: the carry of either law."""
 
     discomfort: jax.Array  # [N]
     lightness: jax.Array  # [N] 0 to 1: how much it misses pressure
@@ -45,7 +45,7 @@ class Reaction:
 
 
 def calm(n: int, joints: int = 3) -> Reaction:
-    """Return the reaction of somebody whom nobody has touched yet."""
+    """Return the reaction of N persons that have not been touched yet."""
     zero = jnp.zeros(n, jnp.float32)
     return Reaction(zero, zero, zero, zero, jnp.zeros((n, joints), jnp.float32))
 
@@ -68,8 +68,8 @@ def proportional(now: Reaction, felt: Felt, numbers: dict[str, jax.Array]) -> Re
 def guarded(now: Reaction, felt: Felt, numbers: dict[str, jax.Array]) -> Reaction:
     """Return the next reaction by the second law: all or nothing, by a dose that is remembered.
 
-    Who has had more than `DOSE` flinches and holds its arm back until most of it is forgotten; who
-    misses pressure leans in further and further.
+    A person that has had more than `DOSE` flinches and holds its arm back until most of it is
+    forgotten. One that misses pressure leans in further and further.
     """
     excess, light = _stimuli(felt)
     forgets = jnp.where(excess == 0.0, STEP / CALM, 0.0)
@@ -84,12 +84,12 @@ def guarded(now: Reaction, felt: Felt, numbers: dict[str, jax.Array]) -> Reactio
 
 
 def _stimuli(felt: Felt) -> tuple[jax.Array, jax.Array]:
-    """Return what is too much and what is too little [N]."""
+    """Return the excess of touch, and whether there is too little of it [N]."""
     touched = felt.force > FELT
     too_near = LIGHT / jnp.maximum(felt.near, 1e-3) - 1.0
     too_fast = jnp.where(touched, felt.speed / FAST - 1.0, 0.0)
     excess = jnp.maximum(felt.force / felt.hurts - 1.0, jnp.maximum(too_fast, too_near))
-    # Who is pressed as hard as it likes, or harder, does not lean in to be rubbed faster.
+    # A person that is pressed as hard as preferred, or harder, does not lean in for more speed.
     slow = (felt.speed < LIGHT) & (felt.force < felt.liked)
     light = (touched & ((felt.force < LIGHT * felt.liked) | slow)) | (felt.near > 1.0 / LIGHT)
     return jnp.clip(excess, 0.0, MOST), light.astype(jnp.float32)

@@ -30,7 +30,7 @@ FAMILIES = ("spring", "muscle")  # forms of the controller; see `spring` and `mu
 
 @dataclasses.dataclass(frozen=True)
 class Person:
-    """A row of numbers, and what it is called."""
+    """A person: a row of numbers with task, number, side and family."""
 
     task: str
     number: int
@@ -40,7 +40,7 @@ class Person:
 
     @property
     def name(self) -> str:
-        """Return what the registry calls it."""
+        """Return its name in the registry."""
         return f"person-{self.number:05d}"
 
     @property
@@ -77,7 +77,7 @@ def persons(task: str) -> np.ndarray:
 
 
 def side(number: int) -> str:
-    """Return whom a person is for.
+    """Return the side of a person.
 
     Training: inside; validation: each tenth of those; test: corners, and the other family.
     """
@@ -110,7 +110,7 @@ def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
 
 
 def card(someone: Person) -> str:
-    """Return a person's numbers as text, each beside its range and, where there is one, a grade."""
+    """Return a person's numbers as text, each with its range, and clinicians' grades."""
     lines = [f"{someone.name} of {someone.task}: {someone.side}, {someone.family}"]
     lines.append(f"identity {someone.identity}")
     for name, number in described_numbers(someone).items():
@@ -122,7 +122,7 @@ def card(someone: Person) -> str:
 
 
 def described_numbers(someone: Person) -> dict[str, dict[str, Any]]:
-    """Return a person's numbers by name, each with its unit, its range and who has none of it."""
+    """Return a person's numbers by name: value, unit, low, high, and share of persons without."""
     return {
         parameter.name: {
             "value": float(f"{value:.4g}"),
@@ -133,7 +133,7 @@ def described_numbers(someone: Person) -> dict[str, dict[str, Any]]:
 
 
 def grades(someone: Person) -> dict[str, str]:
-    """Return what stands on clinicians' scales beside some of a person's numbers."""
+    """Return grades of some of a person's numbers on clinicians' scales, by the scale's name."""
     task, row, place = someone.task, someone.row, index(someone.task)
     strength = left(task, float(row[place["strength"]]))
     share = left(task, float(row[place["range"]]))

@@ -1,8 +1,8 @@
-"""What a person makes of a human's observation: the same few things in every task.
+"""Perception of a person with an arm: the same few quantities from every task's observation.
 
-Everything that a person reacts to is observed: its joints, the tool, the force of all touches. How
-fast something slides over its skin it feels from how tool and arm move. Its wishes it knows: those
-in the observation are of the episode, and are not looked at.
+The human's observation holds all that a person reacts to: its joints, the tool, the force of all
+touches. Sliding over its skin follows from the motion of tool and arm. A person has its own
+preference, and ignores the observed one.
 
 Shapes: N simulations.
 """
@@ -28,7 +28,7 @@ _ARM = np.array([HUMAN_JOINTS.index(joint) for joint in HUMAN_ACTUATORS])
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Senses:
-    """What a person perceives now; its delay comes later."""
+    """Perception of a person now, before its delay."""
 
     position: jax.Array  # [N, 3] rad, of the right arm's joints
     velocity: jax.Array  # [N, 3] rad/s

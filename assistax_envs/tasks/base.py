@@ -1,4 +1,4 @@
-"""What tasks share: named sensor readings, observations by role, and the protocol of a task."""
+"""Parts that all tasks share: sensor readings, observations by role, and a task's protocol."""
 
 import dataclasses
 import math
@@ -61,7 +61,7 @@ class Readings:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Measures:
-    """What evaluation records beside the reward."""
+    """Measures that evaluation records beside the reward."""
 
     force: jax.Array  # [N] magnitude of the tool's force on the arm, N
     distance: jax.Array  # [N] from tool to target, m
@@ -83,13 +83,13 @@ def human_joints(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def human_actuators(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return what the human's seat of a scene drives: `HUMAN_ACTUATORS`, but likewise."""
+    """Return the actuators of the human's seat: `HUMAN_ACTUATORS`, or others at the mouth."""
     names = (model.actuator(i).name for i in range(model.nu))
     return tuple(name for name in names if name.startswith("human_"))
 
 
 def _read_from(model: mujoco.MjModel) -> dict[str, tuple[list[str], tuple[int, ...]]]:
-    """Return, by field of `Readings`, the sensors that it is read from, and a row's shape."""
+    """Return the sensors of each field of `Readings`, and the shape of its row."""
     human = human_joints(model)
     names = (model.sensor(i).name for i in range(model.nsensor))
     forces = [name for name in names if name.startswith("force-")]
@@ -130,7 +130,7 @@ class Sensors:
 
 
 class Task(Protocol):
-    """A task: where episodes start, what roles see, what is rewarded.
+    """A task: starts of episodes, observations of roles, and rewards.
 
     Pure JAX on sensor values, batch axis first.
     """
@@ -138,8 +138,8 @@ class Task(Protocol):
     name: str
     scene: str  # name of the task whose scene, seat and tool it takes; its own name if registered
     weights: dict[str, float]  # of the reward terms
-    pose: "Pose"  # where joints start
-    sensors: "Sensors"  # what it reads
+    pose: "Pose"  # of the joints at the start
+    sensors: "Sensors"
     target_colours: ClassVar[dict[str, tuple[float, ...]]]  # of `targets`, RGBA
     # Whether a violation ends the episode; measures then have the fields of the gentle tasks.
     stops: ClassVar[bool]
@@ -152,10 +152,7 @@ class Task(Protocol):
         ...
 
     def targets(self, task_state: Any, readings: Readings) -> dict[str, jax.Array]:
-        """Return where the targets are, by name, for pictures: [N, K, 3] in m.
-
-        NaN where one is not to be shown.
-        """
+        """Return the positions of targets by name, for pictures: [N, K, 3] in m; NaN hides one."""
         ...
 
     def transition(
@@ -166,7 +163,7 @@ class Task(Protocol):
 
 
 class Pose:
-    """Where joints start: a value for each named joint, and uniform noise about it."""
+    """Start of the joints: an angle for each named joint, with uniform noise about it."""
 
     def __init__(self, model: mujoco.MjModel, start: dict[str, tuple[float, float, float]]) -> None:
         """Take `start`: joint -> (angle, lowest offset, highest offset), rad.
@@ -189,7 +186,7 @@ def segment_points(readings: Readings, segment: jax.Array, offset: jax.Array) ->
     """Return world positions [N, 3] of points fixed to arm segments.
 
     Args:
-        readings: where the segments are.
+        readings: readings with the segments' places.
         segment: [N] index into `ARM_SEGMENTS`.
         offset: [N, 3] of the point in the segment's frame, m.
     """
@@ -231,7 +228,8 @@ def observations(
 ) -> dict[str, jax.Array]:
     """Lay out Table 4: own proprioception first, then tool, force, arm and `goal`.
 
-    "global" is the whole table. Tasks at the mouth say in `body` where that is: no arm.
+    "global" is the whole table. Tasks at the mouth give its place and direction as `body`, in
+    place of the arm's.
     """
     tool = (readings.tool_position, readings.tool_orientation, readings.tool_force)
     robot = (readings.robot_position, readings.robot_velocity)

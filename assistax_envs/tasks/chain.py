@@ -24,7 +24,7 @@ TURN = 0.2  # m, weight of the shaft's direction against the tool's place
 
 
 class Chain:
-    """The robot's joints as constants of a model: where they are and how they turn."""
+    """The robot's joints as constants of a model: anchors, axes and torques."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
@@ -39,7 +39,7 @@ class Chain:
         self._share = np.array(model.dof_damping[addresses] / gear, np.float32)
 
     def jacobian(self, angles: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return how joints [N, 7] move a point [N, 3] of the hand, and turn the hand.
+        """Return the Jacobians of a point [N, 3] of the hand: of its position, and of rotation.
 
         [N, 3, 7] each, by the product of exponentials: a joint's axis is turned by those before it.
         """
@@ -75,8 +75,8 @@ class Chain:
         """Return actions [N, 7] that move and turn the tool.
 
         At `velocity` [N, 3] m/s, its shaft towards `shaft` [N, 3] with weight `turn`; 0 leaves the
-        shaft to itself. With more `damping`, m^2, a stretched arm gives up rather than swings. Who
-        keeps the tool `upright` turns its x axis up.
+        shaft to itself. With more `damping`, m^2, a stretched arm gives up rather than swings. An
+        `upright` tool has its x axis turned up.
         """
         tool, orientation = obs[:, 14:17], obs[:, 17:21]
         now = rotate(orientation, jnp.broadcast_to(-DOWN, tool.shape))

@@ -1,4 +1,4 @@
-"""What the gentle tasks share: touch of all of the robot, what roughness costs, a preference.
+"""Parts that the gentle tasks share: touches of the robot, costs of roughness, preferences.
 
 Shapes: N simulations. Forces in N, lengths in m, speeds in m/s.
 """
@@ -37,7 +37,7 @@ class Preferences:
     press: jax.Array  # N
 
     def observed(self, task: str) -> jax.Array:
-        """Return what the human of a task knows of it, [N, W]: 0 for the middle, logarithmic."""
+        """Return the logarithm [N, W] of each value over its middle, of a task's quantities."""
         shares = (getattr(self, name) / VALUES[name][1] for name in PREFERRED[task])
         return jnp.stack([jnp.log(share) for share in shares], axis=-1)
 
@@ -123,7 +123,7 @@ class TouchSensors(Sensors):
 
 
 class _Head:
-    """Where the head is: the trunk's joints carry it."""
+    """Position of the head, which the trunk's joints carry."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)
@@ -148,7 +148,7 @@ class _Head:
 def touch_measures(
     r: TouchReadings, distance: jax.Array, success: jax.Array, violated: jax.Array
 ) -> Measures:
-    """Return what evaluation records of a step of a gentle task; arguments [N]."""
+    """Return the measures of a step of a gentle task; arguments [N]."""
     return Measures(
         force=r.force,
         distance=distance,
@@ -206,7 +206,7 @@ COSTS = {
 
 
 def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
-    """Return what roughness costs, [N] each, unweighted, in [-1, 0].
+    """Return the costs of roughness, [N] each, unweighted, in [-1, 0].
 
     After Assistive Gym's preference terms.
 
@@ -232,9 +232,9 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
 def with_preference(
     obs: dict[str, jax.Array], seen: jax.Array, told: tuple[str, ...]
 ) -> dict[str, jax.Array]:
-    """Add what only the human knows, `seen` [N, W], to what central critics and the `told` see.
+    """Add `seen` [N, W] to the observations of central critics and of the `told` roles.
 
-    A human that is not told, for measurements, sees zeros in its place.
+    A human that is not told, which measurements need, observes zeros instead.
     """
     added = {"global": seen, "human": seen if "human" in told else jnp.zeros_like(seen)}
     added |= {"robot": seen} if "robot" in told else {}

@@ -22,7 +22,7 @@ BEARABLE: dict[str, float] = {
     # No standard has lips, chin, throat and teeth: the face's.
     **dict.fromkeys((*FACE[1:], *(f"human_{part}" for part in TEETH)), 65.0),
 }
-# The people here are frail, and nobody has measured what frail people bear: half of it is a choice.
+# The people here are frail. Limits of frail people have not been measured: half is a choice.
 FRAIL = 0.5
 # N, of one contact with a part in any physics step: above it is a violation, which ends the
 # episode as a protective stop does.

@@ -1,4 +1,4 @@
-"""Readings of a scene of care at the mouth: where it is, how far open, what lips or teeth feel."""
+"""Readings of a scene of care at the mouth: its place, its opening, forces on lips or teeth."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ class MouthReadings(TouchReadings):
 
 @dataclasses.dataclass(frozen=True)
 class Perceived:
-    """What a person at the mouth perceives after its delay, and what it knows of itself."""
+    """Perception of a person at the mouth, after its delay, and its own state."""
 
     tool: jax.Array  # [N, 3] m, in the mouth's frame
     force: jax.Array  # [N] N, of all touches
@@ -61,7 +61,7 @@ class Comfort:
 
 
 class MouthSensors(TouchSensors):
-    """Reads such a scene; `felt` are the parts of which a force of the tool is what it is for."""
+    """Reads such a scene; `felt` are the parts that the tool is meant to press."""
 
     def __init__(self, model: mujoco.MjModel, pose: Pose, felt: tuple[str, ...] = LIPS) -> None:
         super().__init__(model, pose)

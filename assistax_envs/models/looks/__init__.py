@@ -1,4 +1,4 @@
-"""What pictures show instead of the shapes that collide: a Panda, a person, furniture.
+"""Looks of pictures in place of the shapes that collide: a Panda, a person, furniture.
 
 The TOML files beside this one name, for bodies of a scene, shapes in the body's frame; all are our
 own. They are put onto a scene that is loaded for pictures: physics never has them.
@@ -30,12 +30,12 @@ def look(name: str) -> dict[str, Any]:
 
 
 def palettes() -> list[dict[str, list[float]]]:
-    """Return the colours that people come in: skin, hair and clothes."""
+    """Return the palettes of people: colours of skin, hair and clothes by material."""
     return look("person")["palettes"]
 
 
 def dress(scene: mujoco.MjSpec, furniture: str, tool: str) -> None:
-    """Put what pictures show onto a scene, and hide what it stands for. In place.
+    """Add looks to a scene in place, and hide the geoms that they stand for.
 
     Args:
         scene: The scene, tool attached.
@@ -70,7 +70,7 @@ def dress(scene: mujoco.MjSpec, furniture: str, tool: str) -> None:
 def _add(
     scene: mujoco.MjSpec, body: str, given: dict[str, Any], shape: dict[str, Any], name: str
 ) -> None:
-    """Add one shape to a body: massless, and nothing touches it."""
+    """Add one shape to a body, without mass and contacts."""
     side = -1.0 if given.get("mirror") else 1.0  # of the left arm, whose shapes are the right one's
     flip = np.array([1.0, side, 1.0])
     geom = scene.body(body).add_geom(

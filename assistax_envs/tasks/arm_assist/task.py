@@ -50,7 +50,7 @@ LARGEST_NORM = (
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ArmAssistState:
-    """Nothing changes but the physics; the row keeps the batch axis."""
+    """The constant target: a row keeps the batch axis."""
 
     waist: jax.Array  # [3] waist target, m
 

@@ -41,7 +41,7 @@ GOLDEN_ANGLE = 2.39996  # rad; neighbours on the helix lie on different sides of
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BedBathState:
-    """How far the bath is."""
+    """Progress of the bath."""
 
     wiped: (
         jax.Array

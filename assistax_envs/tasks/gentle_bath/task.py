@@ -1,6 +1,6 @@
-"""Gentle bath: wipe the underside of the arm in any order, sliding as the human likes it.
+"""Gentle bath: the underside of the arm is wiped in any order, at the preferred force and speed.
 
-The arm lies on the bed, and what faces up is clean. The human has to turn and lift it.
+The arm lies on the bed, and its upper side is clean. The human has to turn and lift it.
 """
 
 import dataclasses
@@ -34,8 +34,8 @@ from assistax_envs.tasks.gentle_base import (
 NEAR = 0.04
 SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
 PRESS = 0.5  # N, likewise
-# Steps that a point is under the pad until it is clean, if it is wiped as it is liked: less liked
-# takes longer. So touching down does not decide what a point pays.
+# Steps that a point is under the pad until it is clean, if it is wiped as preferred; else it takes
+# longer. So touching down does not decide what a point pays.
 DWELL = 50.0
 # Points wiped that are success, of the 12 on the forearm, which are all that is asked for. A human
 # whose arm has half of its strength cannot show the upper arm's.
@@ -53,7 +53,7 @@ WIPED = 9.0  # m, a distance beyond all others
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class WipeState:
-    """Which points are left, and how the pad moved."""
+    """Points that are left, and the motion of the pad."""
 
     left: jax.Array  # [K] how much of a point is to be wiped: 1 at first, 0 once it is clean
     last: jax.Array  # [2, 3] tool a step ago in each segment's frame, m; NaN before the first step
@@ -92,7 +92,7 @@ class GentleBath:
         self._over = self._offset + FACING * self._outward
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, WipeState]:
-        """Draw the start pose [nq] and, where it is not given, the preference."""
+        """Draw the start pose [nq] and, unless it is given, the preference."""
         pose_key, preference_key = jax.random.split(key)
         nan = jnp.full((), jnp.nan, jnp.float32)
         state = WipeState(
@@ -119,10 +119,7 @@ class GentleBath:
     def transition(
         self, task_state: WipeState, readings: TouchReadings
     ) -> tuple[WipeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds once enough is wiped.
-
-        If none of the episode's contacts was hard.
-        """
+        """See `Task.transition`; the goal holds once enough is wiped without a hard contact."""
         s, r = task_state, readings
         points, over = self._points(r, self._offset), self._points(r, self._over)
         gap, first = _distance(points, r), jnp.isnan(s.nearest)
@@ -154,7 +151,7 @@ class GentleBath:
     def _wiped(
         self, s: WipeState, r: TouchReadings, under: jax.Array, speed: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return what is left of each point [N, K], and how much was wiped [N], as it pays.
+        """Return the rest of each point to wipe [N, K], and the paid amount that was wiped [N].
 
         `under` [N, K] has the points under the pad, `speed` [N] is that of the pad over the skin.
         """
@@ -183,13 +180,13 @@ class GentleBath:
         return tool, drift, along_skin(drift, tool)[jnp.arange(n), nearest]
 
     def _turned_away(self, tool: jax.Array) -> jax.Array:
-        """Return how far points are turned from the tool [N, 2, 3]: 0, or 1 on the far side."""
+        """Return the share [N, K] by which points face away from the tool [N, 2, 3], 0 to 1."""
         at = tool[:, self._segment].at[..., 2].set(0.0)  # [N, K, 3], across the segment
         at = at / jnp.maximum(jnp.linalg.norm(at, axis=-1, keepdims=True), 1e-6)
         return 0.5 * (1.0 - (at * self._outward[None]).sum(axis=-1))
 
     def _points(self, r: TouchReadings, offset: np.ndarray) -> jax.Array:
-        """Return where points of the segments' frames [K, 3] are, [N, K, 3] in the world."""
+        """Return the world positions [N, K, 3] of points [K, 3] in the segments' frames."""
         turn = r.arm_orientation[:, self._segment]
         return r.arm_position[:, self._segment] + rotate(
             turn, jnp.broadcast_to(offset, (*turn.shape[:2], 3))
@@ -197,7 +194,7 @@ class GentleBath:
 
 
 def underside(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points to wipe: their segments [K], and offsets [K, 3] in its frame, m."""
+    """Return the points to wipe: their segments [K], and offsets [K, 3] in their frames, m."""
     segment, offset = arm_points(model)
     low, high = np.array(UNDERSIDE)[segment].T
     angle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) - low

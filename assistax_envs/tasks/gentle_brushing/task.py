@@ -1,7 +1,7 @@
-"""Gentle brushing: strokes over twelve places on the teeth, at the liked force and speed.
+"""Gentle brushing: strokes over twelve places on the teeth, at the preferred force and speed.
 
 Neither can do it alone: the human turns its head to show a side and opens its mouth for the inside,
-the robot brushes. How hard and how fast the human likes it the robot has to find out.
+the robot brushes. The robot has to find out how hard and how fast the human prefers it.
 """
 
 import dataclasses
@@ -33,8 +33,8 @@ STROKE = 0.01  # m, way of a stroke: what a liked speed means in time
 BESIDE = 0.007  # m across the row, how far the brush may be from where it should be
 LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
 STROKES = 4  # of a place, if they are liked: a dentist's ten would take a minute and a half
-# What a stroke does that nobody likes, where a liked one does 1; and the power of `bump` for force
-# and time: twice the liked one does a third.
+# Effect of a stroke that is far from the preference, while a preferred one has 1; and the power of
+# `bump` for force and time: twice the preferred value has a third.
 WHATEVER, SHARP = 0.2, 4
 ASKED = 6  # places that are success
 HALF_OPEN = 0.25  # rad of the jaw, from where on the inside can be brushed
@@ -42,11 +42,11 @@ SHOWN = 0.3  # rad of the neck's yaw, likewise a side
 JAW_WAY, TURN_WAY = 0.2, 0.1  # m of a place's way that a radian of jaw and neck counts for
 GATE = np.array([0.0, 0.0, -0.005], np.float32)  # between the lips, where a brush goes in and out
 WITHIN = -0.002  # m: a brush that is farther out than this is before the mouth
-SPARED = 0.5  # of STROKES: nobody brushes just as it is liked
-NEAR = 0.75  # share of the last 16 mm of a way that is not paid: strokes are for liking
+SPARED = 0.5  # of STROKES: no robot brushes just as preferred
+NEAR = 0.75  # share of the last 16 mm of a way that is not paid: strokes pay by preference
 BEFORE = 5  # rows of `WAY` in which episodes start before the mouth
-# The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of
-# who shows them.
+# The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of a
+# human that shows them.
 AT = (
     (0.093, 0.052, -0.504, -1.551, 0.546, 1.661, -0.680),
     (0.019, -0.382, -0.229, -2.063, 0.294, 2.071, -0.042),
@@ -66,7 +66,7 @@ AT = (
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BrushState:
-    """How far the brushing and its present stroke are."""
+    """Progress of the brushing and of its present stroke."""
 
     place: jax.Array  # int32 index into `teeth.ORDER`
     done: jax.Array  # int32, places that are brushed
@@ -81,7 +81,7 @@ class BrushState:
 
 
 class GentleBrushing(AtMouth):
-    """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
+    """Progress to the stroke's end, pay for each stroke by preference, and for each place."""
 
     name = scene = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
@@ -100,7 +100,7 @@ class GentleBrushing(AtMouth):
         self._read_yaw = human_joints(model).index("human_neck_yaw")
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, BrushState]:
-        """Draw the start pose [nq], the first place and, where it is not given, the preference."""
+        """Draw the start pose [nq], the first place and, unless it is given, the preference."""
         pose_key, preference_key, place_key, start_key, side_key = jax.random.split(key, 5)
         place = jax.random.randint(place_key, (), 0, PLACES)
         out = jax.random.uniform(start_key, maxval=2.0 * (BEFORE - 1))
@@ -140,10 +140,7 @@ class GentleBrushing(AtMouth):
     def transition(
         self, task_state: BrushState, readings: MouthReadings
     ) -> tuple[BrushState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after six places.
-
-        If none of the episode's contacts was hard.
-        """
+        """See `Task.transition`; the goal holds after six places without a hard contact."""
         s, r = task_state, readings
         spot = self._spot(s, r)
         full = s.done >= PLACES
@@ -184,7 +181,7 @@ class GentleBrushing(AtMouth):
         return after, obs, terms, touch_measures(r, spot.left, success, after.violated)
 
     def _spot(self, s: BrushState, r: MouthReadings) -> "Spot":
-        """Return where the brush is, seen from the place that is to be brushed."""
+        """Return the brush relative to the place that is to be brushed."""
         middle, along, normal = places(s.place, r.jaw)
         inner, shown_by = jnp.asarray(INNER)[s.place], jnp.asarray(SHOWN_BY, jnp.float32)[s.place]
         off = r.bowl - middle
@@ -222,7 +219,7 @@ class GentleBrushing(AtMouth):
     def _observed(
         self, s: BrushState, r: MouthReadings, spot: "Spot", liked: jax.Array
     ) -> dict[str, jax.Array]:
-        """Return what the seats observe after a step."""
+        """Return the observations of all roles after a step."""
         goal = (
             r.bowl * 10.0,
             r.up,
@@ -242,7 +239,7 @@ class GentleBrushing(AtMouth):
             spot.force[:, None] / 5.0,
         )
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))
-        # How well the force was liked is for the human to feel: a robot that saw it would be told.
+        # The human alone feels how well the force fits: a robot that observed it would be told.
         seen = jnp.column_stack([liked, s.preference.observed(self.scene)])
         return with_preference(obs, seen, self._told)
 

@@ -1,8 +1,8 @@
 """Gentle feeding: a spoon waits before the mouth, comes in level, is closed upon, and leaves.
 
-Neither can do it alone: the robot cannot open the mouth, and the human cannot reach the spoon. How
-far away it waits, and how deep it comes, is for the human to like and for the robot to find out:
-the mouth opens when the human wants it to.
+Neither can do it alone: the robot cannot open the mouth, and the human cannot reach the spoon. The
+human prefers a distance at which the spoon waits and a depth to which it comes; the robot has to
+find them out. The mouth opens when the human wants it to.
 """
 
 import dataclasses
@@ -56,10 +56,10 @@ START |= {f"human_neck_{way}": (0.0, -0.05, 0.05) for way in ("pitch", "yaw", "r
 WAY_OUT = (0.25, 0.2, 0.15, 0.1, 0.05, 0.0, -0.03)
 BEFORE = 0.02  # m before the lips, from where on a spoon waits, and does not enter yet
 HALF = 0.25  # rad of the jaw: open for a bowl
-CLOSING = 0.35  # rad: above it nobody has closed on a bowl that lies as low as it may
+CLOSING = 0.35  # rad: above it no mouth has closed on a bowl, however low that lies
 SHUT = 0.12  # rad: below it the mouth was closed between two bites
 SHALLOW, DEEP = 0.01, 0.03  # m behind the lips, where the bowl is in the mouth
-INSIDE = 0.02  # m: what the robot takes for the depth
+INSIDE = 0.02  # m: depth that targets and progress take
 ASIDE = 0.01  # m from the mouth's axis
 STILL = 0.05  # m/s
 SMOOTH = 0.1  # share of a step's velocity or force in the smoothed one: over 0.2 s
@@ -70,14 +70,14 @@ GONE = 0.08  # m before the lips
 ASKED, MEAL = 3, 6  # bites that are success, and that are paid
 OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
 WIDE = 0.006  # m, how the pay for a depth falls off
-WHATEVER = 0.2  # share of the pay that no liking changes
+WHATEVER = 0.2  # share of the pay that no preference changes
 JAW_WAY = 0.2  # m of a stage's way that a radian of the jaw counts for
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class FeedState:
-    """How far the meal and its present bite are."""
+    """Progress of the meal and of its present bite."""
 
     bites: jax.Array  # int32
     stage: jax.Array  # int32: WAITING to FULL
@@ -93,10 +93,10 @@ class FeedState:
 
 
 class AtMouth:
-    """What tasks at the mouth have alike: where an episode starts, and what is read and paid."""
+    """Base of tasks at the mouth: the start of an episode, sensors and weights."""
 
     stops: ClassVar = True
-    terms: ClassVar[dict[str, float]]  # weights of what it pays for
+    terms: ClassVar[dict[str, float]]  # weights of its own reward terms
     felt: ClassVar[tuple[str, ...]] = LIPS  # see `MouthSensors`
 
     def __init__(
@@ -105,7 +105,7 @@ class AtMouth:
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
     ) -> None:
-        # Who leans forward to eat, or to have its teeth brushed, bends its trunk.
+        # Humans lean forward to eat, or to have their teeth brushed: a bent trunk costs nothing.
         self.weights = self.terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = MouthSensors(model, self.pose, self.felt)
@@ -115,7 +115,7 @@ class AtMouth:
 
 
 class GentleFeeding(AtMouth):
-    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
+    """Pay for each stage of a bite by preference, and for its way; a spill takes it back."""
 
     name = scene = "gentle_feeding"
     target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
@@ -132,7 +132,7 @@ class GentleFeeding(AtMouth):
     }
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, FeedState]:
-        """Draw the start pose [nq] and, where it is not given, the preference."""
+        """Draw the start pose [nq] and, unless it is given, the preference."""
         pose_key, preference_key, start_key = jax.random.split(key, 3)
         place = jax.random.uniform(start_key, maxval=1.5 * (len(WAY) - 1))
         back = place > len(WAY) - 1
@@ -140,7 +140,7 @@ class GentleFeeding(AtMouth):
         out = jnp.interp(place, jnp.arange(len(WAY)), jnp.asarray(WAY_OUT, jnp.float32))
         arm = arm_at(place)
         pose = self.pose.draw(pose_key)
-        # Who is near has less room.
+        # Near the mouth there is less room for noise.
         noise = (pose - self.pose.angle)[self._robot] * jnp.maximum(out, 0.0) / WAY_OUT[0]
         pose = pose.at[self._robot].set(arm + noise)
         inward = jnp.where(out < BEFORE, ENTERING, WAITING)
@@ -170,10 +170,7 @@ class GentleFeeding(AtMouth):
     def transition(
         self, task_state: FeedState, readings: MouthReadings
     ) -> tuple[FeedState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after three bites.
-
-        If none of the episode's contacts was hard.
-        """
+        """See `Task.transition`; the goal holds after three bites without a hard contact."""
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
         drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
@@ -255,7 +252,7 @@ class GentleFeeding(AtMouth):
     def _observed(
         self, state: FeedState, r: MouthReadings, speed: jax.Array
     ) -> dict[str, jax.Array]:
-        """Return what the seats observe after a step."""
+        """Return the observations of all roles after a step."""
         goal = (
             r.bowl * 10.0,
             r.up,
@@ -273,7 +270,7 @@ class GentleFeeding(AtMouth):
 
 
 def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) -> jax.Array:
-    """Return what is left of each stage's way [N], m; a mouth that shuts too early counts too."""
+    """Return the rest of the stage's way [N], m; a jaw in the wrong place adds to it."""
     inside = jnp.linalg.norm(r.bowl + jnp.array([INSIDE, 0.0, 0.0])[None], axis=-1)
     far = jnp.maximum(jnp.linalg.norm(r.bowl, axis=-1), OUTSIDE) + aside
     ways = jnp.stack(

@@ -1,7 +1,7 @@
 """Gentle lift: the hanging forearm is brought beside the waist, and rests once the hook let go.
 
-Neither can do it alone: the human is too weak to lift its arm, and an arm that nobody holds slides
-off the bed. Once it rests, the hook waits as near or as far as the human likes a robot to be.
+Neither can do it alone: the human is too weak to lift its arm, and an arm that is not held slides
+off the bed. Once it rests, the hook waits at the distance that the human prefers.
 """
 
 import dataclasses
@@ -37,13 +37,13 @@ from assistax_envs.tasks.gentle_base import (
 )
 from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
 
-# m: the forearm's place is so far from EDGE, across the waist. Everywhere there an arm slides off
-# the body by 7 to 13 cm if nobody holds it; a weak human can let it slide down the waist to a place
-# that it likes (from 0.3 to 0.2 or 0.1), and cannot draw it up.
+# m: the preferred place of the forearm lies across the waist from here. Everywhere there an arm
+# that is not held slides off the body by 7 to 13 cm. A weak human can let it slide down the
+# waist to its place (from 0.3 to 0.2 or 0.1), and cannot draw it up.
 EDGE = (-0.338, -0.382, 0.765)
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
-# anywhere between, as if it had slipped so far. Who always starts with the whole way finds its
-# first half, and stays there: docs/tasks.md.
+# anywhere between, as if it had slipped so far. Teams that always start with the whole way find its
+# first half, and stay there: docs/tasks.md.
 WAY = (
     (-0.92, -0.97, -1.57),
     (-0.74, -1.02, -1.57),
@@ -70,15 +70,15 @@ HOLD = 100  # steps of rest that are success: 2 s
 SWING = 0.4  # m/s of the forearm that costs nothing yet
 SOFT = 40.0  # N, the sum over the hook: a forearm and hand weigh 15 N
 WIDE = 0.08  # m, how the pay for being there falls off
-WHATEVER = 0.2  # share of the pay for resting there that no liking changes
+WHATEVER = 0.2  # share of the pay for resting there that no preference changes
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LiftState:
-    """How far the forearm is, and how long it has rested."""
+    """Place of the forearm, and the time for which it has rested."""
 
-    waist: jax.Array  # [3] where the human likes its forearm to lie, m
+    waist: jax.Array  # [3] preferred place of the forearm, m
     section: jax.Array  # [3] middle of the forearm a step ago; NaN before the first step
     left: jax.Array  # m, from it to the target a step ago
     under: jax.Array  # m, from the hook to where it lifts the forearm, a step ago
@@ -91,7 +91,7 @@ class LiftState:
 class GentleLift:
     """Progress of the hook under the forearm, and of that to the waist; pay for being there.
 
-    Most of it without a touch, with the hook at the distance that the human likes.
+    Resting without a touch pays most, with the hook at the preferred distance.
     """
 
     name = scene = "gentle_lift"
@@ -117,7 +117,7 @@ class GentleLift:
         self._arm = np.array([joint.qposadr[0] for joint in joints])
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, LiftState]:
-        """Draw the start pose [nq] and, where it is not given, the preference."""
+        """Draw the start pose [nq] and, unless it is given, the preference."""
         pose_key, preference_key, start_key = jax.random.split(key, 3)
         nan, zero = jnp.full((), jnp.nan, jnp.float32), jnp.zeros((), jnp.int32)
         preference = episode_preferences(params, preference_key)
@@ -141,10 +141,7 @@ class GentleLift:
     def transition(
         self, task_state: LiftState, readings: TouchReadings
     ) -> tuple[LiftState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after 2 s of rest.
-
-        If none of the episode's contacts was hard.
-        """
+        """See `Task.transition`; the goal holds after 2 s of rest without a hard contact."""
         s, r = task_state, readings
         section = r.arm_position[:, LOWER_ARM]
         towards, distance = to_target(section, r)
@@ -174,7 +171,7 @@ class GentleLift:
             r.force[:, None] / 10.0,
             speed[:, None] * 10.0,
         )
-        # Whether the arm rests where it should is for the human to feel.
+        # The human alone feels whether the arm rests at its place.
         seen = jnp.column_stack([jnp.minimum(held, HOLD) / HOLD, s.preference.observed(self.scene)])
         obs = with_preference(observations(r, *goal), seen, self._told)
         state = LiftState(s.waist, section, left, under, held, longest, violated, s.preference)
@@ -190,11 +187,11 @@ class GentleLift:
 
 
 def _place(across: jax.Array | float) -> jax.Array:
-    """Return the place [3] on the waist that is so far across it."""
+    """Return the place [3] that lies `across` m across the waist."""
     return jnp.array(EDGE, jnp.float32) + across * jnp.array(ACROSS, jnp.float32)
 
 
 def _lifted_at(section: jax.Array, r: TouchReadings) -> jax.Array:
-    """Return where a bar lifts forearms whose middles are at `section` [N, 3]."""
+    """Return the points [N, 3] at which a bar lifts forearms with middles at `section` [N, 3]."""
     handward = jnp.broadcast_to(jnp.array([[0.0, 0.0, -HANDWARD]]), section.shape)
     return (section + rotate(r.arm_orientation[:, LOWER_ARM], handward)).at[:, 2].add(-UNDER)

@@ -1,4 +1,4 @@
-"""Gentle scratch: strokes to and fro over an itch, at the force and the speed that the human likes.
+"""Gentle scratch: strokes to and fro over an itch, at the preferred force and speed.
 
 The itch is a line of 2 cm along the arm. The tool goes from one end to the other and back, in
 contact. Most itches lie where the tool cannot come while the arm rests: the human has to turn or
@@ -49,13 +49,13 @@ STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
 # itches there the script scratches 24% with a human that does nothing, near the arcs' ends; in
 # these arcs it scratches 1%.
 ARCS = ((110.0, 165.0), (175.0, 285.0))
-ENOUGH = 12  # strokes: half of what the slowest wish leaves time for, 33 less the way there
+ENOUGH = 12  # strokes: half of those that the slowest preference leaves time for
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class StrokeState:
-    """Where the itch is, and how far the strokes are."""
+    """Place of the itch, and progress of the strokes."""
 
     segment: jax.Array  # int32 index into ARM_SEGMENTS
     offset: jax.Array  # [3] of the itch in the segment's frame, m
@@ -73,7 +73,7 @@ class GentleScratch:
     """Progress to the stroke's end, and for each stroke as many points as steps it should take.
 
     A stroke of time T that should take T* pays T* exp(1 - T* / T) mean(bump(F; F*)^2): 1 a step at
-    the liked force and speed, whatever they are. Paying for speed itself teaches trembling, and a
+    the preferred force and speed, whatever they are. Pay for speed itself teaches trembling, and a
     fixed pay teaches haste.
     """
 
@@ -106,7 +106,7 @@ class GentleScratch:
         self._half_length = np.array([site.size[1] for site in sites], np.float32)
 
     def reset(self, key: jax.Array, params: Any) -> tuple[jax.Array, StrokeState]:
-        """Draw the start pose [nq], the itch and, where it is not given, the preference."""
+        """Draw the start pose [nq], the itch and, unless it is given, the preference."""
         pose_key, itch_key, side_key, preference_key = jax.random.split(key, 4)
         segment, offset = self._itch(itch_key)
         nan, zero = jnp.full(3, jnp.nan, jnp.float32), jnp.zeros((), jnp.float32)
@@ -134,10 +134,7 @@ class GentleScratch:
     def transition(
         self, task_state: StrokeState, readings: TouchReadings
     ) -> tuple[StrokeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after enough strokes.
-
-        If none of the episode's contacts was hard.
-        """
+        """See `Task.transition`; the goal holds after enough strokes without a hard contact."""
         s, r = task_state, readings
         tool = in_segment(r, s.segment, r.tool_position)
         first = jnp.isnan(s.last[:, 0])
@@ -167,7 +164,7 @@ class GentleScratch:
             violated=s.violated | r.hurt,
         )
         goal, left = self._goal(after, r, step, time)
-        # How well the force was liked is for the human to feel: a robot that saw it would be told.
+        # The human alone feels how well the force fits: a robot that observed it would be told.
         seen = jnp.column_stack([liked / time, s.preference.observed(self.scene)])
         obs = with_preference(observations(r, *goal), seen, self._told)
         done = (after.strokes >= ENOUGH) & ~after.violated
@@ -181,7 +178,7 @@ class GentleScratch:
     def _goal(
         self, s: StrokeState, r: TouchReadings, step: jax.Array, time: jax.Array
     ) -> tuple[tuple[jax.Array, ...], jax.Array]:
-        """Return what is observed of the goal, and the distance [N] to the end that comes next."""
+        """Return the observed parts of the goal, and the distance [N] to the next end."""
         row = jnp.arange(s.side.shape[0])
         turn = r.arm_orientation[row, s.segment]
         towards = segment_points(r, s.segment, _end(s, s.side)) - r.tool_position

@@ -75,10 +75,7 @@ class Scratch:
         return self.pose.draw(pose_key), ScratchState(segment, jnp.append(around, along))
 
     def targets(self, task_state: ScratchState, readings: Readings) -> dict[str, jax.Array]:
-        """Return where the targets are, by name, for pictures: [N, K, 3] in m.
-
-        NaN where one is not to be shown.
-        """
+        """See `Task.targets`: the itch."""
         return {"itch": segment_points(readings, task_state.segment, task_state.offset)[:, None]}
 
     def transition(
