@@ -1,4 +1,4 @@
-"""A run, as data: its members and how long they train. Imports no JAX."""
+"""Configuration of a training run: its members and their length. Imports no JAX."""
 
 import dataclasses
 import math
@@ -23,11 +23,11 @@ Precision = Literal["float32", "float16"]
 class Member:
     """A team in training, robot and human together, or one ego that learns with partners."""
 
-    # Draws its networks, its resets and its actions.
+    # Seeds the networks, the resets and the actions.
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     # The human's setting, "d1".."d9"; "mixed" for an ego, whose partners each have their own.
     disability: str
-    # Its own values of traced hyperparameters.
+    # Values of traced hyperparameters that differ from the run's.
     overrides: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
@@ -38,7 +38,7 @@ class Member:
 
 @validated
 class TrainConfig:
-    """A run: its members train side by side in one compiled program."""
+    """Configuration of a run, whose members train side by side in one compiled program."""
 
     task: str  # environment task
     algorithm: str  # name under which the teams are listed
@@ -51,7 +51,7 @@ class TrainConfig:
     self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
     # Names of the frozen partners of an ego's training; without any, teams learn together.
     partners: Many[str] = ()
-    # What their humans like, in turns; all, drawn anew each episode, if none are named.
+    # Preferences of the partners' humans, in turns; if empty, one of all is drawn each episode.
     preferences: Many[str] = ()
     precision: Precision = "float32"  # of the parameters that are written, and then evaluated
     env_version: PositiveInt | None = None  # of the environment; the newest if not given
@@ -63,7 +63,7 @@ class TrainConfig:
         if self.told and not (self.partners and self.task in PREFERRED):
             raise ValueError(
                 f"told is for robots that train with partners in a task of {', '.join(PREFERRED)}; "
-                f"in {self.task} of this run nobody can be told a wish: leave told out"
+                f"{self.task} has no preference to tell: leave told out"
             )
         if self.preferences:
             check_preferences(self.task, self.preferences)
@@ -92,7 +92,7 @@ class TrainConfig:
         self._check_populations()
 
     def _check_populations(self) -> None:
-        """Refuse members that form no populations of one size, where the trainer wants them."""
+        """Refuse populations of unequal sizes, or of one member, if there is a bonus for them."""
         if not self.trainer.population_coef:
             if any("population_coef" in member.overrides for member in self.members):
                 raise ValueError(
@@ -125,7 +125,7 @@ class TrainConfig:
     def to_json(self) -> dict[str, Any]:
         """Return JSON-ready values; `TrainConfig.from_json` gives the config back."""
         content = {**dataclasses.asdict(self), "kind": self.trainer.kind}
-        # Left out where they are as usual, so that runs without them keep their digest.
+        # Default values are left out, so that runs of before these fields keep their digest.
         if not self.preferences:
             del content["preferences"]
         if self.precision == "float32":
@@ -138,7 +138,7 @@ class TrainConfig:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "TrainConfig":
-        """Return the config that `to_json` described."""
+        """Return the config of a value that `to_json` returned."""
         fields: dict[str, Any] = dict(data)
         fields["members"] = tuple(Member(**member) for member in fields["members"])
         fields["trainer"] = KINDS[fields.pop("kind")](**fields["trainer"])
@@ -160,7 +160,7 @@ def make_run(
     precision: Precision = "float32",
     env_version: int | None = None,
 ) -> TrainConfig:
-    """Return a run; what is None is the trainer's own."""
+    """Return a run's config; an argument of None takes the trainer's default."""
     return TrainConfig(
         task=task,
         algorithm=algorithm,
@@ -178,7 +178,7 @@ def make_run(
 
 
 def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str, list[float]]:
-    """Return every traced hyperparameter of every member: the config's, or its own."""
+    """Return the values of each traced hyperparameter by name, one for each member."""
     return {
         name: [member.overrides.get(name, getattr(config, name)) for member in members]
         for name in config.traced
@@ -186,7 +186,7 @@ def traced_values(config: TrainerConfig, members: Sequence[Member]) -> dict[str,
 
 
 def populations(members: Sequence[Member]) -> list[list[int]]:
-    """Return the places of the members of each population: those that differ in seed alone."""
+    """Return the indices of each population's members, which differ in their seed alone."""
     places: dict[Any, list[int]] = {}
     for place, member in enumerate(members):
         key = member.disability, *sorted(member.overrides.items())
@@ -195,17 +195,17 @@ def populations(members: Sequence[Member]) -> list[list[int]]:
 
 
 def numbered(seeds: Any) -> Any:
-    """Return the seeds that a number of them stands for, 0 to that number - 1; others as given."""
+    """Return `range(seeds)` for an integer; return any other value unchanged."""
     return range(seeds) if type(seeds) is int else seeds
 
 
 def make_members(seeds: Sequence[int], disabilities: Sequence[str]) -> tuple[Member, ...]:
-    """Return every seed with every disability setting, setting by setting."""
+    """Return a member for each pair of seed and disability setting, setting by setting."""
     return tuple(Member(seed, disability) for disability in disabilities for seed in seeds)
 
 
 def check_names(task: str, disabilities: Sequence[str] = ()) -> None:
-    """Refuse an unknown task or disability setting before anything slow is imported."""
+    """Raise ValueError for an unknown task or disability setting, before slow imports."""
     if task not in TASKS:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     if unknown := [name for name in disabilities if name not in DISABILITY_SETTINGS]:

@@ -27,7 +27,7 @@ WHOLE = P()  # every device holds all of it
 
 
 def own_devices(cores: int = 1) -> tuple[jax.Device, ...]:
-    """Return all GPUs of this process, or of its CPU devices at least one, at most `cores`."""
+    """Return all GPUs of this process; without GPUs, the first `cores` CPU devices."""
     devices = tuple(jax.local_devices())
     return devices if jax.default_backend() != "cpu" else devices[: max(1, cores)]
 
@@ -59,13 +59,13 @@ class DeviceShares:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Wait for the threads to end: none may hold a device when the interpreter stops."""
+        """Wait for the threads to end, so that no device is held when the interpreter stops."""
         self._threads.shutdown()
 
     def jit(
         self, function: Callable[..., Any], out_specs: Any = FIRST_AXIS, **options: Any
     ) -> Callable[..., Any]:
-        """Return a jitted function of all members, from one that is written for any number of them.
+        """Return a jitted function of all members, made of one that accepts any number of members.
 
         Positional arguments are as `put` returns them, keywords are static; `out_specs` say how
         results are put together, one for all leaves or a tree like the result's.
@@ -75,10 +75,10 @@ class DeviceShares:
             return jitted
 
         def call(*args: Any, **static: Any) -> Any:
-            # All taken before the first is donated, which deletes the whole array that they are
-            # parts of.
+            # Donating a part deletes the whole array, so all parts are taken first.
             arguments = [jax.tree.map(partial(_part, device), args) for device in self.devices]
-            share = own_settings()(lambda args: jitted(*args, **static))  # for its thread
+            # Settings of JAX hold for one thread, and each share runs in its own.
+            share = own_settings()(lambda args: jitted(*args, **static))
             parts = list(self._threads.map(share, arguments))
             return jax.tree.map(
                 lambda spec, *part: jax.tree.map(
@@ -91,13 +91,13 @@ class DeviceShares:
         return call
 
     def put(self, tree: Any, spec: Any = FIRST_AXIS) -> Any:
-        """Move a pytree to the devices, all of its leaves split in the same way."""
+        """Return a pytree on the devices, each of its leaves split in the same way."""
         if self._mesh is None:
             return self.gather(tree)
         return jax.device_put(tree, NamedSharding(self._mesh, spec))
 
     def gather(self, tree: Any) -> Any:
-        """Move a pytree to the first of the devices."""
+        """Return a pytree on the first device."""
         return jax.device_put(tree, SingleDeviceSharding(self.devices[0]))
 
 
@@ -107,7 +107,7 @@ def _part(device: jax.Device, leaf: jax.Array) -> jax.Array:
 
 
 def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
-    """Return the array whose parts lie on the devices, which moves nothing."""
+    """Return the array of parts that lie on the devices already; nothing is copied."""
     shape = list(parts[0].shape)
     for axis, name in enumerate(sharding.spec):
         shape[axis] *= len(parts) if name == AXIS else 1
@@ -115,13 +115,13 @@ def _join(sharding: NamedSharding, parts: Sequence[jax.Array]) -> jax.Array:
 
 
 def state_specs(state: Any, partners: Any) -> Any:
-    """Return how a training state is split, as a tree of its structure.
+    """Return the partition of a training state over devices, as a tree of its structure.
 
-    Counters of updates are of all members; everything else is laid out member by member.
+    Counters are whole on each device; other leaves are laid out member by member.
 
     Args:
         state: A training state, or its shapes.
-        partners: Frozen ones, whose carries may be [partner, member x simulation] instead.
+        partners: Frozen partners, whose carries may be [partner, member x simulation] instead.
     """
     specs = jax.tree.map(lambda leaf: FIRST_AXIS if leaf.ndim else WHOLE, state)
     if not partners or not partners.by_partner:

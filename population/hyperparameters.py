@@ -14,9 +14,9 @@ LogStd = Annotated[float, Field(ge=-5, le=1)]
 
 @validated
 class Hyperparameters:
-    """What both trainers have."""
+    """Hyperparameters that PPO and SAC share."""
 
-    # What critics see: of their role (observation, and SAC's the action too), or everything.
+    # Input of critics: that of their role (observation, and for SAC the action too), or everything.
     critic: Literal["local", "central"] = "local"
     num_envs: PositiveInt = 1024  # simulations of one member
     rollout_steps: PositiveInt = 64  # steps of each simulation between updates
@@ -63,24 +63,24 @@ class PPOConfig(Hyperparameters):
     minibatches: PositiveInt = 4  # parts of a pass; each holds whole simulations
     learning_rate: PositiveFloat = 1e-3  # of Adam, for actors and critics
     anneal_lr: bool = False  # whether the learning rate falls linearly to 0 over the run
-    anneal_entropy: bool = False  # whether the bonuses of entropy and of the population do
+    anneal_entropy: bool = False  # whether the bonuses of entropy and population fall likewise
     clip_eps: PositiveFloat = 0.31  # the probability ratio is clipped to [1 - eps, 1 + eps]
     entropy_coef: NonNegativeFloat = 1e-4  # weight of the entropy bonus
-    # Weight of the reward for what the population seldom does; above 0 the teams that differ in
-    # their seed alone are one population.
+    # Weight of the reward for actions that are rare in the population. If above 0, the teams that
+    # differ in their seed alone are one population.
     population_coef: NonNegativeFloat = 0.0
     value_coef: NonNegativeFloat = 1.0  # weight of the value loss
     gae_lambda: Share = 0.95  # decay of the advantage trace
     squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
-    std: Literal["parameter", "state"] = (
-        "parameter"  # log standard deviation: one vector, or a head on the torso
-    )
+    # Log standard deviation: one vector, or a head on the torso.
+    std: Literal["parameter", "state"] = "parameter"
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
-    method: str = ""  # what a robot's training adds to PPO: one of METHODS; "" adds nothing
+    method: str = ""  # addition to a robot's training: one of METHODS; "" adds nothing
     aux_coef: NonNegativeFloat = 1.0  # weight of the method's own loss
-    # Width of what a memory makes of observations and actions for the policy to read; 0 for none.
+    # Width of the latent that a memory infers from observations and actions, an input of the
+    # policy; 0 turns the memory off.
     latent: NonNegativeInt = 0
-    kl_coef: NonNegativeFloat = 0.0  # within the method's loss: how little a latent may say
+    kl_coef: NonNegativeFloat = 0.0  # weight of the latent's KL divergence in the method's loss
     # Episodes in a row with one partner and wish, over which a robot remembers and is paid.
     series: PositiveInt = 1
     student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
@@ -139,30 +139,24 @@ class SACConfig(Hyperparameters):
         "max_grad_norm",
     )
     rates: ClassVar[tuple[str, ...]] = ("policy_lr", "q_lr", "alpha_lr")
-    checkpoint_every: ClassVar[int] = (
-        2000  # default of a run: updates are short, and a checkpoint holds the replay
-    )
+    # Default of a run: updates are short, and a checkpoint holds the replay.
+    checkpoint_every: ClassVar[int] = 2000
     updates_per_call: ClassVar[int] = 20  # default of a run
 
     num_envs: PositiveInt = 64  # simulations of one member
     rollout_steps: PositiveInt = 8  # steps of each simulation between updates
-    replay_size: PositiveInt = (
-        1_000_000  # transitions kept for each member, rounded up to whole rollouts
-    )
-    exploration_steps: NonNegativeInt = (
-        5000  # environment steps of a member with uniform actions and without learning
-    )
+    # Transitions stored for each member, rounded up to whole rollouts.
+    replay_size: PositiveInt = 1_000_000
+    # Environment steps of a member with uniform actions and without learning.
+    exploration_steps: NonNegativeInt = 5000
     batch_size: PositiveInt = 128  # transitions of one gradient step
     updates: PositiveInt = 32  # gradient steps of the critics after each rollout
-    policy_delay: PositiveInt = (
-        4  # critics take this many steps, then the policy and the temperature catch up
-    )
+    # Steps of the critics before the policy and the temperature take as many.
+    policy_delay: PositiveInt = 4
     policy_lr: PositiveFloat = 3e-4  # learning rate of the actors
     q_lr: PositiveFloat = 1e-3  # learning rate of the critics
     alpha_lr: PositiveFloat = 3e-4  # learning rate of the temperature's logarithm
-    max_grad_norm: PositiveFloat = (
-        10.0  # global norm to which the gradient of each network is clipped
-    )
+    max_grad_norm: PositiveFloat = 10.0  # global norm to which each network's gradient is clipped
     tau: Share = 0.005  # share of the critics in their slow copies at each step
     autotune: bool = True  # whether the temperature follows the target entropy
     initial_alpha: PositiveFloat = 0.1  # temperature at the start
@@ -220,8 +214,9 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
     }
 )
 
-# What a robot's training with partners may add to PPO: where its class is ("" for none), and how
-# its hyperparameters differ from PPO's. `population.methods.method.register` adds to it.
+# Methods that a robot's training with partners adds to PPO: the place of the class ("" if there is
+# none), and the hyperparameters that differ from PPO's. `population.methods.method.register` adds
+# a row.
 METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "gru": ("", {"torso": "gru"}),
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
@@ -266,6 +261,7 @@ def robot_preset(algorithm: str, **changes: Any) -> TrainerConfig:
 def _changed(
     algorithm: str, kind: str, differences: Mapping[str, Any], changes: Mapping[str, Any]
 ) -> TrainerConfig:
+    """Return the trainer's config of a kind, with a preset's differences and then the changes."""
     fields = [field.name for field in dataclasses.fields(KINDS[kind])]
     if unknown := sorted(set(changes) - set(fields)):
         raise ValueError(

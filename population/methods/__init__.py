@@ -1,1 +1,1 @@
-"""What a robot's training with partners may add to PPO, a file for each method."""
+"""Methods that a robot's training with partners may add to PPO, one file each."""

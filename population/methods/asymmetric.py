@@ -1,4 +1,4 @@
-"""A critic that sees what the robot does not: the world, the wishes, and who the partner is.
+"""A critic that sees hidden facts: the world, the wishes and the partner's identity.
 
 Pinto et al., 2018, "Asymmetric Actor Critic for Image-Based Robot Learning". The actor is PPO's.
 """
@@ -13,7 +13,7 @@ from population.methods.method import Method
 from population.networks.policy import Critic, CriticSpec
 from population.networks.seat import Carry, Params
 
-WIDTH = 16  # of what the critic learns about each partner
+WIDTH = 16  # of the critic's embedding of each partner
 
 
 class Asymmetric(Method):
@@ -26,38 +26,41 @@ class Asymmetric(Method):
     sees = critic_sees = (WHO,)
 
     def critic(self, spec: CriticSpec) -> Critic:
-        """Return the critic that reads observations [..., O + 1], the partner's place last."""
+        """Return the critic of observations [..., O + 1] that end in the partner's index."""
         if self.partners is None:
-            raise ValueError("the critic of method 'asymmetric' learns about partners; give some")
+            raise ValueError("method 'asymmetric' trains a critic of partners; give partners")
         numbers = standardised(self.partners.numbers)
         places = len(self.partners) if self.partners.numbers is None else 0
         return _PartnerCritic(spec, jnp.asarray(numbers), places)
 
 
 class _PartnerCritic(Critic):
-    """Replaces the last number that it reads, a partner's place, by what it learns about it."""
+    """Critic that replaces its last input, a partner's index, by that partner's embedding."""
 
     def __init__(self, spec: CriticSpec, numbers: jax.Array, places: int) -> None:
         super().__init__(_widened(spec))
         self._numbers, self._places = numbers, places
 
     def init(self, key: jax.Array) -> Params:
-        own, table = jax.random.split(key)
+        network_key, table_key = jax.random.split(key)
         rows = self._places or self._numbers.shape[1]
         scale = 1.0 if self._places else rows**-0.5  # e then has entries of about 1
-        return {**super().init(own), "partners": scale * jax.random.normal(table, (rows, WIDTH))}
+        return {
+            **super().init(network_key),
+            "partners": scale * jax.random.normal(table_key, (rows, WIDTH)),
+        }
 
     def inputs(self, params: Params, obs: jax.Array) -> jax.Array:
-        who = obs[..., -1].astype(jnp.int32)
+        partner = obs[..., -1].astype(jnp.int32)
         table = params["partners"]
-        learned = table[who] if self._places else self._numbers[who] @ table
-        return jnp.concatenate([obs[..., :-1], learned], axis=-1)
+        embedding = table[partner] if self._places else self._numbers[partner] @ table
+        return jnp.concatenate([obs[..., :-1], embedding], axis=-1)
 
     def step(
         self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, jax.Array]:
-        own = {name: value for name, value in params.items() if name != "partners"}
-        return super().step(own, carry, self.inputs(params, obs), first)
+        network = {name: value for name, value in params.items() if name != "partners"}
+        return super().step(network, carry, self.inputs(params, obs), first)
 
 
 def _widened(spec: CriticSpec) -> CriticSpec:

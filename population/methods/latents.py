@@ -1,6 +1,6 @@
-"""What a policy's memory made of a rollout: the latents that policy and critic then read.
+"""Latents of a rollout: the memory's output, which policy and critic then read.
 
-They are computed once for a rollout and stay as they are while the robot learns from it, like
+Latents are computed once for a rollout and stay fixed while the robot learns from it, like
 observations. So PPO's first ratios are 1, and its gradient does not reach the memory, which the
 method trains.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Latents(NamedTuple):
-    """Latents of observations: of those acted on, at time limits, and after the rollout."""
+    """Latents of the observations acted on, at time limits, and after the rollout."""
 
     acted: jax.Array  # [T, N, Z]
     final: jax.Array  # [N, Z]
@@ -28,7 +28,7 @@ class Latents(NamedTuple):
 
 
 class TwoLayers(nn.Module):
-    """What methods read latents with, or make them by: a hidden layer of 64, and an output."""
+    """Network of a hidden layer of 64 and a linear output of `width`."""
 
     width: int
 
@@ -39,7 +39,7 @@ class TwoLayers(nn.Module):
 
 
 def latents(policy: Policy, params: Params, role: str, batch: "Batch") -> Latents:
-    """Return the latents of a role's rollout, of which a simulation has one time limit at most."""
+    """Return the latents of a role's rollout; a simulation has at most one time limit in it."""
     action = squashed(policy, batch.raw[role])
     given = batch.carry[role], batch.obs[role], batch.first
     states, acted = unroll_memory(policy, params, *given, action)

@@ -1,9 +1,9 @@
-"""What every method may add to PPO, and where a method of one's own is made known.
+"""Base class of the methods that extend PPO, and their registration.
 
 A method is chosen by the hyperparameter `method`. It may give the learner further networks, each
 with an optimiser and a gradient clip of its own, and a loss that is added to PPO's:
-L = L_PPO + aux_coef L_method. What it learns from comes with the rollout. Nothing of it is written
-but what the robot acts with.
+L = L_PPO + aux_coef L_method. It learns from the rollout. Only the robot's acting network is
+written.
 """
 
 import importlib
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 
 
 class Method:
-    """Adds nothing to PPO: what a method does not say is as it is here.
+    """Method that adds nothing to PPO; subclasses override what they add.
 
     Args:
         config: Hyperparameters.
-        env: The environment, with what the method observes.
-        partners: Who sits in the other seat.
+        env: The environment, with the observations that the method reads.
+        partners: Partners in the other seat.
     """
 
-    # Observations that come with a rollout beside those of role and critic, see `methods.hidden`.
+    # Observations in a rollout beside those of role and critic, see `methods.hidden`.
     sees: tuple[str, ...] = ()
-    critic_sees: tuple[str, ...] = ()  # those of them that critics read, as they are
-    watches = False  # whether a rollout records what the partner does: `Samples.partner`
+    critic_sees: tuple[str, ...] = ()  # those of `sees` that critics read, not normalised
+    watches = False  # whether a rollout records the partner's actions: `Samples.partner`
 
     def __init__(
         self, config: PPOConfig, env: Environment, partners: "FrozenPartners | None"
@@ -44,29 +44,29 @@ class Method:
         self.config, self.env, self.partners = config, env, partners
 
     def policy(self, spec: PolicySpec) -> Policy:
-        """Return what acts in training for the network of a spec, which is published."""
+        """Return the policy that acts in training; the network of its spec is published."""
         return Policy(spec)
 
     def acting(self, params: Params, networks: Mapping[str, Params], progress: jax.Array) -> Params:
-        """Return the parameters of what acts at a share of the run; leaves [M, ...].
+        """Return the parameters that act in a rollout; leaves [M, ...].
 
         Args:
-            params: Those of the network that is published.
+            params: Parameters of the published network.
             networks: All networks of the learner.
-            progress: Share of the run [].
+            progress: Share of the run done [].
         """
         return params
 
     def critic(self, spec: CriticSpec) -> Critic:
-        """Return the critic; its spec has the width of all that it is given."""
+        """Return the critic of a spec, whose width covers all of its inputs."""
         return Critic(spec)
 
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
-        """Return the method's networks by name, beside "actor" and "critic"."""
+        """Return the method's initial networks by name, beside "actor" and "critic"."""
         return {}
 
     def scheduled(self, hyper: Hyper, progress: jax.Array) -> Hyper:
-        """Return the hyperparameters [M] at a share of the run."""
+        """Return the hyperparameters [M] for a share of the run done."""
         return hyper
 
     def rate(self, network: str, hyper: Hyper) -> jax.Array:
@@ -74,7 +74,7 @@ class Method:
         return hyper["learning_rate"]
 
     def latent(self, networks: Mapping[str, Params], samples: Samples) -> jax.Array:
-        """Return the latents [T, N, Z] with which PPO learns."""
+        """Return the latents [T, N, Z] that the policy reads while PPO learns."""
         return samples.latent
 
     def loss(
@@ -85,34 +85,34 @@ class Method:
         samples: Samples,
         carry: Carry,
     ) -> tuple[jax.Array, Metrics]:
-        """Return the method's own loss of a minibatch [T, N, ...], and what to log.
+        """Return the method's loss of a minibatch [T, N, ...], and metrics to log.
 
         Args:
             networks: All networks of the learner.
             policy: The robot's network.
-            params: Its parameters, as it acts with them.
-            samples: What the robot learns from.
-            carry: Of the robot at the start [N, ...].
+            params: Parameters that the robot acts with.
+            samples: Samples of the robot's role.
+            carry: Carry of the robot at the start [N, ...].
         """
         return jnp.zeros(()), {}
 
 
 def method_class(name: str) -> type[Method]:
-    """Return the class of a method; that of none adds nothing."""
-    home: Any = (METHODS[name][0] if name else "") or Method  # "" is of hyperparameters alone
-    if isinstance(home, str):
-        module, _, kind = home.partition(":")
-        home = getattr(importlib.import_module(module), kind)
-    return home
+    """Return the class of a method's name; for "" and methods without a class, `Method`."""
+    place: Any = (METHODS[name][0] if name else "") or Method
+    if isinstance(place, str):
+        module, _, class_name = place.partition(":")
+        place = getattr(importlib.import_module(module), class_name)
+    return place
 
 
 def register(name: str, method: type[Method], **hyperparameters: Any) -> None:
-    """Make a method known in this process, under a name that `train_ego` takes as algorithm.
+    """Register a method in this process, under a name that `train_ego` takes as algorithm.
 
     Args:
-        name: As ids have it: lower-case letters, digits and underscores.
-        method: What it adds.
-        hyperparameters: In which its preset differs from PPO's.
+        name: Lower-case letters, digits and underscores, as in ids.
+        method: The method's class.
+        hyperparameters: Differences of its preset from PPO's.
 
     Raises:
         ValueError: Another method has the name.

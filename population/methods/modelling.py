@@ -1,4 +1,4 @@
-"""A memory that learns to predict the partner: LIAM, and PALM with a bound on what it says.
+"""Methods whose memory predicts the partner: LIAM, and PALM with a bounded latent.
 
 LIAM: Papoudakis et al., 2021, "Agent Modelling under Partial Observability for Deep Reinforcement
 Learning". PALM: He et al., 2022, "Learning Representations that Enable Generalization in
@@ -24,7 +24,7 @@ NARROWEST = 8.0  # of the logarithm of a latent's variance, either way
 
 
 class Modelling(Method):
-    """z = GRU(o, a) in R^16 predicts what the partner does next: its action and joint speeds.
+    """Modelling of the partner: z = GRU(o, a) in R^16 predicts its next action and joint speeds.
 
     L = E[mean_i (f(z)_i - y_i)^2 / var(y_i)] + kl_coef KL(N(z, exp(l(h))) | N(0, 1)) / dim(z). Here
     f is a decoder, which training alone has, h the memory's state and y the partner's next action
@@ -36,9 +36,9 @@ class Modelling(Method):
     watches = True
 
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
-        """Return the decoder and, if latents are bounded, what says their variance."""
+        """Return the decoder and, if kl_coef > 0, the layer "spread" of latents' log variances."""
         if self.partners is None:
-            raise ValueError(f"method {self.config.method!r} predicts partners; give some")
+            raise ValueError(f"method {self.config.method!r} predicts partners; give partners")
         role = self.partners.role
         joints = jax.eval_shape(self._joints).shape[-1]
         decoder, spread = jax.random.split(key)
@@ -59,7 +59,7 @@ class Modelling(Method):
         samples: Samples,
         carry: Carry,
     ) -> tuple[jax.Array, Metrics]:
-        """Return how badly the partner is predicted, 1 for its mean alone, and what z costs."""
+        """Return the partner's prediction error (1 for the mean alone) plus the KL cost of z."""
         action = squashed(policy, samples.raw)
         states, z = unroll_memory(policy, params, carry, samples.obs, samples.first, action)
         drawn, kl = z, jnp.zeros(())
@@ -77,7 +77,7 @@ class Modelling(Method):
         return loss, {"model_loss": model_loss, "latent_kl": kl}
 
     def _joints(self) -> jax.Array:
-        """Return the partner's joint positions at a start, of whose shape there is need."""
+        """Return the partner's joint positions [N, J] at a reset, traced for their shape alone."""
         assert self.partners is not None
         humans = self.partners.humans(self.config.num_envs)
         keys = jax.random.split(key_of(0), self.config.num_envs)

@@ -1,4 +1,4 @@
-"""What PPO learns from, and its loss."""
+"""Samples that PPO learns from, and PPO's loss."""
 
 import dataclasses
 from typing import Any
@@ -16,7 +16,7 @@ Hyper = dict[str, jax.Array]  # the config's `traced` ones; [M] for all members,
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Samples:
-    """What one role learns from; leaves [T, N, ...]."""
+    """Samples of one role for learning; leaves [T, N, ...]."""
 
     obs: jax.Array
     critic_obs: jax.Array  # normalised
@@ -26,15 +26,15 @@ class Samples:
     advantage: jax.Array
     target: jax.Array  # of the value
     beside: dict[str, jax.Array]  # observations that the method sees
-    partner: Any = ()  # what the partner did, where the method watches: `Batch.partner`
-    latent: Any = ()  # what the memory made of the rollout, of a policy that reads it
+    partner: Any = ()  # the partner's actions and speeds, if the method watches: `Batch.partner`
+    latent: Any = ()  # the memory's latents, if the policy reads any
     noise: Any = ()  # standard normal, of the latent's shape
 
 
 def ppo_loss(
     gaussian: Gaussian, value: Float[Array, "T N"], samples: Samples, hyper: Hyper
 ) -> tuple[Float[Array, ""], Metrics]:
-    """Return the loss of one role, and what to log.
+    """Return PPO's loss of one role, and metrics to log.
 
     L = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)] + c_v E[(V - target)^2] / 2 - c_e E[H], where
     r = exp(log pi(a | o) - log pi_old(a | o)) and A are the advantages, normalised over the

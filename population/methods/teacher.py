@@ -1,4 +1,4 @@
-"""A teacher that is told everything, and a student that has to find it out: RMA.
+"""RMA: a teacher that reads all that is hidden, and a student that infers it.
 
 Kumar et al., 2021, "RMA: Rapid Motor Adaptation for Legged Robots". Ross et al., 2011, "A Reduction
 of Imitation Learning and Structured Prediction to No-Regret Online Learning", is DAgger.
@@ -19,40 +19,40 @@ from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
 from population.networks.unrolled import unroll_memory
 
-STILLEST = 1e-3  # variance below which a latent counts as always the same
+STILLEST = 1e-3  # variance below which a latent counts as constant
 
 
 class Teacher(Method):
-    """The teacher acts by pi(a | o, z*) with z* = e(hidden) in R^8, and learns by PPO.
+    """Teacher and student: the teacher acts by pi(a | o, z*) with z* = e(hidden) in R^8, by PPO.
 
     The student acts by the same pi(a | o, z) with z = GRU(o, a), and learns
     L = E[|z - z*|^2 / dim(z) + |mu(o, z) - mu(o, z*)|^2 / dim(a)], in which z alone has a gradient.
-    In the last `student_share` of a run the student acts, and pi and e stay as they are (DAgger).
-    With `student_share=0`, the ablation, it learns from what the teacher does alone. The published
-    robot is the student.
+    In the last `student_share` of a run the student acts, while pi and e are frozen (DAgger). With
+    `student_share=0`, the ablation, the student learns from the teacher's rollouts alone. The
+    published robot is the student.
     """
 
     sees = critic_sees = (HIDDEN,)
 
     def policy(self, spec: PolicySpec) -> Policy:
-        """Return the network of both: who acts says the parameter "taught"."""
+        """Return the network of both; the parameter "taught" says which of them acts."""
         return _TaughtPolicy(spec)
 
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
-        """Return the teacher's encoder of what is hidden."""
+        """Return the teacher's encoder of the hidden observation."""
         hidden = jnp.zeros(self.env.observation_size[HIDDEN])
         return {"teacher": TwoLayers(policy.spec.latent).init(key, hidden)["params"]}
 
     def acting(self, params: Params, networks: Mapping[str, Params], progress: jax.Array) -> Params:
-        """Return the parameters of who acts in the rollout."""
+        """Return the parameters of the rollout: the teacher's until the student's share begins."""
         members = jax.tree.leaves(networks)[0].shape[0]
         taught = jnp.broadcast_to(self._taught(progress), (members,))
         return {**params, "teacher": networks["teacher"], "taught": taught}
 
     def scheduled(self, hyper: Hyper, progress: jax.Array) -> Hyper:
-        """Return the hyperparameters at a share of the run.
+        """Return the hyperparameters at a share of the run, with "taught" and "student_rate".
 
-        The student's rate does not fall with the others': its part is the end of a run.
+        The student's rate is not annealed: it learns at the end of a run.
         """
         taught = jnp.broadcast_to(self._taught(progress), hyper["aux_coef"].shape)
         rate = hyper["learning_rate"]
@@ -61,13 +61,13 @@ class Teacher(Method):
         return {**hyper, "taught": taught.astype(jnp.float32), "student_rate": rate}
 
     def rate(self, network: str, hyper: Hyper) -> jax.Array:
-        """Return the learning rate of a network: the student's memory alone learns to the end."""
+        """Return a network's learning rate; only the student's memory learns to the end."""
         if network == "memory":
             return hyper["student_rate"]
         return hyper["learning_rate"] * hyper["taught"]
 
     def latent(self, networks: Mapping[str, Params], samples: Samples) -> jax.Array:
-        """Return what the teacher makes of what is hidden, with its gradient."""
+        """Return the teacher's latents [T, N, Z], with their gradient."""
         return _encoded(networks["teacher"], samples.beside[HIDDEN])
 
     def loss(
@@ -78,18 +78,21 @@ class Teacher(Method):
         samples: Samples,
         carry: Carry,
     ) -> tuple[jax.Array, Metrics]:
-        """Return how far the student is from the teacher.
+        """Return the student's distance from the teacher, in latents and actions, and metrics.
 
-        Logged is the latent's error as a share of its variance: 1 for who knows its mean alone.
+        A metric is the latent's error as a share of its variance: 1 if the student knows the mean
+        alone.
         """
         action = squashed(policy, samples.raw)
-        _, own = unroll_memory(policy, params, carry, samples.obs, samples.first, action)
+        _, latent = unroll_memory(policy, params, carry, samples.obs, samples.first, action)
         fixed = jax.lax.stop_gradient(params)
-        told = jax.lax.stop_gradient(self.latent(networks, samples))
-        wanted, done = (policy.given(fixed, samples.obs, z).mean for z in (told, own))
-        latent_error = jnp.square(own - told).mean()
-        action_error = jnp.square(done - wanted).mean()
-        share = latent_error / jnp.maximum(told.var((0, 1)).mean(), STILLEST)
+        target = jax.lax.stop_gradient(self.latent(networks, samples))
+        target_action, action_mean = (
+            policy.given(fixed, samples.obs, z).mean for z in (target, latent)
+        )
+        latent_error = jnp.square(latent - target).mean()
+        action_error = jnp.square(action_mean - target_action).mean()
+        share = latent_error / jnp.maximum(target.var((0, 1)).mean(), STILLEST)
         logged = {"student_latent_error": share, "student_action_error": action_error}
         return latent_error + action_error, logged
 
@@ -99,17 +102,17 @@ class Teacher(Method):
 
 
 class _TaughtPolicy(Policy):
-    """Reads what is hidden behind the observation, and acts by the teacher's latent or its own."""
+    """Policy of teacher and student; reads the hidden observation behind the role's own."""
 
     beside = (HIDDEN,)
 
     def step(
         self, params: Params, carry: Carry, obs: jax.Array, first: jax.Array
     ) -> tuple[Carry, Gaussian]:
-        own, hidden = jnp.split(obs, (self.spec.observation_size,), axis=-1)
-        state, latent = self.recall(params, carry, own, first)
+        observation, hidden = jnp.split(obs, (self.spec.observation_size,), axis=-1)
+        state, latent = self.recall(params, carry, observation, first)
         latent = jnp.where(params["taught"], _encoded(params["teacher"], hidden), latent)
-        gaussian = self.given(params, own, latent)
+        gaussian = self.given(params, observation, latent)
         return self.acted(state, gaussian.mode()), gaussian
 
 

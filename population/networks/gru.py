@@ -1,8 +1,8 @@
-"""A gated recurrent unit over many steps, with a gradient of its own (Cho et al., 2014).
+"""Gated recurrent unit over many steps, with a custom gradient (Cho et al., 2014).
 
-Differentiated as it stands, a scan adds to the gradient of its weights at every step, one small
-product after another. Here the backward scan carries the hidden state's gradient alone, and one
-product over all steps and simulations gives that of the weights.
+JAX's derivative of a scan adds to the gradient of its weights at every step, by one small product
+each. Here the backward scan carries the hidden state's gradient alone, and one product over all
+steps and simulations gives the gradient of the weights.
 """
 
 from typing import Any
@@ -42,6 +42,8 @@ def remember(
 def _forward(
     kernel: jax.Array, bias: jax.Array, hidden: jax.Array, inputs: jax.Array, first: jax.Array
 ) -> tuple[jax.Array, tuple[Any, ...]]:
+    """Return the hidden states [T, ..., H], and the residuals for `_backward`."""
+
     def step(hidden: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, Any]:
         products, starts = now
         hidden = jnp.where(starts[..., None], 0.0, hidden)
@@ -58,6 +60,7 @@ def _forward(
 
 
 def _backward(residuals: tuple[Any, ...], gradient: jax.Array) -> tuple[jax.Array | None, ...]:
+    """Return the gradients of kernel, bias, initial hidden state and inputs; None for `first`."""
     kernel, first, saved = residuals
 
     def step(later: jax.Array, now: Any) -> tuple[jax.Array, Any]:

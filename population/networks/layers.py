@@ -1,4 +1,4 @@
-"""A policy as named matrices: what the exporters write, whatever the format."""
+"""A policy's layers as named matrices, from which the exporters write."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ Array = np.ndarray
 
 @dataclasses.dataclass(frozen=True)
 class Dense:
-    """`x @ kernel + bias`."""
+    """Dense layer: `x @ kernel + bias`."""
 
     kernel: Array  # [I, O] float32
     bias: Array  # [O]
@@ -21,7 +21,7 @@ class Dense:
 
 @dataclasses.dataclass(frozen=True)
 class GRU:
-    """Gates in the order reset, update, new.
+    """Gated recurrent unit with gates in the order reset, update, new.
 
     `r`, `z` = sigmoid(input + recurrent), `n` = tanh(input + r * recurrent).
 
@@ -34,22 +34,21 @@ class GRU:
 
 @dataclasses.dataclass(frozen=True)
 class Layers:
-    """The parts of a policy's deterministic action, in the order in which they apply."""
+    """Parts of a policy's deterministic action, in the order in which they apply."""
 
     spec: PolicySpec
     normaliser: tuple[Array, Array] | None  # mean [O], std [O]
     hidden: tuple[Dense, ...]  # each followed by the spec's activation
     gru: GRU | None
     mean: Dense
-    log_std: (
-        Dense | Array
-    )  # a head on the torso, or one vector [A]; not part of the deterministic action
-    # Of a policy with a latent: its GRU reads observation and last action, then comes the latent.
+    # A head on the torso, or one vector [A]; not part of the deterministic action.
+    log_std: Dense | Array
+    # For a policy with a latent: a GRU of observation and last action, and the latent's layer.
     memory: tuple[GRU, Dense] | None = None
 
 
 def layers_of(spec: PolicySpec, params: Mapping[str, Any]) -> Layers:
-    """Return the parts of `Policy(spec)` with these parameters (nested, without a stacked axis).
+    """Return the layers of `Policy(spec)` with parameters that are nested, without a stacked axis.
 
     Raises:
         ValueError: A parameter is missing.

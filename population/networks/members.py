@@ -1,4 +1,4 @@
-"""The axis of members: M train side by side, and N simulations are theirs, member by member."""
+"""The axis of members: M train side by side, each with its share of N simulations, in order."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ import jax
 
 
 def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Map over the leading axis, of members or of partners, of all arguments.
+    """Return a function that maps `function` over the leading axis of all arguments.
 
     Vectorised on accelerators. On a CPU members are taken in turn: a product of plain matrices is
     faster there than a batched one.
@@ -25,12 +25,12 @@ def member_map(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def to_members(tree: Any, members: int) -> Any:
-    """Reshape the simulation axis [N, ...] of every leaf to [M, N/M, ...]."""
+    """Return a tree whose leaves [N, ...] are reshaped to [M, N/M, ...]."""
     return jax.tree.map(
         lambda leaf: leaf.reshape(members, leaf.shape[0] // members, *leaf.shape[1:]), tree
     )
 
 
 def to_simulations(tree: Any) -> Any:
-    """Reshape every leaf [M, N/M, ...] to [N, ...]."""
+    """Return a tree whose leaves [M, N/M, ...] are reshaped to [N, ...]."""
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tree)

@@ -1,4 +1,4 @@
-"""A policy as an ONNX graph: observations to the deterministic action, standard operators only."""
+"""Export of a policy as an ONNX graph of standard operators, to its deterministic action."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -21,15 +21,15 @@ def to_onnx(
 ) -> bytes:
     """Return the bytes of an ONNX model of the policy's deterministic action.
 
-    Inputs: `obs` [N, O] float32; of a recurrent policy also `carry` [N, H] float32 and `first` [N]
-        bool, true where an
-    observation starts an episode. Outputs: `action` [N, A] in [-1, 1]; of a recurrent policy also
-    `next_carry` [N, H]. The carry of one with a latent has A numbers more, its last action.
+    The input is `obs` [N, O] float32. A recurrent policy also has `carry` [N, H] float32 and
+    `first` [N] bool, which is true if an observation starts an episode. The output is `action`
+    [N, A] in [-1, 1]. A recurrent policy also has `next_carry` [N, H]. The carry of a policy with a
+    latent has A more numbers, its last action.
 
     Args:
         spec: The network.
         params: Its parameters, without a stacked axis.
-        metadata: Kept as JSON in the model's properties under "assistax", beside the spec.
+        metadata: JSON values for the model's property "assistax", beside the spec.
 
     Raises:
         ValueError: The `onnx` package is not installed, or a parameter is missing.
@@ -67,7 +67,7 @@ def to_onnx(
 
 
 def _write(graph: "_Graph", layers: Layers) -> tuple[list[str], list[str]]:
-    """Add the policy's nodes; return the names of the model's inputs and outputs."""
+    """Add the policy's nodes; return the names of the model's inputs and of its outputs."""
     features, inputs, outputs = "obs", ["obs"], ["action"]
     if layers.normaliser is not None:
         mean, std = (graph.constant(value) for value in layers.normaliser)
@@ -97,7 +97,7 @@ def _write(graph: "_Graph", layers: Layers) -> tuple[list[str], list[str]]:
 
 
 def _recall(graph: "_Graph", layers: Layers, obs: str) -> tuple[str, str]:
-    """Write the memory of a policy with a latent; return what its layers read, and its state."""
+    """Add the memory of a policy with a latent; return its output's and its state's name."""
     assert layers.memory is not None
     gru, latent = layers.memory
     sizes = graph.sizes([gru.recurrent.kernel.shape[0], layers.spec.action_size])
@@ -107,19 +107,19 @@ def _recall(graph: "_Graph", layers: Layers, obs: str) -> tuple[str, str]:
 
 
 def _gru(graph: "_Graph", gru: GRU, features: str, carry: str, output: str | None = None) -> str:
-    """Write the cell out gate by gate: ONNX's own GRU wants a time axis."""
+    """Add a GRU cell gate by gate, since ONNX's GRU needs a time axis; return the output's name."""
     thirds = graph.sizes([gru.recurrent.kernel.shape[0]] * 3)
     x = graph.split(graph.dense(features, gru.input), thirds)
     h = graph.split(graph.dense(carry, gru.recurrent), thirds)
     reset, update = (graph.add("Sigmoid", graph.add("Add", x[gate], h[gate])) for gate in range(2))
     new = graph.add("Tanh", graph.add("Add", x[2], graph.add("Mul", reset, h[2])))
-    kept = graph.add("Mul", update, carry)
-    taken = graph.add("Mul", graph.add("Sub", graph.constant(np.float32(1.0)), update), new)
-    return graph.add("Add", taken, kept, output=output)
+    old_share = graph.add("Mul", update, carry)
+    new_share = graph.add("Mul", graph.add("Sub", graph.constant(np.float32(1.0)), update), new)
+    return graph.add("Add", new_share, old_share, output=output)
 
 
 class _Graph:
-    """Nodes and weights in the order in which they are added; every node gets a name."""
+    """Nodes and weights of a graph, in the order in which they are added; each node has a name."""
 
     def __init__(self, helper: Any, numpy_helper: Any) -> None:
         self.nodes: list[Any] = []
@@ -148,7 +148,7 @@ class _Graph:
         return output
 
     def remembered(self, carry: str) -> str:
-        """Add what is left of a carry: nothing where an episode begins."""
+        """Add a carry that is reset where an episode begins; return its name."""
         first = self.add("Unsqueeze", "first", self.constant(np.array([1], np.int64)))
         return self.add("Where", first, self.constant(np.float32(0.0)), carry)
 

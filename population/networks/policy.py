@@ -16,23 +16,23 @@ from population.networks.spec import PolicySpec
 
 NORMALISED_LIMIT = 10.0  # normalised observations are clipped to this many standard deviations
 HIDDEN_SCALE = math.sqrt(2.0)  # orthogonal gain of hidden layers
-# A standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits. A
-# constant of published networks; what a run begins with is `initial_log_std` of its trainer.
+# A standard deviation of 0.6: nine of ten draws of an untrained policy lie within the limits. It is
+# a constant of published networks; a run starts from `initial_log_std` of its trainer.
 INITIAL_LOG_STD = -0.5
 LOG_STD_RANGE = (-5.0, 1.0)
 MEAN_SCALE = 0.01  # orthogonal gain of the head: an untrained policy acts around zero
 
-_MEMORY = 1  # folded into a policy's key: its memory
+_MEMORY = 1  # folded into a policy's key for the key of its memory
 _NODES, _WEIGHTS = (x.astype(np.float32) for x in np.polynomial.hermite_e.hermegauss(9))
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["mean", "log_std"], meta_fields=["squash"])
 @dataclasses.dataclass(frozen=True)
 class Gaussian:
-    """Diagonal Gaussian over raw actions [..., A], and how one becomes an action in [-1, 1].
+    """Diagonal Gaussian over raw actions [..., A], which `action` maps to [-1, 1].
 
-    With "clip" the limits belong to the environment: densities are those of the raw action. With
-    "tanh" they are densities of the squashed action.
+    With "clip" the limits belong to the environment, and densities are those of the raw action.
+    With "tanh" densities are those of the squashed action.
     """
 
     mean: jax.Array  # [..., A]
@@ -54,7 +54,7 @@ class Gaussian:
     def log_prob(self, raw: Float[Array, "*batch A"]) -> Float[Array, "*batch"]:
         """Return the log density [...] of a raw action [..., A].
 
-        With "tanh", of the action it is squashed to.
+        With "tanh" it is the density of the squashed action.
         """
         score = (raw - self.mean) * jnp.exp(-self.log_std)
         density = -0.5 * (jnp.square(score) + math.log(2.0 * math.pi)) - self.log_std
@@ -89,7 +89,7 @@ class CriticSpec:
 
 
 class _Network:
-    """A network behind plain nested parameters, whose leading axes are free."""
+    """Base of networks on plain nested parameters, whose leading axes are free."""
 
     spec: Any
 
@@ -120,7 +120,7 @@ class Critic(_Network):
         return self._module.init(key, self.initial_carry(()), obs, jnp.zeros((), bool))["params"]
 
     def inputs(self, params: Params, obs: jax.Array) -> jax.Array:
-        """Return what the first layer reads of obs [..., O]: all of it, as it is."""
+        """Return the input of the first layer for obs [..., O]: here obs itself."""
         return obs
 
     def step(
@@ -134,7 +134,8 @@ class Critic(_Network):
 class Policy(_Network):
     """The network of a `PolicySpec`."""
 
-    beside: tuple[str, ...] = ()  # observations that it reads behind its role's, in training alone
+    # Observations appended to the role's own, in training alone.
+    beside: tuple[str, ...] = ()
 
     def __init__(self, spec: PolicySpec) -> None:
         self.spec = spec
@@ -144,17 +145,17 @@ class Policy(_Network):
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Carry:
         """Return the recurrent state before the first observation.
 
-        Of a policy with a latent it is the memory's and the last action, [*batch_shape, H + A].
+        For a policy with a latent it is the memory's state and last action, [*batch_shape, H + A].
         """
         if not self.spec.latent:
             return super().initial_carry(batch_shape)
         return jnp.zeros((*batch_shape, self.spec.hidden[-1] + self.spec.action_size))
 
     def init(self, key: jax.Array, log_std: float = INITIAL_LOG_STD) -> Params:
-        """Return fresh parameters; with `spec.normalise` they hold an identity "normaliser".
+        """Return initial parameters; with `spec.normalise` they hold an identity "normaliser".
 
         Args:
-            key: Draws them.
+            key: Key of the draws.
             log_std: Logarithm of the standard deviation at the start.
         """
         size, latent = self.spec.observation_size, self.spec.latent
@@ -164,8 +165,8 @@ class Policy(_Network):
         if latent:
             seen = jnp.zeros(size + self.spec.action_size)
             hidden = jnp.zeros(self.spec.hidden[-1])
-            own = self._memory.init(jax.random.fold_in(key, _MEMORY), hidden, seen)["params"]
-            params = {**params, "memory": own}
+            memory = self._memory.init(jax.random.fold_in(key, _MEMORY), hidden, seen)["params"]
+            params = {**params, "memory": memory}
         if self.spec.normalise:
             params = {**params, "normaliser": {"mean": jnp.zeros(size), "std": jnp.ones(size)}}
         return params
@@ -202,7 +203,7 @@ class Policy(_Network):
         obs: Float[Array, "*batch O"],
         first: Bool[Array, "*batch"],
     ) -> tuple[Carry, Float[Array, "*batch Z"]]:
-        """Return the memory's state and the latent, once obs [..., O] were seen."""
+        """Return the memory's new state and the latent after obs [..., O]."""
         if self.spec.normalise:
             obs = normalise(params["normaliser"], obs)
         carry = jnp.where(first[..., None], 0.0, carry)
@@ -223,7 +224,7 @@ class Policy(_Network):
         return Gaussian(mean, log_std, self.spec.squash)
 
     def acted(self, carry: Carry, action: Float[Array, "*batch A"]) -> Carry:
-        """Return the carry after an action that was drawn; the memory of a latent keeps it."""
+        """Return the carry after an action was drawn; the memory of a latent stores the action."""
         if not self.spec.latent:
             return carry
         return jnp.concatenate([carry[..., : self.spec.hidden[-1]], action], axis=-1)
@@ -247,6 +248,8 @@ def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array,
 
 
 class _Actor(nn.Module):
+    """Layers of a policy: carry, mean and log standard deviation of the actions."""
+
     spec: PolicySpec
 
     @nn.compact
@@ -264,7 +267,7 @@ class _Actor(nn.Module):
 
 
 class _Memory(nn.Module):
-    """Makes a latent of observations and the actions before them."""
+    """Memory cell: the state and the latent, from an observation and the action before it."""
 
     spec: PolicySpec
 
@@ -275,6 +278,8 @@ class _Memory(nn.Module):
 
 
 class _Value(nn.Module):
+    """Layers of a critic: carry and values."""
+
     spec: CriticSpec
 
     @nn.compact
@@ -286,9 +291,9 @@ class _Value(nn.Module):
 def _torso(
     spec: PolicySpec | CriticSpec, carry: Carry, obs: jax.Array, first: jax.Array
 ) -> tuple[Carry, jax.Array]:
-    """Apply the hidden layers.
+    """Return the carry and the features after the hidden layers.
 
-    To be called inside a compact module, which then owns the layers by flat names.
+    Call it inside a compact module, which then owns the layers by flat names.
     """
     activation = {"tanh": nn.tanh, "relu": nn.relu}[spec.activation]
     features = obs
@@ -306,14 +311,15 @@ def _dense(width: int, scale: float) -> nn.Dense:
 
 
 def _layers(params: Params) -> Params:
-    """Return the parameters of a policy's own layers."""
+    """Return the parameters of a policy's layers, without those of normaliser and memory."""
     return {name: params[name] for name in params if name not in ("normaliser", "memory")}
 
 
 def _with_log_std(params: Params, log_std: float) -> Params:
-    """Return fresh parameters with another initial standard deviation: the vector, or the bias.
+    """Return initial parameters with another log standard deviation.
 
-    The network adds `INITIAL_LOG_STD` to its state-dependent head, so the bias is the difference.
+    The network adds `INITIAL_LOG_STD` to its state-dependent head, so the head's bias takes the
+    difference. A vector is replaced.
     """
     if "log_std" in params:
         return {**params, "log_std": jnp.full_like(params["log_std"], log_std)}

@@ -1,4 +1,4 @@
-"""What a seat of the environment asks of who sits there: a spec, which makes its player.
+"""Protocols of a seat's spec and of the player that a spec makes.
 
 Imports no JAX: the registry reads specs too.
 """
@@ -16,9 +16,9 @@ Carry = Any  # () for a feed-forward network, [..., H] for a recurrent one
 
 
 class Player(Protocol):
-    """Acts for policies of one spec, whose parameters it is given.
+    """Player that acts for policies of one spec, whose parameters are arguments.
 
-    One that has `act_stack` acts for stacked policies at once, [G, R, O]; others are mapped over.
+    A player with `act_stack` acts for stacked policies at once, [G, R, O]; others are mapped over.
     """
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
@@ -32,44 +32,44 @@ class Player(Protocol):
         obs: "Float[Array, '*batch O']",
         first: "Bool[Array, '*batch']",
     ) -> "tuple[Any, Float[Array, '*batch A']]":
-        """Return the next memory and the actions; `first` where an episode begins."""
+        """Return the next memory and the actions; `first` is true if an episode begins."""
         ...
 
 
 class Seat(Protocol):
-    """Describes policies that can be stacked and mapped over; hashable.
+    """Spec of policies that can be stacked and mapped over; hashable.
 
-    One of humans that has `humans(params)` says who they are, the `EnvParams` of stacked
-    parameters; of others their disability setting and preference say it.
+    A spec of humans may have `humans(params)`, which returns the `EnvParams` of stacked parameters;
+    without it the disability setting and the preference give them.
     """
 
     @property
     def role(self) -> "Role":
-        """The seat that they act in."""
+        """The seat that the policies act in."""
         ...
 
     @property
     def observation_size(self) -> int:
-        """Width of the observation that they read."""
+        """Width of the policies' observation."""
         ...
 
     @property
     def action_size(self) -> int:
-        """Width of the action that they return."""
+        """Width of the policies' action."""
         ...
 
     def __hash__(self) -> int:
-        """Make it a key: what is compiled is kept by spec."""
+        """Hash of the spec, since compiled programs are cached by spec."""
         ...
 
     def player(self) -> Player:
-        """Return what plays them; imports JAX."""
+        """Return the player of these policies; imports JAX."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class SeatSizes:
-    """What a spec that is no network of ours has of a seat; it adds its `player`."""
+    """Base of specs that are not our networks (scripts, ONNX, persons); subclasses add `player`."""
 
     role: "Role"
     observation_size: int

@@ -1,10 +1,8 @@
-"""Shared parameters.
+"""Shared parameters: one network for both roles.
 
-One network for both roles, that reads a padded observation and the role's one-hot.
-
-Padding with zeros and a constant one-hot need never be built: the padded rows of the first kernel
-do nothing, and the one-hot adds one of its rows to the bias. `fold` makes an ordinary network of
-one role that way, exactly; training, acting and publishing all use it.
+The network reads a padded observation and the role's one-hot. Neither need ever be built: the
+padded rows of the first kernel do nothing, and the one-hot adds one of its rows to the bias. `fold`
+makes an ordinary network of one role that way, exactly; training, acting and publishing all use it.
 """
 
 import dataclasses
@@ -17,12 +15,12 @@ SHARED = "shared"  # name of the learner of both roles
 
 
 def padded_size(observation_size: Mapping[str, int]) -> int:
-    """Return the width of the shared input: the widest role's observation, then the one-hot."""
+    """Return the width of the shared input: the widest observation of a role, plus the one-hot."""
     return max(observation_size.values()) + len(ROLES)
 
 
 def shared_spec(specs: Sequence[PolicySpec]) -> PolicySpec:
-    """Return the network that acts for roles of these specs."""
+    """Return the spec of the network that acts for the roles of these specs."""
     width = padded_size({spec.role: spec.observation_size for spec in specs})
     actions = max(spec.action_size for spec in specs)
     return dataclasses.replace(specs[0], observation_size=width, action_size=actions)
@@ -31,7 +29,7 @@ def shared_spec(specs: Sequence[PolicySpec]) -> PolicySpec:
 def fold(
     params: Params, role: str, observation_size: int, action_size: int | None = None
 ) -> Params:
-    """Return one role's ordinary parameters of a shared network.
+    """Return the ordinary parameters of one role, made of a shared network's.
 
     With W the first kernel and e the role's one-hot, [obs, 0, e] W + b = obs W[:O] + (W[-2 + role]
     + b). Outputs beyond the role's actions are dropped.
@@ -61,7 +59,7 @@ def fold(
 def _heads(params: Params) -> list[str]:
     """Return the names of the output layers.
 
-    The last dense one, or the last two with a state-dependent deviation.
+    They are the last dense layer, or the last two with a state-dependent deviation.
     """
     dense = sorted(
         (name for name in params if name.startswith("Dense_")), key=lambda name: int(name[6:])

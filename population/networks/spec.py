@@ -1,4 +1,4 @@
-"""What a policy network looks like, as data. Imports no JAX: the registry reads it too."""
+"""Shape of a policy network, as data. Imports no JAX: the registry reads it too."""
 
 import dataclasses
 from typing import Literal
@@ -24,12 +24,11 @@ class PolicySpec:
     hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
     activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
     squash: Literal["clip", "tanh"] = "clip"  # how a Gaussian sample is brought into [-1, 1]
-    std: Literal["parameter", "state"] = (
-        "parameter"  # log standard deviation: one vector, or a head on the torso
-    )
+    # Log standard deviation: one vector, or a head on the torso.
+    std: Literal["parameter", "state"] = "parameter"
     normalise: bool = True  # whether parameters hold the mean and std of observations
-    # Width of what a memory, a GRU as wide as the last hidden layer, makes of observations and own
-    # actions. An "mlp" reads it beside the observation. 0 for none.
+    # Width of the latent that a memory infers from observations and own actions, an input of the
+    # "mlp". The memory is a GRU as wide as the last hidden layer. 0 turns it off.
     latent: NonNegativeInt = 0
 
     def __post_init__(self) -> None:
@@ -53,12 +52,12 @@ class PolicySpec:
 
     @property
     def digest(self) -> str:
-        """First eight hex digits of the spec's sha256: names the shard of its policies."""
+        """First eight hex digits of the spec's sha256; they name the shard of its policies."""
         return json_sha256(self.to_json(), spaced=True)[:8]
 
 
 def spec_from_json(value: object) -> PolicySpec:
-    """Return the spec that `PolicySpec.to_json` wrote.
+    """Return the spec of a value that `PolicySpec.to_json` returned.
 
     Raises:
         ValueError: A field is missing, unknown, or of another type.

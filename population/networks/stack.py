@@ -1,4 +1,4 @@
-"""Policies of one spec, stacked: what is stored, loaded, mapped over and played. NumPy alone."""
+"""Policies of one spec, stacked for storage and play. Uses NumPy alone."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +13,7 @@ S = TypeVar("S", bound=Seat)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PolicyStack(Generic[S]):
-    """Policies of one spec, their parameters stacked along a first axis G."""
+    """Policies of one spec, whose parameters are stacked along a first axis G."""
 
     spec: S
     ids: tuple[str, ...]  # [G], each once
@@ -23,7 +23,7 @@ class PolicyStack(Generic[S]):
         return len(self.ids)
 
     def take(self, rows: Sequence[int]) -> "PolicyStack[S]":
-        """Return the policies in these rows, in this order."""
+        """Return a stack of the policies in these rows, in this order."""
         ids = tuple(self.ids[row] for row in rows)
         return PolicyStack(
             self.spec, ids, map_leaves(lambda leaf: leaf[np.asarray(rows)], self.params)
@@ -37,18 +37,20 @@ class PolicyStack(Generic[S]):
 def stack_policies(
     policies: Iterable[tuple[str, S, Mapping[str, Any]]],
 ) -> tuple[PolicyStack[S], ...]:
-    """Stack policies (id, spec, parameters): one stack for each spec, in the order they come."""
+    """Return a stack for each spec of policies (id, spec, parameters), in order of appearance."""
     by_spec: dict[S, list[tuple[str, Mapping[str, Any]]]] = {}
     for name, spec, params in policies:
         by_spec.setdefault(spec, []).append((name, params))
     return tuple(
-        PolicyStack(spec, tuple(name for name, _ in some), _stacked([params for _, params in some]))
-        for spec, some in by_spec.items()
+        PolicyStack(
+            spec, tuple(name for name, _ in members), _stacked([params for _, params in members])
+        )
+        for spec, members in by_spec.items()
     )
 
 
 def map_leaves(function: Any, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Apply a function to every leaf of nested parameters, without JAX."""
+    """Return nested parameters with `function` applied to each leaf."""
     return {
         name: map_leaves(function, value) if isinstance(value, Mapping) else function(value)
         for name, value in params.items()
@@ -79,6 +81,7 @@ def unflatten(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _stacked(trees: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return nested parameters whose leaves are stacked along a new first axis."""
     return {
         name: _stacked([tree[name] for tree in trees])
         if isinstance(value, Mapping)

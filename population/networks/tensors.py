@@ -1,4 +1,4 @@
-"""Parameters as bytes: flat leaves, their canonical hash, safetensors files. Never a pickle."""
+"""Parameters as bytes: flat leaves, their canonical hash, and safetensors files without pickles."""
 
 import hashlib
 import re
@@ -26,7 +26,7 @@ Leaves = dict[str, np.ndarray]
 
 
 class StackedFile(NamedTuple):
-    """A file of stacked parameters: leaves [P, ...], and what its metadata says of each row."""
+    """Content of a file of stacked parameters: leaves [P, ...], and metadata of each row."""
 
     spec: PolicySpec
     leaves: Leaves
@@ -46,7 +46,7 @@ def flatten(params: Mapping[str, Any]) -> Leaves:
 
 
 def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
-    """Return the sha256 of one policy's leaves: name, dtype, shape, little-endian bytes of each."""
+    """Return the sha256 of a policy's leaves: names, dtypes, shapes and little-endian bytes."""
     digest = hashlib.sha256()
     for name in sorted(leaves):
         value = np.ascontiguousarray(leaves[name])
@@ -58,7 +58,7 @@ def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
 
 
 def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
-    """Return the safetensors bytes of leaves, with JSON metadata; the same for equal input."""
+    """Return safetensors bytes of leaves and JSON metadata; equal input gives equal bytes."""
     _check_leaves(leaves, "parameters")
     text = canonical_json(metadata).decode()
     contiguous = {name: np.require(value, requirements="C") for name, value in leaves.items()}
@@ -87,7 +87,7 @@ def decode(data: bytes, source: str) -> tuple[Leaves, dict[str, Any]]:
             source,
             f"metadata {METADATA_KEY!r}, which files of this project have",
             f"no {error}",
-            "export the policy again, or write a function that loads a network of your own",
+            "export the policy again, or write a function that loads your network",
         ) from None
     except (ValueError, TypeError, RecursionError) as error:
         raise FormatError(source, "a safetensors file", f"{shorten(str(error))}") from None
@@ -128,6 +128,7 @@ def metadata_spec(metadata: Mapping[str, Any], source: str) -> PolicySpec:
 
 
 def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    """Return the JSON header and the raw tensors of safetensors bytes; refuse a false length."""
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
         raise FormatError(
@@ -141,6 +142,7 @@ def _deserialize(data: bytes, source: str) -> tuple[dict[str, Any], list[tuple[s
 
 
 def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
+    """Return checked leaves by name, sorted, of raw tensors."""
     leaves = {}
     for name, tensor in tensors:
         if tensor["dtype"] not in DTYPES:
@@ -157,7 +159,7 @@ def _leaves(tensors: list[tuple[str, Any]], source: str) -> Leaves:
 def read_bytes(
     path: Path, source: str, *, size: int | None = None, digest: str | None = None
 ) -> bytes:
-    """Return a file's bytes, held against the size and sha256 that the registry records.
+    """Return a file's bytes, checked against the size and sha256 of the registry.
 
     Raises:
         IntegrityError: The file is missing, or has another size or sha256.
@@ -178,11 +180,12 @@ def read_bytes(
 
 
 def damaged_row(policy: str, expected: str, found: str) -> IntegrityError:
-    """Return the error for a row whose bytes are not those of the registry."""
+    """Return the error for a row whose bytes differ from the registry's."""
     return IntegrityError(f"parameters of {policy}", f"sha256 {expected}", f"sha256 {found}")
 
 
 def _check_leaves(leaves: Mapping[str, np.ndarray], source: str) -> None:
+    """Refuse leaves that are not finite floats with names that form a tree."""
     if not leaves:
         raise FormatError(source, "at least one leaf", "none")
     for name, value in leaves.items():

@@ -1,4 +1,4 @@
-"""A policy as a PyTorch state dict in safetensors; torch itself is not needed to write it.
+"""Export of a policy as a PyTorch state dict in safetensors, without torch.
 
 docs/export.md has the module that loads it.
 """
@@ -19,10 +19,10 @@ def to_torch(
 ) -> bytes:
     """Return safetensors bytes of a state dict with PyTorch's names and layout: weights [out, in].
 
-    `layers.I.weight`, `layers.I.bias`, `mean.weight`, `mean.bias`; `log_std`, or `log_std.weight`
-    and `log_std.bias`; with normalisation `obs_mean` and `obs_std`; of a recurrent policy
-    `gru.weight_ih`, `gru.weight_hh`, `gru.bias_ih`, `gru.bias_hh` as `torch.nn.GRUCell` has them.
-    The metadata's one key, "assistax", holds JSON with the spec.
+    The names are `layers.I.weight`, `layers.I.bias`, `mean.weight`, `mean.bias`, and `log_std`, or
+    `log_std.weight` and `log_std.bias`. With normalisation there are `obs_mean` and `obs_std`. A
+    recurrent policy has `gru.weight_ih`, `gru.weight_hh`, `gru.bias_ih`, `gru.bias_hh` as
+    `torch.nn.GRUCell` does. The metadata's one key, "assistax", holds JSON with the spec.
 
     Raises:
         ValueError: A parameter is missing, or the policy has a latent.

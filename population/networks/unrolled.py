@@ -1,7 +1,7 @@
-"""Networks over a chunk of T steps, as learning reads it; acting is `step` of the network.
+"""Networks over a chunk of T steps, for learning; acting uses the network's `step`.
 
-What does not wait for the step before is done for all steps at once, and only the recurrent
-products stay in a scan. Sums are therefore rounded in another order than in `step`.
+Computation that does not depend on the step before is done for all steps at once, and only the
+recurrent products stay in a scan. Sums are therefore rounded in another order than in `step`.
 """
 
 import jax
@@ -48,9 +48,9 @@ def unroll_both(
     obs: tuple[Float[Array, " T N O"], Float[Array, " T N C"]],
     first: Bool[Array, " T N"],
 ) -> tuple[Gaussian, Float[Array, " T N"]]:
-    """Return the distributions and the values of a chunk, those of policy and critic.
+    """Return the policy's distributions and the critic's values of a chunk.
 
-    Their recurrences are one scan, where both have one and of one width: on a GPU the steps of a
+    If both are recurrent and equally wide, their recurrences are one scan: on a GPU the steps of a
     scan cost the same for two small networks as for one.
     """
     actor, valuer = policy.spec, critic.spec
@@ -62,7 +62,7 @@ def unroll_both(
         _products_of_policy(policy, params[0], obs[0]),
         _products(valuer, params[1], seen),
     ]
-    weights = [_recurrent(own["GRUCell_0"]) for own in params]
+    weights = [_recurrent(network["GRUCell_0"]) for network in params]
     kernel, bias = (jnp.stack(leaves) for leaves in zip(*weights, strict=True))
     both = jax.vmap(gru.remember, in_axes=(0, 0, 0, 0, None))
     states = both(kernel, bias, jnp.stack(carries), jnp.stack(products), first)
@@ -70,13 +70,14 @@ def unroll_both(
 
 
 def _products_of_policy(policy: Policy, params: Params, obs: jax.Array) -> jax.Array:
+    """Return the cell's input products [T, ..., 3 H] for a recurrent policy's raw observations."""
     if policy.spec.normalise:
         obs = normalise(params["normaliser"], obs)
     return _products(policy.spec, params, obs)
 
 
 def _gaussian(spec: PolicySpec, params: Params, features: jax.Array) -> Gaussian:
-    """Return what the heads of a policy make of its last features."""
+    """Return the distribution that a policy's heads give for its last features."""
     place = len(spec.hidden) - 1
     mean = _linear(params[f"Dense_{place}"], features)
     if spec.std == "state":
@@ -88,6 +89,7 @@ def _gaussian(spec: PolicySpec, params: Params, features: jax.Array) -> Gaussian
 
 
 def _value(spec: CriticSpec, params: Params, features: jax.Array) -> jax.Array:
+    """Return the values of a critic's last features."""
     return _linear(params[f"Dense_{len(spec.hidden) - 1}"], features)[..., 0]
 
 
@@ -99,7 +101,7 @@ def unroll_memory(
     first: Bool[Array, " T *batch"],
     action: Float[Array, " T *batch A"],
 ) -> tuple[Float[Array, " T *batch H"], Float[Array, " T *batch Z"]]:
-    """Return the memory's states and its latents, for each of T steps, of a policy that has one.
+    """Return the memory's states and its latents at each of T steps.
 
     `action` are the actions that followed the observations, as they were drawn.
     """
@@ -130,7 +132,7 @@ def unroll_critic(
 
 
 def _products(spec: PolicySpec | CriticSpec, params: Params, obs: jax.Array) -> jax.Array:
-    """Return what a recurrent torso's cell reads of a chunk, products of its inputs [T, ..., 3 H].
+    """Return the input products [T, ..., 3 H] of a recurrent torso's cell over a chunk.
 
     See `nn.GRUCell`.
     """
@@ -142,16 +144,17 @@ def _products(spec: PolicySpec | CriticSpec, params: Params, obs: jax.Array) -> 
 
 
 def _cell_products(cell: Params, inputs: jax.Array) -> jax.Array:
+    """Return the products of inputs with a cell's input weights, gates side by side [..., 3 H]."""
     return jnp.concatenate([_linear(cell[f"i{gate}"], inputs) for gate in gru.GATES], axis=-1)
 
 
 def _recurrent(cell: Params) -> tuple[jax.Array, jax.Array]:
-    """Return the weights of a cell that its scan reads: kernel and bias."""
+    """Return the recurrent kernel and bias of a cell."""
     kernel = jnp.concatenate([cell[f"h{gate}"]["kernel"] for gate in gru.GATES], axis=-1)
     return kernel, cell["hn"]["bias"]
 
 
 def _linear(layer: Params, inputs: jax.Array) -> jax.Array:
-    """Return what a dense layer makes of inputs [..., O]."""
+    """Return the output of a dense layer for inputs [..., O]."""
     product = inputs @ layer["kernel"]
     return product + jnp.broadcast_to(layer["bias"], product.shape)
