@@ -1,8 +1,8 @@
 """JAX under this project's own settings, whatever the user's process has set.
 
 A process may choose another generator, other types or other checks for its own programs. Ours run
-with the values of `OURS`: the same episodes come out of every process, and the user's settings are
-back afterwards. JAX keeps them for each thread, so a thread enters them for itself.
+with the values of `OURS`, so that every process gets the same episodes; afterwards the user's
+settings are restored. JAX keeps settings for each thread, so each thread enters ours itself.
 """
 
 import contextlib
@@ -20,13 +20,14 @@ from jaxtyping import Shaped
 P = ParamSpec("P")
 T = TypeVar("T")
 
-GENERATOR = "threefry2x32"  # of every key of ours
+GENERATOR = "threefry2x32"  # generator of all our keys
 _UNGUARDED = ("allow", None, "log", "log_explicit")
-# Of a whole process: XLA's threads, where we enter nothing, hand arrays to callbacks explicitly.
+# Refused because XLA's threads, which do not enter our settings, pass arrays to callbacks
+# explicitly.
 _TOO_STRICT = "disallow_explicit"
 _IGNORED = ("ignore",)
 
-# Settings with our value first; any others do no harm.
+# Allowed values of settings; ours comes first, and the others are harmless.
 OURS: dict[str, tuple[Any, ...]] = {
     "jax_allow_f16_reductions": (True,),
     "jax_check_tracer_leaks": (False,),
@@ -46,13 +47,13 @@ OURS: dict[str, tuple[Any, ...]] = {
     "jax_transfer_guard_device_to_device": _UNGUARDED,
     "jax_transfer_guard_device_to_host": _UNGUARDED,
     "jax_transfer_guard_host_to_device": _UNGUARDED,
-    # JAX sets these for a whole process only, so that the process has to give them up.
+    # JAX sets these for a whole process only, so the user must set them back.
     "jax_error_checking_behavior_divide": _IGNORED,
     "jax_error_checking_behavior_nan": _IGNORED,
     "jax_error_checking_behavior_oob": _IGNORED,
     "jax_high_dynamic_range_gumbel": (False,),
 }
-# These stay as the user has them. They may change the last bits, and manifests name them.
+# Settings that keep the user's values. They may change the last bits, and manifests record them.
 FREE: dict[str, Any] = {
     "eager_constant_folding": False,
     "jax_compiler_enable_remat_pass": True,
@@ -64,17 +65,17 @@ FREE: dict[str, Any] = {
     "jax_optimization_level": "UNKNOWN",
     "jax_use_direct_linearize": True,
 }
-# An ordinary process is told by one comparison. Another JAX may lack a setting of these.
+# One comparison recognises a process with our settings. Another JAX may lack some of them.
 _KNOWN = {name: ours for name, ours in OURS.items() if hasattr(jax.config, name)}
 _READ = operator.attrgetter(*_KNOWN)
 _USUAL = tuple(None if ours is _UNGUARDED else ours[0] for ours in _KNOWN.values())
-VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # of the environment, free as well
+VARIABLES = ("XLA_FLAGS", "NVIDIA_TF32_OVERRIDE")  # environment variables, free as well
 
 
 class own_settings:
-    """Run a block, or a decorated function, under our settings.
+    """Context manager and decorator under which a block or a function has our settings.
 
-    Where a process has them already, nothing is entered, and nothing is compiled again.
+    If the process has them already, nothing is entered, and nothing is compiled again.
 
     Raises:
         ValueError: The process has a setting under which our programs cannot run.
@@ -88,11 +89,11 @@ class own_settings:
             self._entered.__exit__(*error)
 
     def __call__(self, function: Callable[P, T]) -> Callable[P, T]:
-        """Return the function, which enters our settings in each call and in its own thread."""
+        """Return the function under our settings, entered in each call and thread."""
 
         @functools.wraps(function)
         def inside(*args: P.args, **kwargs: P.kwargs) -> T:
-            if _READ(jax.config) == _USUAL:  # in each step of an environment: microseconds
+            if _READ(jax.config) == _USUAL:  # fast path, taken in each step of an environment
                 return function(*args, **kwargs)
             with _entered():
                 return function(*args, **kwargs)
@@ -101,7 +102,7 @@ class own_settings:
 
 
 def _entered() -> contextlib.ExitStack:
-    """Enter our values of those settings that have others."""
+    """Return a context in which settings with other values have ours."""
     check_settings()
     with contextlib.ExitStack() as stack:
         for name in _changed(OURS):
@@ -113,7 +114,7 @@ def check_settings() -> None:
     """Refuse a setting that only the user can set back.
 
     Raises:
-        ValueError: Names it.
+        ValueError: There is such a setting; the message names it.
     """
     for name, value in _changed(OURS).items():
         if fate(name, value) == "refused":
@@ -124,12 +125,12 @@ def check_settings() -> None:
 
 
 def _switch(name: str) -> str:
-    """Return JAX's name of a setting's context manager; most settings have one."""
+    """Return JAX's name of a setting's context manager; some settings have none."""
     return name.removeprefix("jax_")
 
 
 def _changed(usual: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
-    """Return those settings of this thread that have other values."""
+    """Return this thread's settings whose values are not among `usual`, by name."""
     values = jax.config.values
     return {
         name: values[name] for name in usual if name in values and values[name] not in usual[name]
@@ -138,10 +139,10 @@ def _changed(usual: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
 
 @own_settings()
 def key_of(seed: int | Shaped[np.ndarray, "..."]) -> jax.Array:
-    """Return the key of a seed, or of each of an array of seeds; of `GENERATOR` in every process.
+    """Return the key of a seed, or of each seed of an array, of `GENERATOR` in every process.
 
-    JAX's `jax.random.key` gives the same ones, where a process has no generator or offset of its
-    own. Of a seed the lower 32 bits count.
+    They equal the keys of `jax.random.key` in a process with JAX's default generator. Only the
+    lower 32 bits of a seed count.
     """
     low = np.asarray(seed if isinstance(seed, np.ndarray) else seed % 2**32).astype(np.uint32)
     words = np.stack([np.zeros_like(low), low], axis=-1)
@@ -151,7 +152,7 @@ def key_of(seed: int | Shaped[np.ndarray, "..."]) -> jax.Array:
 def check_generator(keys: jax.Array) -> None:
     """Refuse keys of another generator.
 
-    Others draw other numbers for a key when it stands in another batch.
+    Other generators draw other numbers for a key that stands in another batch.
 
     Raises:
         ValueError: The keys are of another generator.
@@ -164,17 +165,17 @@ def check_generator(keys: jax.Array) -> None:
 
 
 def fate(name: str, value: Any) -> Literal["replaced", "refused", "kept"]:
-    """Return the fate of a setting with a value where our programs run."""
+    """Return the treatment of a setting's value while our programs run."""
     if name not in OURS:
         return "kept"
     return "replaced" if hasattr(jax, _switch(name)) and value != _TOO_STRICT else "refused"
 
 
 def check_platforms() -> None:
-    """Refuse devices that JAX was told to use and that are not here.
+    """Refuse devices that JAX was told to use and that this machine lacks.
 
     Raises:
-        ValueError: Names JAX_PLATFORMS, and what to do.
+        ValueError: JAX has no such device; the message names JAX_PLATFORMS and a remedy.
     """
     platforms = jax.config.values["jax_platforms"]
     if platforms in (None, "", "cpu"):
@@ -190,7 +191,7 @@ def check_platforms() -> None:
 
 
 def found_settings() -> dict[str, Any]:
-    """Return the settings of this process, by name, that differ from JAX's own.
+    """Return the settings of this process, by name, that differ from JAX's defaults.
 
     Our programs run without those of `OURS`. They matter to robots from outside, which act under
     the user's settings.

@@ -1,8 +1,8 @@
-"""N simulations that begin and end together, partners within: what the vector adapters share.
+"""Batch of N simulations with partners inside, which the vector adapters share.
 
-Everything is a pure function, to be compiled by whoever calls it. All simulations reach the time
-limit at the same step; a protective stop ends an episode before. A step that ends an episode
-already returns the next one's start.
+All functions are pure, to be compiled by their caller. All simulations reach the time limit at the
+same step; a protective stop ends an episode before. A step that ends an episode returns the next
+one's start.
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ from assistax_envs.adapters.partners import Partners
 from assistax_envs.env import EnvState, make, select
 from assistax_envs.own_settings import key_of, own_settings
 
-# Vector forms cut observations there, so that their spaces are finite. Robots that strike at random
-# reach 1,133, a force in N; everything else is far smaller.
+# Vector forms clip observations to it, so that their spaces are finite. Robots that strike at
+# random reach 1,133, a force in N; everything else is far smaller.
 OBSERVATION_BOUND = 10_000.0
 MOST_ENVS = 2**20
 
@@ -27,21 +27,21 @@ MOST_ENVS = 2**20
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BatchState:
-    """All simulations, and who sits in them."""
+    """State of all simulations and of their partners."""
 
     env: EnvState  # leaves [N, ...]
     params: Any  # the partners' arrays, which never change
-    seated: Any  # this episode's partners, and what they remember
+    seated: Any  # this episode's partners and their memories
     first: jax.Array  # [N] bool: an episode begins
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BatchStep:
-    """What a step returns, [N, ...] each; observations by "robot", "human" and "global"."""
+    """Result of a step, [N, ...] each; observations by "robot", "human" and "global"."""
 
-    obs: dict[str, jax.Array]  # after a last step: of the next episode
-    final_obs: dict[str, jax.Array]  # that the step itself led to
+    obs: dict[str, jax.Array]  # after an episode's last step those of the next episode
+    final_obs: dict[str, jax.Array]  # those that the step itself led to
     reward: jax.Array
     terminated: jax.Array
     truncated: jax.Array
@@ -49,7 +49,7 @@ class BatchStep:
 
 
 class Batch:
-    """N simulations of a task whose humans are `partners`, unless their actions are handed in."""
+    """Batch of N simulations of a task; `partners` act for the humans unless actions are given."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class Batch:
 
     @own_settings()
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], BatchState]:
-        """Begin an episode in every simulation; return the observations and the state."""
+        """Return observations and state at the start of an episode in every simulation."""
         params = self.partners.params
         seated, state = self._begin(params, key, None)
         return _bounded(state.obs), BatchState(state, params, seated, state.step == 0)
@@ -76,14 +76,14 @@ class Batch:
     def step(
         self, key: jax.Array, state: BatchState, actions: Mapping[str, jax.Array]
     ) -> tuple[BatchState, BatchStep]:
-        """Advance by 20 ms; after an episode's last step begin the next, with new partners.
+        """Return state and step after 20 ms; an episode's last step begins the next one.
 
-        All simulations reach the time limit at the same step. Where a protective stop ended an
-        episode before, the next one begins with the same partner, and lasts until then.
+        All simulations reach the time limit at the same step. If a protective stop ended an episode
+        before, the next one begins with the same partner and ends at that limit.
 
         Args:
-            key: Of episodes that begin after this step.
-            state: What `reset` or `step` returned.
+            key: Key of episodes that begin after this step.
+            state: State that `reset` or `step` returned.
             actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own.
         """
         before, seated = state.env, state.seated
@@ -110,7 +110,7 @@ class Batch:
         return BatchState(new, state.params, new_seated, stopped | limit), step
 
     def _after_stops(self, key: jax.Array, after: EnvState) -> EnvState:
-        """Begin episodes anew where a protective stop ended them, as late as the others are."""
+        """Return the state with new episodes in place of stopped ones, with the same time limit."""
 
         def anew() -> EnvState:
             fresh = self.env.reset(jax.random.split(key, self.num_envs), after.params)
@@ -120,13 +120,14 @@ class Batch:
         return jax.lax.cond(after.terminated.any(), anew, lambda: after)
 
     def _begin(self, params: Any, key: jax.Array, before: Any) -> tuple[Any, EnvState]:
+        """Return the partners of new episodes and the environment's state at their start."""
         of_partners, of_starts = jax.random.split(key)
         seated, humans = self.partners.begin(params, of_partners, before, self.num_envs)
         return seated, self.env.reset(jax.random.split(of_starts, self.num_envs), humans)
 
 
 class HostBatch:
-    """A batch that is stepped from outside JAX: compiled, with keys drawn from a generator."""
+    """Batch that is stepped from outside JAX: compiled, with keys drawn from a generator."""
 
     def __init__(self, batch: Batch, arrays: str = "numpy") -> None:
         if arrays not in ("numpy", "jax"):
@@ -135,7 +136,7 @@ class HostBatch:
         self._reset, self._step = jax.jit(batch.reset), jax.jit(self._stepped)
         self._state: BatchState | None = None
         self._key = key_of(0)
-        self._steps = 0  # of this episode: counted here, no device needs to be asked
+        self._steps = 0  # steps of this episode, counted without asking a device
 
     @property
     def state(self) -> BatchState:
@@ -150,7 +151,7 @@ class HostBatch:
 
     @own_settings()
     def reset(self, rng: np.random.Generator) -> dict[str, Any]:
-        """Begin an episode in every simulation; return the observations."""
+        """Return the observations at the start of an episode in every simulation."""
         obs, self._state = self._reset(_draw(rng))
         self._key, self._steps = _draw(rng), 0
         return self.out(obs)
@@ -159,7 +160,7 @@ class HostBatch:
     def step(
         self, rng: np.random.Generator, actions: Mapping[str, Any]
     ) -> tuple[BatchStep, np.ndarray]:
-        """Advance by 20 ms; return the step, as JAX arrays, and which episodes it ended [N]."""
+        """Advance by 20 ms; return the step, as JAX arrays, and the mask of ended episodes [N]."""
         taken = {role: self._action(role, action) for role, action in actions.items()}
         self._state, step = self._step(self._key, np.int32(self._steps), self.state, taken)
         self._steps += 1
@@ -178,18 +179,18 @@ class HostBatch:
 
     @own_settings()
     def partner_names(self) -> list[str]:
-        """Return what the partner of each simulation is called."""
+        """Return the name of each simulation's partner."""
         return self.batch.partners.names(self.state.seated, self.batch.num_envs)
 
     @own_settings()
     def out(self, tree: Any) -> Any:
-        """Return JAX arrays as callers want them; NumPy's are copies, which they may change."""
+        """Return JAX arrays as callers want them; NumPy arrays are copies that they may change."""
         return tree if self._arrays == "jax" else jax.tree.map(np.array, tree)
 
     def _action(self, role: str, action: Any) -> jax.Array:
-        """Return an own copy: what was handed in may be overwritten while the step still runs."""
+        """Return checked actions as a copy, since the caller may overwrite them during the step."""
         if not isinstance(action, np.ndarray | jax.Array) and hasattr(action, "__dlpack__"):
-            # JAX takes no slices, such as the means that PyTorch's `chunk` cuts out of an output.
+            # JAX refuses strided arrays, such as the slices that PyTorch's `chunk` returns.
             action = jnp.from_dlpack(getattr(action, "contiguous", lambda: action)())
         copied = jax.block_until_ready(jnp.array(action, jnp.float32))
         expected = self.batch.num_envs, self.batch.env.action_size[role]
@@ -202,7 +203,7 @@ class HostBatch:
 
 
 def checked_seed(seed: Any) -> int | None:
-    """Return the seed of a reset.
+    """Return the seed of a reset, or None.
 
     Raises:
         ValueError: It is not one whole number: simulations have no seeds of their own.
@@ -229,7 +230,7 @@ def _bounded(obs: dict[str, jax.Array]) -> dict[str, jax.Array]:
 
 
 def _info(state: EnvState) -> dict[str, Any]:
-    """Return what a step says beside its reward."""
+    """Return the measures of a step and its reward terms by name."""
     measures = {name: getattr(state.measures, name) for name in ("force", "distance", "success")}
     if state.measures.violated is not None:
         measures["violated"] = state.measures.violated

@@ -1,4 +1,4 @@
-"""Gymnasium's interfaces: the robot is the agent, and somebody else sits in the human's seat.
+"""Gymnasium's interfaces: the robot is the agent, and a partner sits in the human's seat.
 
 `AssistaxEnv` is one simulation, `AssistaxVectorEnv` are hundreds at once.
 """
@@ -21,9 +21,8 @@ try:
 except ImportError as error:
     raise ImportError(f"this adapter needs the package gymnasium; {INSTALL}") from error
 
-Partner = Callable[
-    [np.ndarray], Any
-]  # observation [O] float32 -> action [3] in [-1, 1]; `reset()` if it has one
+# Function from an observation [O] float32 to an action [3] in [-1, 1]; it may have `reset()`.
+Partner = Callable[[np.ndarray], Any]
 
 
 class AssistaxEnv(gymnasium.Env):
@@ -31,9 +30,8 @@ class AssistaxEnv(gymnasium.Env):
 
     An episode is truncated at its 1000th step.
 
-    The partner is any callable from the human's observation to its action; one that remembers has a
-    method `reset`, called at episode starts. Without a partner the human is passive: no torque at
-    all.
+    The partner is any callable from the human's observation to its action. If it has a method
+    `reset`, this is called at episode starts. Without a partner the human exerts no torque.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own type
@@ -53,15 +51,14 @@ class AssistaxEnv(gymnasium.Env):
 
         Args:
             task: one of `assistax_envs.TASKS`.
-            partner: who acts for the human.
-            disability: the human's; by default the partner's own `setting`, where it has one,
-                else "d1".
+            partner: policy of the human.
+            disability: the human's; by default the partner's `setting`, or "d1" if it has none.
             backend: see `assistax_envs.make`.
             weights: reward weights that replace those of Table 5.
             render_mode: None or "rgb_array".
-            camera: of the pictures; the scene's first if not given.
-            version: of the environment; by default the partner's own `env_version`, where it has
-                one, else the newest.
+            camera: camera of the pictures; the scene's first if not given.
+            version: version of the environment; by default the partner's `env_version`, or the
+                newest if it has none.
         """
         if partner is not None and not callable(partner):
             raise TypeError(
@@ -84,9 +81,9 @@ class AssistaxEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode.
+        """Start an episode; return the robot's observation and info.
 
-        With a seed it and those after it are reproducible. `options` are not used.
+        A seed makes this episode and later ones reproducible. `options` are not used.
         """
         super().reset(seed=checked_seed(seed))
         self._simulation.reset(self.np_random)
@@ -95,7 +92,7 @@ class AssistaxEnv(gymnasium.Env):
         return self._simulation.observation("robot"), self._simulation.info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Advance by 20 ms: the partner acts on the same moment's observation.
+        """Advance by 20 ms; the partner acts on its observation of the same moment.
 
         Actions are clipped to [-1, 1].
         """
@@ -115,12 +112,12 @@ class AssistaxEnv(gymnasium.Env):
 class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
     """Hundreds of simulations of a task in one program; their partners sit inside.
 
-    Every 1000 steps bring each simulation a new partner. All simulations are truncated at the same
+    Each simulation gets a new partner every 1000 steps. All simulations are truncated at the same
     step, the 1000th. A protective stop of the gentle tasks ends an episode before; the next one
-    lasts until then, with the same partner. A step that ends an episode returns the next episode's
-    first observation (SAME_STEP): no step is spent on a reset, which learners would have to mask.
-    What such a step led to is `info["final_obs"]` [N, O], from which the value of the time limit is
-    bootstrapped.
+    lasts until that step, with the same partner. A step that ends an episode returns the next
+    episode's first observation (SAME_STEP): no step is spent on a reset, which learners would have
+    to mask. `info["final_obs"]` [N, O] holds the ended episodes' last observations, from which the
+    value at the time limit is computed.
 
     `info` holds force [N], distance [m], success, nonfinite, reward terms and, in gentle tasks,
     violations, [N] each.
@@ -147,14 +144,14 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         Args:
             task: One of `assistax_envs.TASKS`.
             num_envs: N, simulations.
-            partners: Who sits in the human's seats, such as `adapters.partners.Persons`; by
-                default humans who do nothing.
-            disability: Of humans who do nothing; of several, each episode draws one.
+            partners: Partners in the human's seats, such as `adapters.partners.Persons`; by
+                default idle humans.
+            disability: Setting of idle humans; of several, each episode draws one.
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
-            arrays: What is returned: "numpy", or "jax", which `torch.from_dlpack` takes without a
-                copy and which must not be changed. Actions may be any of these.
-            version: Of the environment; the newest if not given.
+            arrays: Type of returned arrays: "numpy", or "jax", which `torch.from_dlpack` takes
+                without a copy and which must not be changed. Actions may be either.
+            version: Version of the environment; the newest if not given.
 
         Raises:
             ValueError: An argument is not allowed.
@@ -173,9 +170,9 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in every simulation.
+        """Begin an episode in every simulation; return the robots' observations and an empty info.
 
-        With a seed, one for all, it and those after it are reproducible. `options` are not used.
+        One seed for all makes this episode and later ones reproducible. `options` are not used.
 
         Raises:
             ValueError: Only some simulations are to be reset, or each from a seed of its own.
@@ -203,10 +200,10 @@ class AssistaxVectorEnv(gymnasium.vector.VectorEnv):
         return self._host.out(jax.numpy.asarray(which))
 
     def partner_names(self) -> list[str]:
-        """Return what the partner of each simulation is called in this episode.
+        """Return the name of each simulation's partner in this episode.
 
         Raises:
-            ValueError: Nothing was reset yet.
+            ValueError: No episode was started yet.
         """
         return self._host.partner_names()
 
@@ -216,14 +213,14 @@ def bounded_box(bound: float, size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-bound, bound, (size,), np.float32)
 
 
-def _masked(info: dict[str, Any], there: Any) -> dict[str, Any]:
-    """Add what Gymnasium puts beside every entry: which simulations have it."""
+def _masked(info: dict[str, Any], mask: Any) -> dict[str, Any]:
+    """Return an info with Gymnasium's mask beside each entry: the simulations that have it."""
     return {
         key: value
         for name, entry in info.items()
         for key, value in (
-            (name, _masked(entry, there) if isinstance(entry, dict) else entry),
-            (f"_{name}", there),
+            (name, _masked(entry, mask) if isinstance(entry, dict) else entry),
+            (f"_{name}", mask),
         )
     }
 

@@ -3,7 +3,8 @@
 Signatures are those of one simulation, as in JaxMARL. `jax.vmap` over them, which its trainers rely
 on, never maps over the physics: each level of vmap becomes rows of the environment's own batch.
 Batches of the form [N, ...] can be given without vmap too (`reset_batch`, `step_batch`), which
-compiles sooner. `AssistaxMarlVectorEnv` has the batch inside, and partners who change each episode.
+compiles faster. `AssistaxMarlVectorEnv` has the batch inside, and partners that change each
+episode.
 """
 
 import dataclasses
@@ -27,7 +28,7 @@ Step = tuple[
 
 @dataclasses.dataclass(frozen=True)
 class Box:
-    """Arrays between two bounds, with the fields of JaxMARL's space of that name."""
+    """Space of arrays between two bounds, with the fields of JaxMARL's space of that name."""
 
     low: float
     high: float
@@ -35,7 +36,7 @@ class Box:
     dtype: Any = jnp.float32
 
     def sample(self, rng: jax.Array) -> jax.Array:
-        """Draw uniformly; standard normal where the bounds are infinite."""
+        """Return a uniform draw; standard normal if a bound is infinite."""
         if math.isinf(self.low) or math.isinf(self.high):
             return jax.random.normal(rng, self.shape, self.dtype)
         return jax.random.uniform(rng, self.shape, self.dtype, self.low, self.high)
@@ -46,9 +47,9 @@ class Box:
 
 
 class AssistaxMarlEnv:
-    """A task for the agents "robot" and "human" by JaxMARL's rules.
+    """Task for the agents "robot" and "human" by JaxMARL's rules.
 
-    Steps reset a simulation that is done.
+    A step resets a simulation that is done.
 
     Rewards and dones are by agent and under "__all__"; `done` is the time limit, for an episode
     ends by time only. `infos` are [2], a value for each agent, as JaxMARL's scripts reshape them.
@@ -93,13 +94,13 @@ class AssistaxMarlEnv:
         actions: dict[str, jax.Array],
         reset_state: EnvState | None = None,
     ) -> Step:
-        """Advance by one control step; where it ends the episode, return the next one's start.
+        """Advance by one control step; if it ends the episode, return the next one's start.
 
         Args:
-            key: of the next episode's start.
-            state: of the simulation; its leaves have no batch axis.
+            key: key of the next episode's start.
+            state: state of the simulation; its leaves have no batch axis.
             actions: "robot" [7] and "human" [3] in [-1, 1] (clipped).
-            reset_state: where to start the next episode, instead of a random start.
+            reset_state: start of the next episode, instead of a random start.
         """
         given = _rows((_typed(key), state, actions))
         if reset_state is None:
@@ -108,13 +109,13 @@ class AssistaxMarlEnv:
 
     @own_settings()
     def step_env(self, key: jax.Array, state: EnvState, actions: dict[str, jax.Array]) -> Step:
-        """Advance by one control step without a reset; `key` is not used."""
+        """Return the result of a control step without a reset; `key` is not used."""
         del key
         return _first(self._step_env(*_rows((state, actions))))
 
     @own_settings()
     def reset_batch(self, keys: jax.Array) -> tuple[dict[str, jax.Array], EnvState]:
-        """Start N episodes from keys [N]; what `jax.vmap(env.reset)` returns."""
+        """Return observations and state of N new episodes from keys [N], as `jax.vmap(env.reset)`."""
         keys = _typed(keys)
         params = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, keys.shape), disability_params([self._disability])
@@ -124,9 +125,9 @@ class AssistaxMarlEnv:
 
     @own_settings()
     def step_batch(self, keys: jax.Array, state: EnvState, actions: dict[str, jax.Array]) -> Step:
-        """Advance N simulations.
+        """Return the result of a step of N simulations, as `jax.vmap(env.step)` does.
 
-        What `jax.vmap(env.step)` returns. Resets cost nothing while none is done.
+        Resets cost nothing while no simulation is done.
         """
         _, after, rewards, dones, infos = self._step_env_batch(state, actions)
         after = jax.lax.cond(
@@ -145,7 +146,7 @@ class AssistaxMarlEnv:
         return state.obs["global"]
 
     def get_avail_actions(self, state: EnvState) -> dict[str, jax.Array]:
-        """Return that every action is available, as JaxMARL's continuous environments do."""
+        """Return ones: every action is available, as in JaxMARL's continuous environments."""
         return {agent: jnp.ones(space.shape) for agent, space in self.action_spaces.items()}
 
     def observation_space(self, agent: str) -> Box:
@@ -155,10 +156,11 @@ class AssistaxMarlEnv:
         return self.action_spaces[agent]
 
     def _step_env_batch(self, state: EnvState, actions: dict[str, jax.Array]) -> Step:
+        """Return the result of a step of N simulations without resets."""
         after = self.env.step(state, {agent: actions[agent] for agent in self.agents})
         names = (*self.agents, "__all__")
         dones = dict.fromkeys(names, after.terminated | after.truncated)
-        told = {
+        values = {
             **after.terms,
             "force": after.measures.force,
             "success": after.measures.success,
@@ -166,13 +168,14 @@ class AssistaxMarlEnv:
             "nonfinite": after.nonfinite,
         }
         infos = {
-            name: jnp.stack([value] * self.num_agents, axis=-1) for name, value in told.items()
+            name: jnp.stack([value] * self.num_agents, axis=-1) for name, value in values.items()
         }
         return self.get_obs(after), after, dict.fromkeys(names, after.reward), dones, infos
 
     def _step_to_batch(
         self, state: EnvState, actions: dict[str, jax.Array], reset_state: EnvState
     ) -> Step:
+        """Return the result of a step of N simulations; done ones continue from `reset_state`."""
         _, after, rewards, dones, infos = self._step_env_batch(state, actions)
         after = select(dones["__all__"], reset_state, after)
         return self.get_obs(after), after, rewards, dones, infos
@@ -182,8 +185,8 @@ class AssistaxMarlVectorEnv:
     """Hundreds of simulations by JaxMARL's rules, with the batch inside: never map over it.
 
     Signatures are JaxMARL's, with an axis N of simulations in front of every array but the key.
-    Every episode brings each simulation a new partner; all episodes end at the same step, which
-    returns the next one's start. All of it runs inside jit and scan.
+    Each simulation gets a new partner in every episode. All episodes end at the same step, which
+    returns the next one's start. The environment runs inside jit and scan.
     """
 
     def __init__(
@@ -201,11 +204,11 @@ class AssistaxMarlVectorEnv:
         Args:
             task: One of `assistax_envs.TASKS`.
             num_envs: N, simulations.
-            partners: Who sits in the human's seats; by default "human" is an agent too.
-            disability: Of an agent's human; of several, each episode draws one.
+            partners: Partners in the human's seats; by default "human" is an agent too.
+            disability: Setting of an agent's human; of several, each episode draws one.
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
-            version: Of the environment; the newest if not given.
+            version: Version of the environment; the newest if not given.
         """
         self.batch = Batch(task, partners or Idle(disability), num_envs, backend, weights, version)
         self.name, self.num_envs = f"assistax_{task}", num_envs
@@ -236,7 +239,7 @@ class AssistaxMarlVectorEnv:
         dict[str, jax.Array],
         dict[str, Any],
     ]:
-        """Advance by 20 ms; `key` is of the next episode, should this step be the last one.
+        """Advance by 20 ms; `key` starts the next episode if this step is the last one.
 
         Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents].
         """
@@ -265,18 +268,18 @@ class AssistaxMarlVectorEnv:
 
 
 def _batched(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `function` of arguments [N, ...] such that vmap over it calls it once, axes merged."""
+    """Return `function` of arguments [N, ...] whose vmap calls it once, with merged axes."""
     mapped = jax.custom_batching.custom_vmap(function)
 
     @mapped.def_vmap
     def rule(size: int, batched: Any, *arguments: Any) -> tuple[Any, Any]:
-        spread = [
+        repeated = [
             jax.tree.map(
                 lambda leaf, is_mapped: leaf if is_mapped else _repeat(leaf, size), argument, mask
             )
             for argument, mask in zip(arguments, batched, strict=True)
         ]
-        merged = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), spread)
+        merged = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), repeated)
         result = jax.tree.map(lambda leaf: leaf.reshape(size, -1, *leaf.shape[1:]), again(*merged))
         return result, jax.tree.map(lambda _: True, result)
 
@@ -291,7 +294,7 @@ def _repeat(leaf: jax.Array, size: int) -> jax.Array:
 
 
 def _typed(key: jax.Array) -> jax.Array:
-    """Return typed keys; raw ones are of our generator, whatever this process has by default."""
+    """Return typed keys; raw ones get our generator, whatever this process's default is."""
     if jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
         return key
     if key.shape[-1:] != (2,):

@@ -1,4 +1,4 @@
-"""Who sits in the human's seat of a batch of simulations, and for how long: one episode."""
+"""Partners in the human's seat of a batch of simulations, drawn anew for each episode."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -16,45 +16,44 @@ from assistax_envs.persons.rows import numbers as of_side
 
 
 class Partners(Protocol):
-    """A partner for each of N simulations, another one in each episode; pure functions.
+    """Partners of N simulations, one each and a new one in each episode; pure functions.
 
-    `params` are arrays that `begin` and `act` are handed back, so that they are no constants of a
-    compiled program.
+    `begin` and `act` receive `params`, so that these arrays are no constants of a compiled program.
     """
 
     @property
     def params(self) -> Any: ...
 
     def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
-        """Seat the partners of an episode.
+        """Return the partners of an episode, with their bodies and preferences.
 
         Args:
             params: The partners' arrays.
-            key: Of the episode.
-            before: Who sat there in the episode before, as `act` returned them; None at first.
+            key: Key of the episode.
+            before: Partners of the episode before, as `act` returned them; None at first.
             n: Simulations.
 
         Returns:
-            Who sits there now, any pytree; and their bodies and preferences [N].
+            The seated partners, any pytree; and their bodies and preferences [N].
         """
         ...
 
     def act(
         self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
-        """Return who sits there, with what they remember, and the actions [N, 3] for obs [N, O].
+        """Return the seated partners, with new memories, and their actions [N, 3] for obs [N, O].
 
-        At the mouth they are [N, 5].
+        In tasks at the mouth actions are [N, 5].
         """
         ...
 
     def names(self, seated: Any, n: int) -> list[str]:
-        """Return what the partner of each simulation is called."""
+        """Return the name of each simulation's partner."""
         ...
 
 
 class Idle:
-    """Humans who do nothing: of several disability settings, each episode draws one."""
+    """Idle humans; if there are several disability settings, each episode draws one."""
 
     params = ()
 
@@ -82,15 +81,15 @@ class Idle:
 
 
 class Persons:
-    """Persons (docs/persons.md): each simulation draws a new one for each episode."""
+    """Persons (docs/persons.md); each simulation draws a new one for each episode."""
 
     @own_settings()
     def __init__(self, task: str, numbers: Sequence[int] | None = None) -> None:
-        """Choose whom the simulations meet.
+        """Choose the persons that the simulations meet.
 
         Args:
-            task: Whose persons.
-            numbers: Of persons; default all of the training side, 7,200.
+            task: Task of the persons.
+            numbers: Numbers of persons; default all of the training side, 7,200.
 
         Raises:
             ValueError: There is no such task, or a number is unknown or of the test side.
@@ -100,21 +99,21 @@ class Persons:
         for number in numbers:
             if not 0 <= number < COUNT or side(number) == "test":
                 raise ValueError(
-                    f"person {number} cannot be trained with; allowed are those of the training "
+                    f"person {number} cannot be trained with; allowed are persons of the training "
                     "and validation sides, 0 to 7999, as the others are for testing"
                 )
         if not len(numbers):
             raise ValueError("no person is named; give at least one number")
         rows = persons(task)[np.asarray(numbers)]
         self._count, self._player = len(rows), PersonPlayer(task)
-        # Numbers [P], rows [P, 25], and what the environment needs to know of them [P].
+        # Numbers [P], rows [P, 25], and the persons' `EnvParams` [P].
         self.params = jnp.asarray(numbers), jnp.asarray(rows), person_params(task, rows)
 
     def __len__(self) -> int:
         return self._count
 
     def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> tuple[Any, EnvParams]:
-        """Draw N persons: all different where there are as many."""
+        """Return N drawn persons, all different if N does not exceed their number."""
         del before
         drawn = jax.random.choice(key, len(self), (n,), replace=n > len(self))
         number, row, humans = jax.tree.map(lambda leaf: leaf[drawn], params)

@@ -23,7 +23,7 @@ ROLES = ("robot", "human")
 
 
 class AssistaxParallelEnv(pettingzoo.ParallelEnv):
-    """A task for two agents, "robot" and "human", who share the reward.
+    """Task for two agents, "robot" and "human", which share the reward.
 
     An episode is truncated at its 1000th step.
     """
@@ -67,9 +67,9 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Start an episode.
+        """Start an episode; return observations and infos by agent.
 
-        With a seed it and those after it are reproducible. `options` are not used.
+        A seed makes this episode and later ones reproducible. `options` are not used.
         """
         if checked_seed(seed) is not None:
             self._rng = np.random.default_rng(seed)
@@ -86,9 +86,9 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Advance by 20 ms.
+        """Advance by 20 ms; return the agents' dictionaries, which are empty if no agent is left.
 
-        Actions are clipped to [-1, 1]. Without agents left, nothing happens.
+        Actions are clipped to [-1, 1].
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
@@ -127,10 +127,10 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
 
     The dictionaries are those of `ParallelEnv`, and every value in them has an axis N of
     simulations in front: observations [N, O], rewards, terminated and truncated [N]. Spaces are
-    those of one simulation, as PettingZoo knows no batch. All simulations are truncated at the same
+    those of one simulation, as PettingZoo has no batches. All simulations are truncated at the same
     step, the 1000th; a protective stop ends one before. Such a step returns the next episode's
-    first observations, and what it led to is `infos[agent]["final_obs"]`. So `agents` never becomes
-    empty.
+    first observations, and the ended episode's last ones as `infos[agent]["final_obs"]`. So
+    `agents` never becomes empty.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's own type
@@ -155,13 +155,13 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         Args:
             task: One of `assistax_envs.TASKS`.
             num_envs: N, simulations.
-            partners: Who sits in the human's seats, a new one each episode; the robot is then the
+            partners: Partners in the human's seats, a new one each episode; the robot is then the
                 only agent. By default both seats are agents.
-            disability: Of an agent's human; of several, each episode draws one.
+            disability: Setting of an agent's human; of several, each episode draws one.
             backend: See `assistax_envs.make`.
             weights: Reward weights that replace those of the task.
-            arrays: What is returned: "numpy", or "jax", which must not be changed.
-            version: Of the environment; the newest if not given.
+            arrays: Type of returned arrays: "numpy", or "jax", which must not be changed.
+            version: Version of the environment; the newest if not given.
 
         Raises:
             ValueError: An argument is not allowed.
@@ -205,8 +205,8 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
         """Advance by 20 ms; actions [N, A] of each agent are clipped to [-1, 1].
 
         Raises:
-            ValueError: Nothing was reset yet, or an agent's actions are missing or of the wrong
-                shape.
+            ValueError: No episode was started yet, or an agent's actions are missing or of the
+                wrong shape.
         """
         if missing := [role for role in self.possible_agents if role not in actions]:
             raise ValueError(f"no actions of the {missing[0]}; give those of every agent")
@@ -233,7 +233,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
 
 
 def parallel_env(task: str, **options: Any) -> AssistaxParallelEnv:
-    """Make the environment by the name that PettingZoo's own modules use."""
+    """Return the environment; the function's name is that of PettingZoo's own modules."""
     return AssistaxParallelEnv(task, **options)
 
 

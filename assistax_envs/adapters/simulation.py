@@ -1,4 +1,4 @@
-"""One simulation with NumPy in and out: what the PettingZoo and the Gymnasium adapter share."""
+"""One simulation with NumPy in and out, which the PettingZoo and Gymnasium adapters share."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,7 +14,7 @@ INSTALL = "install it with: pip install 'assistax-zoo[adapters]'"
 
 
 class Simulation:
-    """A batch of one, stepped from outside JAX."""
+    """Batch of one simulation, stepped from outside JAX."""
 
     def __init__(
         self,
@@ -27,7 +27,7 @@ class Simulation:
         version: int | None = None,
     ) -> None:
         """See `assistax_envs.make`; `disability` is the human's, "d1".."d9" or a `Disability`."""
-        if render_mode not in (None, "rgb_array"):  # without a window nothing else can be drawn
+        if render_mode not in (None, "rgb_array"):  # other modes need a window
             raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
         self.render_mode, self._camera = render_mode, camera
         self.env = make(task, backend, weights, version)
@@ -40,7 +40,7 @@ class Simulation:
         """The current state, every leaf [1, ...].
 
         Raises:
-            ValueError: nothing was reset yet.
+            ValueError: no episode was started yet.
         """
         if self._state is None:
             raise ValueError("no episode runs yet; call reset() first")
@@ -74,7 +74,7 @@ class Simulation:
 
     @own_settings()
     def info(self) -> dict[str, Any]:
-        """Return what the last step says beside its reward, as new plain numbers."""
+        """Return the measures of the last step, as new plain numbers."""
         state = self.state
         return {
             "terms": {name: float(value[0]) for name, value in state.terms.items()},
@@ -97,6 +97,7 @@ class Simulation:
         return float(state.reward[0]), bool(state.terminated[0]), bool(state.truncated[0])
 
     def _action(self, role: str, actions: Mapping[str, Any]) -> np.ndarray:
+        """Return an agent's checked action [1, A]."""
         size = self.env.action_size[role]
         if role not in actions:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's `VecEnv`: the Gymnasium vector form, as its algorithms take it."""
+"""Stable-Baselines3's `VecEnv` around the Gymnasium vector form."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,20 +19,20 @@ except ImportError as error:
 class AssistaxVecEnv(VecEnv):
     """All simulations of an `AssistaxVectorEnv`; SB3's `VecMonitor` around it logs returns.
 
-    SB3 wants a dictionary for each simulation, and reads them when an episode ends: that step's
-    have `terminal_observation`, `TimeLimit.truncated`, `is_success` and `violated`.
-    All other steps' are empty.
+    SB3 wants a dictionary for each simulation, and reads it when an episode ends. At that step it
+    has `terminal_observation`, `TimeLimit.truncated`, `is_success` and `violated`; at other steps
+    it is empty.
     """
 
     def __init__(self, env: AssistaxVectorEnv) -> None:
-        """Take an environment that returns NumPy arrays."""
+        """Wrap an environment that returns NumPy arrays."""
         self.env = env  # first: SB3 asks it for its render mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: np.ndarray | None = None
         self._succeeded = self._violated = np.zeros(env.num_envs, bool)
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every simulation, from the seed that `seed` was given."""
+        """Return the observations at the start of an episode in every simulation, from `seed`."""
         seed, self._seeds = self._seeds[0], [None] * self.num_envs
         obs, _ = self.env.reset(seed=seed)
         self._succeeded = self._violated = np.zeros(self.num_envs, bool)
@@ -42,7 +42,7 @@ class AssistaxVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Advance by 20 ms."""
+        """Return observations, rewards, ends and infos of the step that `step_async` requested."""
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
         ended = terminated | truncated
         return obs, rewards, ended, self._infos(info, ended, terminated)

@@ -9,7 +9,7 @@ from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState, diverged
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
 # Backends whose contact sensors give a contact's frame beside its force.
 GIVES_CONTACT_FRAMES: tuple[str, ...] = ("fused", "native")
-# JAX's platforms on which "auto" is "fused": those on which it has been held against the others.
+# JAX's platforms on which "auto" is "fused", as it was tested against the other backends there.
 FUSED_FIRST = ("cpu", "gpu")
 
 __all__ = [
@@ -25,7 +25,7 @@ __all__ = [
 
 
 def resolve_backend(backend: str) -> str:
-    """Return the backend that `backend` names: "auto" is the fastest one that runs here.
+    """Return the name of a backend; "auto" becomes the fastest one that runs here.
 
     Raises:
         ValueError: There is no such backend, or JAX was told to use devices that are not here.
@@ -39,7 +39,7 @@ def resolve_backend(backend: str) -> str:
 
 
 def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
-    """Make the backend named `backend`, one of `BACKENDS`, for `model`."""
+    """Return the backend named `backend`, one of `BACKENDS`, for `model`."""
     if backend == "fused":
         from assistax_envs.physics.fused.backend import FusedPhysics
 
@@ -54,6 +54,7 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
 
 
 def _fastest_backend() -> str:
+    """Return the name of the fastest backend that runs on this machine."""
     if jax.default_backend() in FUSED_FIRST:
         from assistax_envs.physics.fused.runtime import toolchain
 

@@ -14,13 +14,11 @@ from assistax_envs.stdout import stdout_is_data
 # Measured with JAX 0.10.2 on 2 cores: one control step of 4 simulations takes 10 s without the
 # flag, 2 ms with it. XLA of JAX 0.11.1 needs no flag, and aborts on this one.
 CPU_FLAG = "--xla_cpu_use_fusion_emitters=false"
-CONTACTS_PER_SIMULATION = (
-    12  # Warp's contact buffer; a scene's geoms rarely touch in more places at once
-)
+# Warp's contact buffer; a scene's geoms rarely touch in more places at once.
+CONTACTS_PER_SIMULATION = 12
 CONSTRAINTS_PER_SIMULATION = 72  # Warp's constraint rows: contacts take 4 each, joint limits 1
-CONTACTS_PER_SENSOR = (
-    4  # Warp's buffer of each contact sensor: a pair of our geoms touches in 2 places at most
-)
+# Warp's buffer of each contact sensor; a pair of our geoms touches in 2 places at most.
+CONTACTS_PER_SENSOR = 4
 
 
 class MjxPhysics:
@@ -32,7 +30,7 @@ class MjxPhysics:
 
         if implementation == "warp":
             _check_warp()
-        elif _crawls():
+        elif _needs_cpu_flag():
             warnings.warn(
                 "backend 'mjx' on a CPU runs thousands of times slower than it can, because XLA of "
                 "this JAX fuses the kinematic chain into recomputation; upgrade to JAX 0.11.1 or "
@@ -43,8 +41,8 @@ class MjxPhysics:
         self._mjx = mjx
         self._implementation = implementation
         self._mjx_model = self._put(model)
-        # Only the last substep's sensor values are read. Warp skips the others' kernels; XLA, which
-        # would compile the step twice for it, computes them.
+        # Only the last substep's sensor values are read. Warp skips the kernels of the others. XLA
+        # computes them, since skipping would compile the step twice.
         self._blind_model = self._put(_without_sensors(model)) if implementation == "warp" else None
 
     def forward(self, state: PhysicsState, joint_range: jax.Array) -> jax.Array:
@@ -83,17 +81,19 @@ class MjxPhysics:
             return jax.vmap(one)(state, control, joint_range)
 
     def _put(self, model: mujoco.MjModel):
+        """Return the MJX model of a model."""
         mjx_model = self._mjx.put_model(model, impl=self._implementation)
         return _tuned(mjx_model) if self._implementation == "warp" else mjx_model
 
     def _advance(self, mjx_model, data, joint_range: jax.Array, substeps: int):
+        """Return the data after some substeps."""
         limited = _limited(mjx_model, joint_range)
         return jax.lax.scan(
             lambda data, _: (self._mjx.step(limited, data), None), data, length=substeps
         )[0]
 
     def _template(self, size: int):
-        """Return data that a control step starts from; Warp's buffers are for the whole batch."""
+        """Return the data that a control step starts from; Warp's buffers hold the whole batch."""
         if self._implementation == "warp":
             return self._mjx.make_data(
                 self.model,
@@ -104,14 +104,14 @@ class MjxPhysics:
         return jax.tree.map(jnp.asarray, self._mjx.make_data(self.model, impl="jax"))
 
 
-def _crawls() -> bool:
-    """Return whether this JAX on this machine needs the flag and lacks it."""
+def _needs_cpu_flag() -> bool:
+    """Return whether this JAX needs `CPU_FLAG` on this machine and lacks it."""
     affected = jax.default_backend() == "cpu" and jax.__version_info__ < (0, 11, 1)
     return affected and CPU_FLAG not in os.environ.get("XLA_FLAGS", "")
 
 
 def _check_warp() -> None:
-    """Raise a clear error where Warp is missing or has no NVIDIA GPU to run on."""
+    """Refuse a machine without Warp or without an NVIDIA GPU."""
     try:
         with stdout_is_data():
             import warp
@@ -131,19 +131,22 @@ def _check_warp() -> None:
 
 
 def _limited(mjx_model, joint_range: jax.Array):
+    """Return an MJX model with other joint ranges."""
     return mjx_model.tree_replace({"jnt_range": joint_range})
 
 
 def _without_sensors(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model whose sensors are off."""
     blind = copy.copy(model)
     blind.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     return blind
 
 
 def _tuned(mjx_model):
-    """Silence Warp's lines about a bounded solver, which is meant; overflowing buffers still speak.
+    """Return an MJX model without Warp's warnings of a bounded solver, which is intended.
 
-    A buffer that is cleared every step is made smaller.
+    Warnings of overflowing buffers stay. The buffer of contact sensors, cleared every step, is made
+    smaller.
     """
     from mujoco.mjx.third_party import mujoco_warp
 

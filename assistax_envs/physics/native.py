@@ -1,4 +1,4 @@
-"""MuJoCo's own C engine on a thread pool, called from inside JAX programs."""
+"""MuJoCo's C engine on a thread pool, called from inside JAX programs."""
 
 import copy
 import threading
@@ -12,18 +12,17 @@ import numpy as np
 from assistax_envs.mujoco_warnings import warnings_logged
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState, felt_sensors, values_width
 
-# A Batch must not be entered by two threads, and uses all cores: programs on several devices take
-# turns.
+# A Batch must not be entered by two threads, and uses all cores, so programs on several devices
+# take turns.
 _LOCK = threading.Lock()
 
 
 class NativePhysics:
-    """A `mujoco.batch.Batch` for each batch size; results depend on the arguments alone."""
+    """Physics by a `mujoco.batch.Batch` for each batch size; results depend on arguments alone."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = copy.copy(model)
-        # A diverged simulation must stay diverged, to be counted; MuJoCo's C engine would restart
-        # it unseen.
+        # A diverged simulation must stay so to be counted; MuJoCo's C engine would restart it.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._batches: dict[int, mujoco.batch.Batch] = {}
         self._width = values_width(model)
@@ -51,6 +50,7 @@ class NativePhysics:
     def _forward(
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> np.ndarray:
+        """Return the sensor values under zero control, as a NumPy array."""
         values = _values(state, control, joint_range)
         with _LOCK, warnings_logged():
             batch = self._load(values)
@@ -61,6 +61,7 @@ class NativePhysics:
     def _step(
         self, state: PhysicsState, control: jax.Array, joint_range: jax.Array
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """Return qpos, qvel and warmstart after a control step, and the values, as NumPy arrays."""
         values = _values(state, control, joint_range)
         with _LOCK, warnings_logged():
             batch = self._load(values)
@@ -72,7 +73,7 @@ class NativePhysics:
             return (qpos, qvel, warmstart), np.column_stack([sensors, peaks])
 
     def _advance(self, batch: mujoco.batch.Batch) -> np.ndarray:
-        """Advance by a control step, and return the largest forces of its substeps."""
+        """Advance a batch by a control step; return the largest forces of substeps [N, P + 1]."""
         if not self._felt.size:
             batch.step(nstep=SUBSTEPS)
             return self._peaks(np.asarray(batch.bind("sensordata"), np.float32))
@@ -83,18 +84,17 @@ class NativePhysics:
         return np.max(peaks, axis=0)
 
     def _peaks(self, sensors: np.ndarray) -> np.ndarray:
-        """Return the sizes of felt forces, and their sum [N, P + 1]; [N, 0] where none is felt."""
+        """Return the sizes of felt forces and their sum [N, P + 1]; [N, 0] without sensors."""
         size = np.linalg.norm(sensors[:, self._felt], axis=-1)
         return np.column_stack([size, size.sum(axis=1)]) if self._felt.size else size
 
     def _load(self, values: dict[str, np.ndarray]) -> mujoco.batch.Batch:
-        """Write values into the batch of their size, made on first use."""
+        """Return the batch of the values' size, made on first use, after writing the values."""
         size = len(values["qpos"])
         if size not in self._batches:
             self._batches[size] = mujoco.batch.Batch(self.model, size)
-            self._batches[size].bind(
-                "sensordata"
-            )  # outputs are copied out only by calls after their first bind
+            # Outputs are copied out only by calls after their first bind.
+            self._batches[size].bind("sensordata")
         batch = self._batches[size]
         for name, value in values.items():
             field = batch.expand(name) if name == "jnt_range" else batch.bind(name)
@@ -105,10 +105,10 @@ class NativePhysics:
 def _values(
     state: PhysicsState, control: jax.Array, joint_range: jax.Array
 ) -> dict[str, np.ndarray]:
-    """Return what a batch is given, by MuJoCo's names.
+    """Return a batch's inputs by MuJoCo's names.
 
-    Called outside the lock: arrays of another device may be waited for here, and no other thread
-    must wait meanwhile.
+    Call it outside the lock: it may wait for arrays of another device, and other threads must not
+    wait meanwhile.
     """
     return {
         "jnt_range": np.asarray(joint_range),

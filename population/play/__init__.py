@@ -1,1 +1,1 @@
-"""The one rollout: robots play humans, for an evaluation and for training's final figures."""
+"""The rollout in which robots play humans, for evaluations and for training's final figures."""

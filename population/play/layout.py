@@ -1,4 +1,4 @@
-"""How a block's simulations lie on the environment's flat axis."""
+"""Layout of a block's simulations on the environment's flat axis."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """How large a block is, and which rows of the flat axis are whose.
+    """Size of a block, and the rows of the flat axis of each robot and human.
 
     E = 2 robots, P = 2 humans and K = 3 episodes are N = 12 simulations, numbered as the
     environment has them:
@@ -20,39 +20,39 @@ class Layout:
 
     The robots' network sees [E, P * K, O]: robot 0 has rows 0 1 2 3 4 5, robot 1 has 6 to 11.
     The humans' network sees [P, E * K, O]: human 0 has rows 0 1 2 6 7 8, human 1 the others.
-    Where robot i plays human i alone, E is 1 and both networks see [P, K, O].
+    If robot i plays human i alone, E is 1 and both networks see [P, K, O].
     """
 
-    egos: tuple[int, ...]  # of each stack of robots; none for a robot that acts from outside
-    partners: tuple[int, ...]  # of each stack of humans
+    egos: tuple[int, ...]  # size of each stack of robots; empty for a robot from outside
+    partners: tuple[int, ...]  # size of each stack of humans
     episodes: int
     paired: bool = False
 
     @property
     def block(self) -> tuple[int, int, int]:
-        """Return [E, P, K]."""
+        """Shape [E, P, K] of the block."""
         e = 1 if self.paired or not self.egos else sum(self.egos)
         return e, sum(self.partners), self.episodes
 
     def to_flat(self, values: jax.Array) -> jax.Array:
-        """Give every simulation [N] its value, of values that broadcast to [E, P, K]."""
+        """Return a value for each simulation [N], from values that broadcast to [E, P, K]."""
         return jnp.broadcast_to(values, self.block).reshape(-1)
 
     def to_robots(self, flat: Float[Array, "N O"]) -> Float[Array, "G R O"]:
-        """Lay rows out by robot."""
+        """Return rows grouped by robot."""
         e, p, k = self.block
         return flat.reshape(*((p, k) if self.paired else (e, p * k)), -1)
 
     def from_robots(self, rows: Float[Array, "G R A"]) -> Float[Array, "N A"]:
-        """Undo `to_robots`."""
+        """Return the flat rows of rows grouped by robot, the inverse of `to_robots`."""
         return rows.reshape(rows.shape[0] * rows.shape[1], -1)
 
     def to_humans(self, flat: Float[Array, "N O"]) -> Float[Array, "G R O"]:
-        """Lay rows out by human."""
+        """Return rows grouped by human."""
         e, p, k = self.block
         return flat.reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
 
     def from_humans(self, rows: Float[Array, "G R A"]) -> Float[Array, "N A"]:
-        """Undo `to_humans`."""
+        """Return the flat rows of rows grouped by human, the inverse of `to_humans`."""
         e, p, k = self.block
         return rows.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)

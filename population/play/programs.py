@@ -1,10 +1,10 @@
-"""What is compiled of a rollout: the start of a block, and some steps of it.
+"""Compiled parts of a rollout: the start of a block, and some steps of it.
 
-Values are those of the compiled program. Which simulation stands in which row of it changes
-nothing, but XLA's CPU compiler rounds the arithmetic of another program, for a block of another
-shape, differently in the last bit where it fuses it differently; contacts amplify that. So the
-networks and the environment stand in loops of their own there, into which nothing is fused: a
-block's shape then hardly shows. Where it must not show at all, callers keep to one shape.
+Values depend on the compiled program. The row of a simulation changes nothing, but XLA's CPU
+compiler may fuse a program for a block of another shape differently, which rounds differently in
+the last bit, and contacts amplify the difference. So the networks and the environment stand in
+loops of their own, into which nothing is fused: a block's shape then hardly shows. If it must not
+show at all, callers keep to one shape.
 """
 
 import dataclasses
@@ -26,12 +26,12 @@ from population.play.tally import Tally, accumulate, begin, begin_window
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """Who plays which episodes: every robot with every human, or each with its own."""
+    """Policies, humans and episodes of a block: all pairs, or each robot with its own human."""
 
     robots: tuple[Params, ...]  # stacks, leaves [its E, ...]
     humans: tuple[Params, ...]  # stacks, leaves [its P, ...]
-    env_params: Any  # the humans' own, leaves [P] or [P, K]
-    keys: Key[Array, "*P K"]  # that start the episodes
+    env_params: Any  # `EnvParams` of the humans, leaves [P] or [P, K]
+    keys: Key[Array, "*P K"]  # keys that start the episodes
     trips: jax.Array | np.ndarray | None  # see `trip_count`
 
 
@@ -42,31 +42,31 @@ class Loop:
 
     state: EnvState  # leaves [N, ...]
     robot: tuple[Carry, ...]  # each stack of robots' recurrent state, leaves [its E, P * K, ...]
-    human: tuple[Carry, ...]  # of humans, leaves [its P, E * K, ...]
+    human: tuple[Carry, ...]  # each stack of humans' recurrent state, leaves [its P, E * K, ...]
     tally: Tally
-    window: Float[Array, "S N"] | None  # forces of the last second, where touches are measured
+    window: Float[Array, "S N"] | None  # forces of the last second, if touches are measured
     time: Int[Array, ""]  # step of the episode
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Programs:
-    """The pure functions of a rollout; all that is static in them."""
+    """Pure functions of a rollout, with their static settings."""
 
     env: Environment
-    robots: Sequence[Any]  # a policy for each stack; none for a robot that acts from outside
+    robots: Sequence[Any]  # a policy for each stack; empty for a robot from outside
     humans: Sequence[Any]
     steps: int  # of one call of `advance`
     paired: bool
     stochastic: bool
-    forgets: bool  # whether robots are told that an episode begins
+    forgets: bool  # whether robots reset their memory when an episode begins
 
     def layout(self, block: Block) -> Layout:
-        """Return how a block lies on the flat axis."""
+        """Return the layout of a block on the flat axis."""
         episodes = block.keys.shape[-1]
         return Layout(widths(block.robots), widths(block.humans), episodes, self.paired)
 
     def start(self, block: Block) -> Loop:
-        """Reset a block: episode k starts from key k, under the partner's own parameters."""
+        """Return the loop state at a block's reset: episode k of every pair starts from key k."""
         layout = self.layout(block)
         e, p, k = layout.block
         params = jax.tree.map(lambda leaf: layout.to_flat(leaf.reshape(1, p, -1)), block.env_params)
@@ -81,7 +81,7 @@ class Programs:
         )
 
     def advance(self, loop: Loop, block: Block, action: Float[Array, "N A"] | None) -> Loop:
-        """Advance a block by `steps`; `action` is a robot's from outside."""
+        """Return the loop state after `steps` steps; `action` is that of a robot from outside."""
         layout = self.layout(block)
 
         def body(loop: Loop, _: None) -> tuple[Loop, None]:
@@ -119,18 +119,18 @@ class Programs:
 
 
 def trip_count() -> np.ndarray | None:
-    """Return the trip count of the loop around one environment step: 1.
+    """Return the trip count 1 of the loop around one environment step, or None on an accelerator.
 
-    It is passed to the compiled program as an argument. Written as a constant, XLA would see a loop
-    of one trip, unroll it, and fuse the physics with the networks around it; how it fuses depends
-    on the block's shape, and so would the last bit of every value. None where no loop is wanted: on
-    an accelerator the host would wait for it at every step.
+    It is an argument of the compiled program. If it were a constant, XLA would unroll the loop of
+    one trip and fuse the physics with the networks around it; the fusion depends on the block's
+    shape, and so would the last bit of every value. On an accelerator the host would wait for the
+    loop at every step.
     """
     return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
 
 
 def _step_alone(env: Environment, state: EnvState, actions: dict[str, Any], trips: Any) -> EnvState:
-    """Step the environment in a loop of its own, into which nothing around it is fused."""
+    """Return the state after a step in a loop of its own, into which nothing around it is fused."""
     if trips is None:
         return env.step(state, actions)
     return jax.lax.fori_loop(0, trips, lambda _, state: env.step(state, actions), state)

@@ -2,7 +2,7 @@
 
 The environment sees one flat axis N = E * P * K, of which `Layout` has a drawing. The robots'
 network maps over the stacked egos, the humans' over the partners: no simulation has parameters of
-its own. Where egos or partners are of several networks, each has its share of E or P.
+its own. If egos or partners are of several networks, each has its share of E or P.
 """
 
 import collections
@@ -23,18 +23,18 @@ from population.networks.seat import Params
 from population.play.programs import Block, Loop, Programs, trip_count
 from population.play.tally import Tally
 
-# Most environment steps in one call: between calls there is progress, and a key press is heard.
+# Most environment steps in one call. Progress is reported and Ctrl-C handled between calls.
 SEGMENT = 100
 
-# Seeds of K episodes, [K], or [P, K] where each partner has its own; or the keys of those shapes.
+# Seeds of K episodes, [K], or [P, K] if each partner has its own; or keys of those shapes.
 Seeds = Sequence[int] | np.ndarray | jax.Array
 
 
 class Rollout:
-    """Blocks of the same specs; compiles once for each shape and device.
+    """Rollouts of blocks of the same specs; compiles once for each shape and device.
 
-    Threads may run blocks on a device each, others prepare them. `compile_seconds` are those for
-    which runs have waited.
+    Threads may run blocks on a device each while others prepare them. `compile_seconds` are the
+    seconds by device for which runs waited for compilation.
     """
 
     def __init__(
@@ -48,19 +48,19 @@ class Rollout:
         length: int | None = None,
         series: int = 1,
     ) -> None:
-        """Prepare blocks.
+        """Set the policies and rules of the blocks.
 
         Args:
             env: the environment.
-            robots: a `population.networks.policy.Policy` for each stack of robots; none for a
-                robot that acts from outside.
+            robots: a `population.networks.policy.Policy` for each stack of robots; empty for a
+                robot from outside.
             humans: a `population.networks.policy.Policy` for each stack of humans.
             stochastic: whether actions are drawn.
             paired: robot i plays with human i only: robot stacks are as long as human ones, and E
                 is 1.
             length: steps to play, if fewer than the episode's: for measuring speed.
-            series: episodes that a robot plays with a partner, one after the other, before it
-                forgets: its recurrent state is kept, the human's is not.
+            series: consecutive episodes that a robot plays with a partner before its recurrent
+                state is reset; the human's is reset in each.
         """
         self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
         self._series, self._length = series, length or env.episode_length
@@ -70,8 +70,9 @@ class Rollout:
         self._advance = jax.jit(self._programs.advance)
         self._compiled: dict[Any, tuple[Callable[..., Loop], ...]] = {}
         self._compiling: dict[Any, threading.Lock] = {}
-        self._looking = threading.Lock()
-        self._tracing = threading.Lock()  # the second device then finds the program traced
+        self._lookup = threading.Lock()
+        # Held while tracing, so that the second device finds the program traced.
+        self._tracing = threading.Lock()
 
     def run(
         self,
@@ -84,16 +85,16 @@ class Rollout:
         on_steps: Callable[[int], None] | None = None,
         device: jax.Device | None = None,
     ) -> Tally:
-        """Play K episodes of every pair to their end.
+        """Return the tally of K episodes of every pair, played to their end.
 
         Args:
-            robot_params: stacks, leaves [its E, ...]; none where `act` plays the robot (E is 1).
+            robot_params: stacks, leaves [its E, ...]; empty if `act` plays the robot (E is 1).
             human_params: stacks, leaves [its P, ...].
-            env_params: the partners' own `EnvParams`, leaves [P], or [P, K] where a partner is
-                another in each episode.
+            env_params: the partners' own `EnvParams`, leaves [P], or [P, K] if a partner differs
+                between episodes.
             seeds: K integers; `key_of(seeds[k])` starts episode k of every pair (common
-                random numbers). Or [P, K], where each partner has episodes or an order of its own.
-                Those of a series stand next to each other. Keys are taken as they are.
+                random numbers). [P, K] integers give each partner its own episodes or order. The
+                episodes of a series are adjacent. Keys are used unchanged.
             act: (observations [N, O] float32, step of the series) -> actions [N, A], for a robot
                 from outside.
             on_steps: called with the number of steps just done, of every simulation.
@@ -111,7 +112,8 @@ class Rollout:
                 loop = dataclasses.replace(loop, robot=memory)
             for step in range(0, self._length, steps):
                 action = None
-                if act is not None:  # a robot from outside acts under the settings of its process
+                if act is not None:
+                    # A robot from outside acts under the JAX settings of its process.
                     action = act(_observed(loop), place * self._length + step)
                 loop = advance(loop, block, action)
                 if on_steps is not None:
@@ -129,7 +131,7 @@ class Rollout:
         seeds: Seeds,
         device: jax.Device,
     ) -> None:
-        """Compile what `run` needs for these arguments; it then waits for what is not yet done."""
+        """Compile the programs that `run` needs for these arguments; `run` waits for them."""
         self._compile(self._block(robot_params, human_params, env_params, seeds, device), device)
 
     @own_settings()
@@ -142,7 +144,7 @@ class Rollout:
         device: jax.Device,
         place: int = 0,
     ) -> Block:
-        """Put the episodes at one place of every series on a device."""
+        """Return the block of the episodes at one place of every series, on a device."""
         keys = episode_keys(seeds)[..., place :: self._series]
         env_params = jax.tree.map(
             lambda leaf: leaf if leaf.ndim == 1 else leaf[:, place :: self._series], env_params
@@ -152,7 +154,7 @@ class Rollout:
 
     @own_settings()
     def _begin(self, block: Block, device: jax.Device) -> tuple[Loop, Callable[..., Loop]]:
-        """Start a block, and return it with the function that advances it."""
+        """Return a block's loop state at its start, and the function that advances it."""
         began = time.perf_counter()
         start, advance = self._compile(block, device)
         self.compile_seconds[device] += time.perf_counter() - began
@@ -160,9 +162,9 @@ class Rollout:
 
     @own_settings()
     def _compile(self, block: Block, device: jax.Device) -> tuple[Callable[..., Loop], ...]:
-        """Compile for a shape and device, or find it compiled: timed runs hold no compilation."""
+        """Return the programs compiled for a shape and device; timed runs hold no compilation."""
         program = self._programs.layout(block), device
-        with self._looking:
+        with self._lookup:
             compiling = self._compiling.setdefault(program, threading.Lock())
         with compiling:
             if program not in self._compiled:
@@ -172,7 +174,7 @@ class Rollout:
             return self._compiled[program]
 
     def _lower(self, block: Block) -> tuple[Any, Any]:
-        """Trace the programs that start and advance a block."""
+        """Return the traced programs that start and advance a block."""
         loop, action = jax.eval_shape(self._start, block), None
         if not block.robots:
             layout, env = self._programs.layout(block), self._programs.env
@@ -182,7 +184,7 @@ class Rollout:
 
 
 def episode_keys(seeds: Seeds) -> jax.Array:
-    """Return a key for each seed; keys are returned as they are."""
+    """Return a key for each seed; keys are returned unchanged."""
     if isinstance(seeds, jax.Array) and jnp.issubdtype(seeds.dtype, jax.dtypes.prng_key):
         return seeds
     return key_of(np.asarray(seeds, np.uint32))
@@ -190,11 +192,13 @@ def episode_keys(seeds: Seeds) -> jax.Array:
 
 @own_settings()
 def _observed(loop: Loop) -> np.ndarray:
+    """Return the robot's observations [N, O] as a NumPy array."""
     return np.array(loop.state.obs["robot"])
 
 
 @own_settings()
 def _counted(loop: Loop) -> Tally:
+    """Return the loop's tally with NumPy leaves."""
     return jax.tree.map(np.asarray, loop.tally)
 
 

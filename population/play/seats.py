@@ -1,6 +1,6 @@
-"""The policies of a seat act: stacks of them, each for its rows, with noise or without.
+"""Action of a seat's policies: stacks of them, each for its rows, with noise or without.
 
-G policies of a seat have R simulations each: see the drawing in `population.play.rollout`.
+G policies of a seat have R simulations each: see the drawing of `Layout`.
 """
 
 import functools
@@ -16,7 +16,7 @@ from population.networks.members import member_map
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
 
-# Folded into an episode's key for action noise: the environment draws from the key itself.
+# Folded into an episode's key for action noise, since the environment draws from the key itself.
 _ACTION_STREAM = 2**31 - 1
 
 
@@ -28,11 +28,13 @@ def act_all(
     first: Bool[Array, ""] | bool,
     keys: Key[Array, "G R"] | None,
 ) -> tuple[tuple[Carry, ...], Float[Array, "G R A"]]:
-    """Let every stack of a seat act for its policies' rows; see `_act`."""
+    """Return the new carries and actions of a seat's stacks, each for its own rows."""
     starts = itertools.accumulate(widths(params), initial=0)
     acted = [
-        _act(policy, own, carry, obs[start:stop], first, None if keys is None else keys[start:stop])
-        for policy, own, carry, (start, stop) in zip(
+        _act(
+            policy, stack, carry, obs[start:stop], first, None if keys is None else keys[start:stop]
+        )
+        for policy, stack, carry, (start, stop) in zip(
             policies, params, carries, itertools.pairwise(starts), strict=True
         )
     ]
@@ -47,13 +49,12 @@ def _act(
     first: Bool[Array, ""] | bool,
     keys: Key[Array, "G R"] | None,
 ) -> tuple[Carry, Float[Array, "G R A"]]:
-    """Map a policy over its stacked parameters; with keys rows draw actions, else take the mode."""
+    """Return carry and actions of stacked policies: drawn if keys are given, else the mode."""
     rows = obs.shape[1]
-    # A product with one row takes another path on the CPU, which rounds differently: values would
-    # depend on the block.
+    # A product with one row rounds differently on the CPU, so values would depend on the block.
     obs = jnp.broadcast_to(obs, (obs.shape[0], _at_least_two(rows), obs.shape[2]))
     first = jnp.broadcast_to(first, obs.shape[:2])
-    if keys is None or not hasattr(policy, "step"):  # who has no distribution draws nothing
+    if keys is None or not hasattr(policy, "step"):  # no distribution to draw from
         act = getattr(policy, "act_stack", None) or member_map(policy.act)
         carry, action = act(params, carry, obs, first)
         return carry, action[:, :rows]
@@ -69,8 +70,8 @@ def noise_keys(
 ) -> tuple[Key[Array, "G R"], Key[Array, "H S"]]:
     """Return the keys of the robots' rows and of the humans' at a step.
 
-    They are of the episode, and apart from the environment's stream: every pair of an episode sees
-    the same noise.
+    They derive from the episode's key, apart from the environment's stream, so that every pair of
+    an episode sees the same noise.
     """
     e, p, k = layout.block
 
@@ -96,7 +97,7 @@ def initial_carries(policies: Sequence[Any], counts: Sequence[int], rows: int) -
 
 
 def widths(params: Sequence[Params]) -> tuple[int, ...]:
-    """Return how many policies each stack of parameters has."""
+    """Return the number of policies in each stack of parameters."""
     return tuple(jax.tree.leaves(stack)[0].shape[0] for stack in params)
 
 

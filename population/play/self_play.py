@@ -24,10 +24,10 @@ def self_play(
     keys: jax.Array,
     episodes: int,
 ) -> list[dict[str, Any]]:
-    """Play episodes of every team and return `mean`, `iqm`, `mean_ci`, `n` and `success` of each.
+    """Return `mean`, `iqm`, `mean_ci`, `n` and `success` of episodes of every team.
 
-    The interval is a percentile bootstrap over a team's episodes: it says how well these episodes
-    determine this team's return, and nothing about other seeds.
+    The interval is a percentile bootstrap over a team's episodes: it describes the precision of
+    this team's return, not the spread between seeds.
 
     Args:
         env: The environment.
@@ -45,6 +45,7 @@ def self_play(
 
 
 def _figures(returns: np.ndarray, success: np.ndarray) -> dict[str, Any]:
+    """Return the figures of one team's episodes."""
     rows = np.random.default_rng(0).integers(len(returns), size=(_RESAMPLES, len(returns)))
     tail = (100.0 - _LEVEL) / 2.0
     low, high = np.percentile(returns[rows].mean(axis=1), [tail, 100.0 - tail])

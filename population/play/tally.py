@@ -1,4 +1,4 @@
-"""What an episode has earned, added up step by step."""
+"""Tally of an episode's rewards and measures, added up step by step."""
 
 import dataclasses
 from typing import Any
@@ -15,7 +15,7 @@ GAMMA = 0.99  # of the discounted return
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Tally:
-    """What each episode has earned so far; leaves [N], and [E, P, K] once a block is done."""
+    """Sums of each episode so far; leaves [N], and [E, P, K] once a block is done."""
 
     running: Bool[Array, "*N"]  # the episode has not ended
     steps: Int[Array, "*N"]
@@ -29,21 +29,22 @@ class Tally:
     travel: dict[str, jax.Array]  # rad by role: angles that all joints went through together
     success: Bool[Array, "*N"]  # at any step
     nonfinite: Bool[Array, "*N"]  # the physics became non-finite
-    contact_peak: Any = None  # [N] N, the largest single contact, where the task feels it
-    violated: Any = None  # [N] bool, a contact was above the hard limit, likewise
-    # How people are touched, where it is measured, see `TOUCH`; [N] each.
+    contact_peak: Any = None  # [N] N, the largest single contact; None if it is not measured
+    violated: Any = None  # [N] bool, a contact was above the hard limit; None likewise
+    # Measures of touch by name, see `TOUCH`, each [N]; empty if touch is not measured.
     touch: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
 
 
-# Of environments that measure it: steps touched with a joint of the arm at its end; m/s of the tool
-# in the step before the first touch, 0 without one; m, least distance of the tool from the face; N,
-# the largest sum of contacts at once; N, the largest mean over SECOND of all contacts.
+# Measures of touch. `end_steps`: steps touched with a joint of the arm at its limit. `touch_speed`:
+# m/s of the tool in the step before the first touch, 0 without one. `face_least`: m, least distance
+# of the tool from the face. `together_peak`: N, the largest sum of simultaneous contacts.
+# `sustained_force`: N, the largest mean over SECOND of all contacts.
 TOUCH = ("end_steps", "touch_speed", "face_least", "together_peak", "sustained_force")
 SECOND = 50  # steps
 
 
 def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
-    """Return the tally of episodes at their start, whose joints have these positions."""
+    """Return the tally of episodes at their start, with joint positions by role."""
     zero = jnp.zeros(state.reward.shape)
     false, count = jnp.zeros(zero.shape, bool), jnp.zeros(zero.shape, jnp.int32)
     return Tally(
@@ -66,7 +67,7 @@ def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
 
 
 def begin_window(state: EnvState) -> Float[Array, "S N"] | None:
-    """Return the forces of the last second, none so far; None where no touch is measured."""
+    """Return the forces of the last second [S, N], all 0; None if touch is not measured."""
     return jnp.zeros((SECOND, *state.reward.shape)) if _measured(state) else None
 
 
@@ -78,9 +79,9 @@ def accumulate(
     window: Float[Array, "S N"] | None,
     time: jax.Array,
 ) -> Tally:
-    """Add the step from `before` to `state`, the `time`-th, to the episodes that were running.
+    """Return the tally with the step from `before` to `state`, number `time`, of running episodes.
 
-    `window` holds the forces of the last second, this step's among them.
+    `window` holds the forces of the last second, including this step's.
     """
     running = tally.running
     earning = running & ~state.nonfinite
@@ -115,11 +116,12 @@ def accumulate(
 
 
 def _measured(state: EnvState) -> bool:
-    """Return whether the environment measures how people are touched."""
+    """Return whether the environment measures touch."""
     return getattr(state.measures, "together", None) is not None
 
 
 def _untouched(state: EnvState) -> dict[str, jax.Array]:
+    """Return the measures of touch at an episode's start."""
     zero = jnp.zeros(state.reward.shape)
     count = jnp.zeros(zero.shape, jnp.int32)
     return {**dict.fromkeys(TOUCH, zero), "end_steps": count, "face_least": state.measures.face}
@@ -132,6 +134,7 @@ def _touched(
     earning: jax.Array,
     window: Float[Array, "S N"] | None,
 ) -> dict[str, jax.Array]:
+    """Return the measures of touch after a step; empty if there is no window."""
     if window is None:
         return {}
     touch, measures = tally.touch, state.measures

@@ -1,6 +1,6 @@
-"""Training state on disk, through Orbax.
+"""Checkpoints of training state, through Orbax.
 
-Whole or not at all, and the same bits when read back on any devices.
+A checkpoint is written wholly or not at all, and restores the same bits on any devices.
 """
 
 import hashlib
@@ -16,20 +16,20 @@ import orbax.checkpoint as ocp
 
 from assistax_base.errors import lacks_memory
 
-KEEP = 2  # newest checkpoints that stay on disk: one to go on from, one if that is damaged
+KEEP = 2  # newest checkpoints that stay on disk: the last, and a spare in case of damage
 _DIGEST, _RUN = "sha256", "run"
 
 
 class OtherRunError(ValueError):
-    """A checkpoint is whole, and of another run."""
+    """Error for an intact checkpoint that belongs to another run."""
 
 
 class Checkpoints:
-    """The checkpoints of a run, by number of updates done.
+    """Checkpoints of a run, by number of updates done.
 
     Args:
-        folder: Where they lie.
-        key: The digest of what the run trains; those of another run are refused.
+        folder: Folder of the checkpoints.
+        key: Digest of the run; checkpoints with another digest are refused.
     """
 
     def __init__(self, folder: Path, key: str | None = None) -> None:
@@ -52,10 +52,10 @@ class Checkpoints:
         return self._manager.latest_step()
 
     def save(self, update: int, state: Any) -> None:
-        """Write a checkpoint; older ones than the newest two go.
+        """Write a checkpoint; delete all but the newest `KEEP`.
 
         Raises:
-            OSError: It cannot be written; those that exist are untouched.
+            OSError: It cannot be written. Existing checkpoints are untouched.
         """
         last, arrays = self.latest(), {**_to_arrays(state), _RUN: self._key}
         arrays[_DIGEST] = _digest(arrays)
@@ -76,17 +76,17 @@ class Checkpoints:
             ) from error
 
     def restore_latest(self, like: Any) -> tuple[int, Any] | None:
-        """Return the newest checkpoint that is whole, as updates and state; None without any.
+        """Return the newest intact checkpoint as (updates, state); None if there is none.
 
-        A damaged one is warned of and removed, and the one before it is taken: the run repeats the
-        updates between them. With too little memory to read it, nothing is removed.
+        A damaged one is removed with a warning, and the one before it is used: the run repeats the
+        updates between them. If memory is too small to read it, nothing is removed.
 
         Args:
             like: A state of the same structure, on the devices that the result is to lie on.
 
         Raises:
             OtherRunError: A checkpoint is of another run.
-            ValueError: There are checkpoints, and none can be read.
+            ValueError: There are checkpoints, and all are unreadable.
         """
         updates, reason = sorted(self._manager.all_steps(), reverse=True), ""
         for update in updates:
@@ -115,6 +115,7 @@ class Checkpoints:
         return None
 
     def _restore(self, update: int, like: Any) -> Any:
+        """Return the state of one checkpoint, after a check of its digest and its run."""
         like_arrays = {**_to_arrays(like), _RUN: self._key}
         like_arrays[_DIGEST] = _digest({})
         saved: Any = self._manager.restore(update, args=ocp.args.StandardRestore(like_arrays))
@@ -134,7 +135,7 @@ class Checkpoints:
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the sha256 of all leaves [32]: Orbax itself loads flipped bits without a word."""
+    """Return the sha256 of all leaves [32], since Orbax loads flipped bits without an error."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         leaf = np.ascontiguousarray(arrays[name])
@@ -144,7 +145,7 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _to_arrays(state: Any) -> dict[str, np.ndarray]:
-    """Return the leaves by path.
+    """Return the leaves by path, as arrays.
 
     Typed keys become their data, and empty leaves, which Orbax refuses, are left out.
     """
@@ -156,6 +157,8 @@ def _to_arrays(state: Any) -> dict[str, np.ndarray]:
 
 
 def _from_arrays(arrays: Mapping[str, np.ndarray], like: Any) -> Any:
+    """Return a state like `like` with the values of arrays by path: the inverse of `_to_arrays`."""
+
     def leaf(path: Any, like: jax.Array) -> jax.Array:
         if not like.size:
             return like

@@ -1,4 +1,4 @@
-"""A run whose losses are no longer finite numbers: which, whose, and what to do."""
+"""Detection and description of a run whose losses are not finite."""
 
 from collections.abc import Mapping
 
@@ -21,11 +21,11 @@ _LOSSES = (
 
 
 class DivergedError(ValueError):
-    """A loss is no longer a finite number."""
+    """Error for a loss that is not a finite number."""
 
 
 def find_divergence(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
-    """Return the first metric that is not finite and the member it belongs to."""
+    """Return the first loss that is not finite and its member's index; None if all are finite."""
     for name, value in values.items():
         if name.startswith(_LOSSES) and not np.isfinite(value).all():
             return name, int(np.argwhere(~np.isfinite(value))[0, 1])
@@ -35,7 +35,7 @@ def find_divergence(values: Mapping[str, np.ndarray]) -> tuple[str, int] | None:
 def describe_divergence(
     bad: tuple[str, int], rows: pl.DataFrame, config: TrainConfig, checkpoints: Checkpoints
 ) -> str:
-    """Say who diverged in which metric, what is kept, and what to change."""
+    """Return a message with the diverged member and metric, the last checkpoint and a remedy."""
     name, index = bad
     member, last = config.members[index], checkpoints.latest()
     kept = (

@@ -1,12 +1,12 @@
 """The folder of a run: its configuration, its metrics, and the teams it made.
 
-Metrics, checkpoints and teams hold the run's key, the digest of its configuration: those of another
+Metrics, checkpoints and teams hold the run's key, the digest of its configuration. Those of another
 run are refused.
 
-- `config.json`: what was trained, on what
+- `config.json`: configuration and environment
 - `checkpoints/`: training state by number of updates
 - `metrics.parquet`: one row for each update and member
-- `snapshots/`: the teams by number of updates, where they were asked for
+- `snapshots/`: the teams by number of updates, if they were asked for
 - `teams.json`: the teams, once the run is finished
 - `robot.safetensors`, `human.safetensors`: their parameters, stacked: leaves [P, ...] named by
 '/'-joined path
@@ -34,12 +34,11 @@ from population.networks.stack import flatten
 MAX_TEAMS_BYTES = 16 * 1024 * 1024
 REMEDY = "give the folder that training wrote, after the run has finished"
 DONE = "nothing was read"
-OF_EPISODES = ("return", "success", "violated")  # metrics over those that ended, beside terms
-_MAY_CHANGE = (
-    "checkpoint_every",
-    "self_play_episodes",
-)  # when a run goes on; so may "steps", with `extends`
-_DIGESTS = {  # how a difference is told
+# Metrics that are means over finished episodes; so are the reward terms.
+OF_EPISODES = ("return", "success", "violated")
+# Fields that may change when a run is resumed; "steps" may too, with `extends`.
+_MAY_CHANGE = ("checkpoint_every", "self_play_episodes")
+_DIGESTS = {  # descriptions of fields that are digests
     "config.key.partners": "its partners have other parameters or settings",
     "config.key.split": "its split has other content",
     "environment.scene": "the task has another scene",
@@ -55,14 +54,14 @@ _SCHEMA |= {"seed": pl.Int64, "episodes": pl.Int64, "nonfinite": pl.Int64}
 
 
 class RunFolder:
-    """Reads and writes a run's folder; every file is seen whole or not at all."""
+    """Reader and writer of a run's folder; readers see a file wholly or not at all."""
 
     def __init__(self, folder: Path | str, key: str | None = None) -> None:
-        """Name the files of a folder.
+        """Set the paths of the folder's files.
 
         Args:
             folder: The folder.
-            key: The run's, where the folder has no configuration of its own.
+            key: The run's key, for a folder without a configuration of its own.
         """
         self.folder, self._key = Path(folder), key
         self.checkpoints = self.folder / "checkpoints"
@@ -72,15 +71,15 @@ class RunFolder:
         self._metrics = self.folder / "metrics.parquet"
 
     def open(self, config: TrainConfig, environment: Mapping[str, Any], resume: bool) -> None:
-        """Make the folder, or check that it holds a run of the same configuration.
+        """Create the folder, or check that it holds a run of the same configuration.
 
         Args:
-            config: What is to be trained.
+            config: The run's configuration.
             environment: Facts that a resumed run must share: version and backend.
-            resume: Whether to go on with a run that is there.
+            resume: Whether to resume a run that is there.
 
         Raises:
-            ValueError: It holds another run, or one although `resume` is false.
+            ValueError: It holds another run, or it holds one and `resume` is false.
             OSError: It cannot be written.
         """
         content = {"config": config.to_json(), "environment": dict(environment)}
@@ -96,25 +95,25 @@ class RunFolder:
                 f"{self.folder} already holds a run; resume it, or choose a new folder"
             )
         else:
-            # As this version reads it: a run from before a hyperparameter existed has its default.
-            kept = {**self._read_config(), "config": self.config().to_json()}
+            # Read by this version, so that hyperparameters the run lacks have their defaults.
+            existing = {**self._read_config(), "config": self.config().to_json()}
             may_change = (*_MAY_CHANGE, *(("steps",) if extends(config.trainer) else ()))
-            if there := differences(kept, content, may_change):
+            if changed := differences(existing, content, may_change):
                 raise ValueError(
-                    f"{self.folder} holds a run with another configuration: {there}; "
+                    f"{self.folder} holds a run with another configuration: {changed}; "
                     "repeat that configuration to resume it, or choose a new folder"
                 )
         write_json(self._config, content)
 
     def snapshot(self, update: int) -> "RunFolder":
-        """Return the folder of the teams after so many updates."""
+        """Return the folder of the teams after `update` updates."""
         return RunFolder(self.snapshots / f"{update:09d}", self.key)
 
     @property
     def key(self) -> str | None:
-        """The digest of configuration, environment and partners; None without configuration.
+        """Digest of configuration, environment and partners; None without a configuration.
 
-        What may change when a run goes on is left out.
+        Fields that may change when a run is resumed are left out.
         """
         if self._key is not None or not self._config.exists():
             return self._key
@@ -123,7 +122,7 @@ class RunFolder:
 
     @property
     def recipe(self) -> str | None:
-        """The key without the members: runs of other seeds have the same; None as for the key."""
+        """Digest as `key` without the members, which runs of other seeds share; None like `key`."""
         return self._digest_without(*_MAY_CHANGE, "members") if self._config.exists() else None
 
     def finished(self, config: TrainConfig) -> bool:
@@ -140,10 +139,10 @@ class RunFolder:
         return steps == config.updates * config.trainer.batch_steps
 
     def team_items(self) -> list[Any]:
-        """Return what `teams.json` says of each team, of which only the form is checked.
+        """Return the items of `teams.json`, one for each team, whose content is not checked.
 
         Raises:
-            FormatError: It is missing, too large, or no list of at least one team.
+            FormatError: It is missing, too large, or not a list of at least one team.
         """
         text = read_text(self.teams, MAX_TEAMS_BYTES, FormatError, "teams", REMEDY)
         try:
@@ -173,8 +172,8 @@ class RunFolder:
         """
         check_readable([self._metrics])
         table = read_parquet(self._metrics)
-        said = parse_json(read_metadata(self._metrics).get(METADATA_KEY, "{}"))
-        if (said.get("run") if isinstance(said, dict) else None) != self.key:
+        metadata = parse_json(read_metadata(self._metrics).get(METADATA_KEY, "{}"))
+        if (metadata.get("run") if isinstance(metadata, dict) else None) != self.key:
             raise ValueError(
                 f"{self._metrics} is of another run than {self._config.name} beside it; take the "
                 "folder from where it was made, or start a new run in another folder"
@@ -185,8 +184,8 @@ class RunFolder:
 
     def write_metrics(self, metrics: pl.DataFrame) -> None:
         """Replace the metrics."""
-        said = {METADATA_KEY: json.dumps({"run": self.key})}
-        write_parquet(metrics, self._metrics, metadata=said)
+        metadata = {METADATA_KEY: json.dumps({"run": self.key})}
+        write_parquet(metrics, self._metrics, metadata=metadata)
 
     def write_teams(
         self,
@@ -196,7 +195,7 @@ class RunFolder:
         training: Mapping[str, Any],
         self_play: Sequence[Mapping[str, Any] | None],
     ) -> None:
-        """Write the parameters [M, ...] by role, then `teams.json`: the run is finished."""
+        """Write the parameters [M, ...] by role, then `teams.json`, which ends the run."""
         for role, spec in specs.items():
             metadata = {"spec": spec.to_json(), "rows": list(config.names), "run": self.key}
             text = json.dumps(metadata, sort_keys=True, separators=(",", ":"))
@@ -231,6 +230,7 @@ class RunFolder:
         return json_sha256(_without(content, names))
 
     def _read_config(self) -> dict[str, Any]:
+        """Return the JSON object of `config.json`."""
         try:
             return parse_json(self._config.read_text(encoding="utf-8"))
         except (ValueError, RecursionError) as error:
@@ -238,9 +238,9 @@ class RunFolder:
 
 
 def extends(trainer: TrainerConfig) -> bool:
-    """Return whether a run may be made longer.
+    """Return whether a longer run may continue a finished one of this trainer.
 
-    Its length sets no learning rate, no entropy bonus, no size of a replay and no student's time.
+    It may if the length sets no learning rate, entropy bonus, replay size or student's share.
     """
     if not isinstance(trainer, PPOConfig):
         return False
@@ -284,7 +284,7 @@ def metrics_table(
 
 
 def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, path: str = "") -> str:
-    """Describe the fields in which two configurations, or parts of them, differ."""
+    """Return a description of the fields in which two JSON values differ; "" if they are equal."""
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         parts = [
             differences(
@@ -302,12 +302,13 @@ def differences(there: Any, here: Any, ignored: Sequence[str] = _MAY_CHANGE, pat
 
 
 def _without(value: Any, names: Sequence[str]) -> Any:
-    """Return JSON without the fields of these names, at any depth."""
+    """Return a JSON value without the fields of these names, at any depth."""
     if isinstance(value, Mapping):
         return {name: _without(part, names) for name, part in value.items() if name not in names}
     return [_without(part, names) for part in value] if isinstance(value, list) else value
 
 
 def _short(value: Any) -> str:
+    """Return a JSON value's text, cut to 60 characters."""
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

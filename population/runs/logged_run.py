@@ -1,4 +1,4 @@
-"""Training of a configured run: what the command line and the Python interface call."""
+"""Training of a configured run for the command line and the Python interface."""
 
 import contextlib
 import tempfile
@@ -30,14 +30,14 @@ def run_training(
     snapshots: int = 0,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedRun:
-    """Train a configured run, with event files if they are wanted, and read it back.
+    """Train a configured run, write its log if one is wanted, and return the finished run.
 
     Args:
-        config: What to train.
+        config: The run's configuration.
         backend: Physics.
         folder: Folder of the run; default a new temporary one.
         partners: Frozen partners of egos, as `config.partners` names them.
-        resume: Whether to go on with a run that the folder holds.
+        resume: Whether to resume a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         snapshots: See `population.runs.train.train`.
         progress: Called after every dispatch.
@@ -82,7 +82,7 @@ def run_training(
 
 
 def _log(config: TrainConfig, folder: Path, place: str) -> "EventFiles | WandbRuns":
-    """Return what writes or sends a run's reports."""
+    """Return the log of a run for a place: TensorBoard's event files, or Weights & Biases."""
     from population.runs.tensorboard import EventFiles
     from population.runs.wandb_run import PREFIX, WandbRuns
 
@@ -92,10 +92,10 @@ def _log(config: TrainConfig, folder: Path, place: str) -> "EventFiles | WandbRu
 
 
 def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str, Any]]:
-    """Return the algorithm and the changed hyperparameters of a preset file, as a sweep writes it.
+    """Return the algorithm and the changed hyperparameters of a preset file that a sweep wrote.
 
     Raises:
-        ValueError: The file is no preset, or one of another algorithm than was asked for.
+        ValueError: The file is not a preset, or is a preset of another algorithm than `algorithm`.
     """
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
@@ -107,6 +107,7 @@ def read_preset(path: Path, algorithm: str | None = None) -> tuple[str, dict[str
         ) from None
     if algorithm not in (None, preset_of):
         raise ValueError(
-            f"algorithm is {algorithm!r}, but {path} is a preset of {preset_of}; name that, or none"
+            f"algorithm is {algorithm!r}, but {path} is a preset of {preset_of}; give that "
+            "algorithm, or leave it out"
         )
     return preset_of, changes

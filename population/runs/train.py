@@ -1,4 +1,4 @@
-"""A training run, from configuration to finished teams in a folder."""
+"""Training of a run, from its configuration to finished teams in a folder."""
 
 import contextlib
 import dataclasses
@@ -32,13 +32,13 @@ from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
 from population.trainers.trainer import Trainer, TrainState
 
-_SELF_PLAY = 1  # folded into a member's key: episodes of the final evaluation
+_SELF_PLAY = 1  # folded into a member's key for the final evaluation's episodes
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
 
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a run is."""
+    """Progress of a run."""
 
     update: int  # updates done
     updates: int  # updates in all
@@ -64,19 +64,19 @@ def train(
 ) -> Path:
     """Train the members of a run and return its folder.
 
-    A run that was interrupted goes on to the same result, on other devices too. Several share the
-    members: as many as divide their number. With partners, who are frozen, a member is an ego.
+    An interrupted run resumes to the same result, on other devices too. Several devices share the
+    members: as many as divide their number. With partners, which are frozen, a member is an ego.
 
     Args:
-        config: What to train.
+        config: The run's configuration.
         env: The environment of `config.task`.
-        folder: Keeps configuration, checkpoints, metrics, and at the end the teams.
-        partners: Who sits in the other seat, the same as `config.partners` names.
-        resume: Whether to go on with a run that the folder holds.
-        stop_on_divergence: A loss that is not finite ends the run; else that member goes on.
-        snapshots: At how many equal steps of the run the policies are kept, to choose among them.
+        folder: Folder for configuration, checkpoints, metrics, and at the end the teams.
+        partners: Partners in the other seat, as `config.partners` names them.
+        resume: Whether to resume a run that the folder holds.
+        stop_on_divergence: Whether a loss that is not finite ends the run.
+        snapshots: Number of equal parts of the run after which the policies are saved.
         progress: Called after every dispatch to the devices.
-        devices: Those that may be used; see `DeviceShares` if not given.
+        devices: Devices that may be used; default as for `DeviceShares`.
 
     Raises:
         ValueError: Environment and configuration do not fit, or the folder holds another run.
@@ -95,11 +95,10 @@ def train(
             if progress is not None:
                 progress(state)
 
-        # Of a population each member reads all others: one device has them.
-        apart = 1 if config.trainer.population_coef else len(config.members)
-        # The threads of the devices end before this does, whatever happens.
+        # Each member of a population reads all others, so one device holds them.
+        groups = 1 if config.trainer.population_coef else len(config.members)
         with (
-            DeviceShares(apart, devices) as shares,
+            DeviceShares(groups, devices) as shares,
             contextlib.closing(Checkpoints(run.checkpoints, run.key)) as checkpoints,
         ):
             training = _Training(config, trainer, shares, run, checkpoints, snapshots)
@@ -107,7 +106,7 @@ def train(
 
     interruptible(own_settings()(work))
     if not extends(config.trainer):
-        # A replay for each member, and nothing can go on from them.
+        # No longer run can continue from them, and each holds a replay for every member.
         shutil.rmtree(run.checkpoints, ignore_errors=True)
     return run.folder
 
@@ -124,7 +123,7 @@ def make_trainer(
 def initial_state(
     config: TrainConfig, trainer: Trainer, shares: DeviceShares | None = None
 ) -> TrainState:
-    """Return the state of a run before its first update, on one device if there are no shares."""
+    """Return a run's state before its first update; on one device if `shares` is None."""
     shares = shares or DeviceShares(len(config.members), jax.local_devices()[:1])
     keys = jnp.stack([member_key(member) for member in config.members])
     envs, partners = config.trainer.num_envs, trainer.partners
@@ -137,14 +136,14 @@ def initial_state(
     start = shares.put((keys, jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *humans)))
     specs = state_specs(jax.eval_shape(trainer.initial, *start), partners)
     initial = shares.jit(trainer.initial, specs)
-    # Copied, so that no two leaves share a buffer: each is donated to the first update.
+    # Copied, since every leaf is donated to the first update and two leaves may share a buffer.
     return jax.tree.map(jnp.copy, initial(*start))
 
 
 def member_key(member: Member) -> jax.Array:
-    """Return a member's key: its own, whoever trains beside it.
+    """Return a member's key, which does not depend on the members beside it.
 
-    JAX keeps 32 bits of a seed, so those above them are folded in: seeds of seasons have 63.
+    JAX keeps 32 bits of a seed, so higher bits are folded in: seeds of seasons have 63.
     """
     key = key_of(member.seed)
     if upper := member.seed >> 32:
@@ -153,7 +152,7 @@ def member_key(member: Member) -> jax.Array:
 
 
 def _check(config: TrainConfig, env: Environment, partners: FrozenPartners | None) -> None:
-    """Check that environment, configuration and partners are of one run."""
+    """Refuse environment, configuration and partners that do not belong together."""
     if env.task != config.task:
         raise ValueError(
             f"the environment's task is {env.task!r}, the run's is {config.task!r}; give the same "
@@ -175,7 +174,7 @@ def _check(config: TrainConfig, env: Environment, partners: FrozenPartners | Non
 
 @dataclasses.dataclass(frozen=True)
 class _Training:
-    """One run, from its newest checkpoint to its teams."""
+    """Training of one run, from its newest checkpoint to its teams."""
 
     config: TrainConfig
     trainer: Trainer
@@ -185,7 +184,7 @@ class _Training:
     snapshots: int
 
     def load(self) -> tuple[TrainState, list[pl.DataFrame]]:
-        """Return the state and metrics of the newest whole checkpoint, or of the beginning."""
+        """Return state and metrics of the newest intact checkpoint, or of the run's beginning."""
         state = initial_state(self.config, self.trainer, self.shares)
         restored = self.checkpoints.restore_latest(state)
         if restored is None:
@@ -205,10 +204,10 @@ class _Training:
         progress: Callable[[Progress], None],
         stop_on_divergence: bool,
     ) -> tuple[TrainState, pl.DataFrame]:
-        """Update until the run is done, saving metrics and state every `checkpoint_every` updates.
+        """Return state and metrics after all updates, saving both every `checkpoint_every` updates.
 
-        The last state, and that at Ctrl-C, is saved only where a longer run can go on from it: with
-        a replay for each member it may be large.
+        The last state, and the state at Ctrl-C, is saved only if a longer run can continue from it:
+        with a replay for each member it may be large.
         """
         config, done = self.config, int(state.update)
         advance = self._advance(state)
@@ -234,7 +233,7 @@ class _Training:
             if extends(config.trainer) if ending else saving:
                 self.checkpoints.save(done, state)
             if done * self.snapshots // config.updates > before * self.snapshots // config.updates:
-                self._keep(done, state, clock.seconds())
+                self._snapshot(done, state, clock.seconds())
             try:
                 progress(clock.progress(config, done, rows))
             except StoppedError:  # Ctrl-C; the run goes on from here
@@ -247,7 +246,7 @@ class _Training:
     def _advance(
         self, state: TrainState
     ) -> Callable[[TrainState, int], tuple[TrainState, dict[str, np.ndarray]]]:
-        """Return a function that makes some updates and returns their metrics [updates, M]."""
+        """Return a function that makes updates and returns the state and metrics [updates, M]."""
         trainer, shares = self.trainer, self.shares
 
         def scan(state: Any, hyper: Any, partners: Any, *, updates: int) -> Any:
@@ -266,8 +265,8 @@ class _Training:
 
         return advance
 
-    def _keep(self, done: int, state: TrainState, seconds: float) -> None:
-        """Write the policies as they are after so many updates."""
+    def _snapshot(self, done: int, state: TrainState, seconds: float) -> None:
+        """Write a snapshot of the policies after `done` updates."""
         config = dataclasses.replace(self.config, steps=done * self.config.trainer.batch_steps)
         written = jax.device_get(self._written(state))
         training = _provenance(config, self.trainer.env, self.shares, seconds)
@@ -277,16 +276,17 @@ class _Training:
         kept.write_teams(config, self.trainer.specs, written, training, figures)
 
     def _written(self, state: TrainState) -> Any:
-        """Return the policies' parameters as they are written."""
-        # On one device: a few episodes of each team are less than an update was.
+        """Return the policies' parameters in the precision in which they are written."""
+        # On one device, since a few episodes of each team cost less than an update.
         params = jax.jit(self.trainer.policy_params)(self.shares.gather(state.members))
         return jax.tree.map(lambda leaf: leaf.astype(self.config.precision), params)
 
     def finish(self, state: TrainState, metrics: pl.DataFrame) -> None:
-        """Evaluate the final policies in self-play, unless they are egos, and write them."""
+        """Write the final policies, with figures of their self-play unless they are egos."""
         config, trainer = self.config, self.trainer
         written = self._written(state)
-        params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), written)  # as they are read
+        # Readers load them in float32.
+        params = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), written)
         figures: list[dict[str, Any] | None] = [None] * len(config.members)
         if config.self_play_episodes and not trainer.partners:
             figures[:] = self_play(
@@ -303,7 +303,7 @@ class _Training:
 
 
 class _Clock:
-    """Training time of a run over all its processes, and speed since this one's first dispatch."""
+    """Training time over all processes of a run, and the speed since the first dispatch here."""
 
     def __init__(self, before: float, done: int) -> None:
         self._before, self._start = before, time.perf_counter()
@@ -327,7 +327,7 @@ class _Clock:
 def _provenance(
     config: TrainConfig, env: Environment, shares: DeviceShares, seconds: float
 ) -> Mapping[str, Any]:
-    """Return what a registry says about a run."""
+    """Return the facts of a run that the registry records."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}
     told = {"told": config.told} if config.told else {}
     return (

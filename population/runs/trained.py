@@ -1,4 +1,4 @@
-"""What a finished run made, read from its folder: the folder may come from elsewhere.
+"""Reader of a finished run's folder, which may come from elsewhere and is checked.
 
 A run folder (or its `final/`) holds `teams.json`, a list of
 `{"team": {"task", "algorithm", "disability", "seed"}, "roles": {role: {"spec", "file", "row"}},
@@ -21,7 +21,7 @@ from population.runs.folder import DONE, REMEDY, RunFolder
 
 @dataclasses.dataclass(frozen=True)
 class TrainedTeam:
-    """A team that a run trained, or an ego."""
+    """Team that a run trained, or an ego."""
 
     task: str
     algorithm: str
@@ -30,7 +30,7 @@ class TrainedTeam:
     specs: Mapping[Role, PolicySpec]
     # Nested dict of float32 or float16 arrays for each role.
     params: Mapping[Role, Mapping[str, Any]]
-    # `steps`, `env_version`, `backend`, and what else the trainer recorded; `run` to publish it.
+    # `steps`, `env_version`, `backend` and more that the trainer recorded; `run` if published.
     training: Mapping[str, Any]
     self_play: Mapping[str, Any] | None = None  # mean, iqm, mean_ci, n, and success if known
     trained_against: Mapping[str, str] | None = None  # an ego's split and its sha256
@@ -53,12 +53,12 @@ class TrainedTeam:
 
 @dataclasses.dataclass(frozen=True)
 class TrainedRun:
-    """What a run made, member by member in the order of `config.members`."""
+    """Result of a run; figures and policies are in the order of `config.members`."""
 
     folder: Path
     config: TrainConfig
-    training: Mapping[str, Any]  # steps, seconds, device, versions, and what else was recorded
-    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None of egos, and where left out.
+    training: Mapping[str, Any]  # steps, seconds, device, versions and more that was recorded
+    # `mean`, `iqm`, `mean_ci`, `n` and `success` of each team; None for egos, and if left out.
     self_play: tuple[Mapping[str, Any] | None, ...]
     policies: Mapping[str, PolicyStack]  # by role; ids are "NAME/ROLE"
 
@@ -69,7 +69,7 @@ class TrainedRun:
 
 
 def read_trained_run(folder: Path | str) -> TrainedRun:
-    """Return the finished run of a folder, its members stacked.
+    """Return the finished run of a folder, its policies stacked by role.
 
     Raises:
         FormatError: The run is not finished, or a file is malformed.
@@ -107,10 +107,10 @@ def read_teams(folder: Path | str) -> list[TrainedTeam]:
 
 
 def teams_folder(folder: Path | str) -> Path:
-    """Return where a run folder has its `teams.json`: there, or in its `final/`.
+    """Return the folder of a run's `teams.json`: the run folder, or its `final/`.
 
     Raises:
-        FormatError: In neither.
+        FormatError: Neither has the file.
     """
     for place in (Path(folder), Path(folder) / "final"):
         if (place / "teams.json").is_file():
@@ -119,25 +119,28 @@ def teams_folder(folder: Path | str) -> Path:
 
 
 def _team(
-    home: Path, item: dict[str, Any], files: dict[str, StackedFile], where: str
+    folder: Path, item: dict[str, Any], files: dict[str, StackedFile], where: str
 ) -> TrainedTeam:
+    """Return one team of `teams.json`, with the parameters of its roles."""
     team = item["team"]
     specs: dict[Role, PolicySpec] = {}
     params: dict[Role, Mapping[str, Any]] = {}
-    for role, place in item["roles"].items():
-        stacked = _stacked(home, place["file"], files)
-        specs[role] = spec_from_json(place["spec"])
+    for role, location in item["roles"].items():
+        stacked = _stacked(folder, location["file"], files)
+        specs[role] = spec_from_json(location["spec"])
         if stacked.spec != specs[role]:
             raise _error(
                 where,
                 f"spec {specs[role].digest} for {role}",
-                f"{stacked.spec.digest} in {place['file']}",
+                f"{stacked.spec.digest} in {location['file']}",
             )
         if stacked.run != item.get("run"):
-            raise _error(where, "parameters of its own run", f"another run's in {place['file']}")
-        if type(place["row"]) is not int or not 0 <= place["row"] < len(stacked.rows):
-            raise _error(where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(place["row"]))
-        params[role] = unflatten(take_row(stacked, place["row"]))
+            raise _error(where, "parameters of its own run", f"another run's in {location['file']}")
+        if type(location["row"]) is not int or not 0 <= location["row"] < len(stacked.rows):
+            raise _error(
+                where, f"a row from 0 to {len(stacked.rows) - 1}", shorten(location["row"])
+            )
+        params[role] = unflatten(take_row(stacked, location["row"]))
     return TrainedTeam(
         **{name: team[name] for name in ("task", "algorithm", "disability", "seed")},
         specs=specs,
@@ -148,6 +151,7 @@ def _team(
 
 
 def _stacked(home: Path, name: str, files: dict[str, StackedFile]) -> StackedFile:
+    """Return the content of a stacked file, read once; `files` caches it by name."""
     if name != Path(name).name or name in ("", ".", ".."):
         raise _error(str(home), "a file name without a folder", shorten(name))
     if name not in files:

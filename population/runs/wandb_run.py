@@ -1,4 +1,4 @@
-"""Runs of Weights & Biases: one for each member, with the names that TensorBoard shows."""
+"""Log of a run on Weights & Biases: one W&B run for each member, with TensorBoard's names."""
 
 import dataclasses
 import hashlib
@@ -12,23 +12,23 @@ from population.config import TrainConfig
 from population.runs.tensorboard import scalars
 from population.runs.train import Progress
 
-PREFIX = "wandb:"  # before a project, where else a folder for event files is named
+PREFIX = "wandb:"  # marks a project, in place of a folder for event files
 
 
 class WandbRuns:
-    """Sends what a run reports.
+    """Log that sends a run's reports to Weights & Biases.
 
-    Runs begin there with the first report, when training has taken its folder: W&B keeps its own
-    files in it. A resumed run continues the same W&B run, with what it reports next;
-    its `metrics.parquet` has everything.
+    W&B runs begin with the first report, after training has created its folder, in which W&B keeps
+    its files. A resumed run continues the same W&B run with its next reports; its `metrics.parquet`
+    has all updates.
 
     Args:
         config: The run.
-        folder: Its folder, by whose path it is found again.
-        project: Of W&B, to whose service `WANDB_MODE=offline` sends nothing.
+        folder: The run's folder, whose path identifies the W&B runs.
+        project: Project of W&B; `WANDB_MODE=offline` sends nothing.
 
     Raises:
-        ValueError: wandb is not installed, or, with the first report, nobody is logged in.
+        ValueError: wandb is not installed, or, with the first report, there is no login.
     """
 
     def __init__(self, config: TrainConfig, folder: Path, project: str) -> None:
@@ -37,7 +37,7 @@ class WandbRuns:
         self._runs: list[Any] = []
 
     def __call__(self, progress: Progress) -> None:
-        """Send the newest updates."""
+        """Send the metrics of the newest updates."""
         if not self._runs:
             self._begin()
         speed = {"speed/steps_per_second": progress.steps_per_second / len(self._runs)}
@@ -46,14 +46,15 @@ class WandbRuns:
             self._runs[row["member"]].log(scalars(row) | speed, step=row["steps"])
 
     def catch_up(self) -> None:
-        """Nothing: what was reported was sent."""
+        """Do nothing, since all reports are sent already."""
 
     def close(self) -> None:
-        """Send what is still on its way."""
+        """Send pending reports and finish the W&B runs."""
         for run in self._runs:
             run.finish()
 
     def _begin(self) -> None:
+        """Start or continue a W&B run for each member."""
         place, trainer = str(self._folder.resolve()), dataclasses.asdict(self._config.trainer)
         for name in (name.replace("/", "-") for name in self._config.names):
             try:

@@ -1,4 +1,4 @@
-"""Collecting a chunk of experience from all simulations of all members."""
+"""Collection of a chunk of experience from all simulations of all members."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ from population.networks.policy import Gaussian, Policy
 from population.networks.seat import Carry, Params
 from population.trainers.frozen_partners import FrozenPartners
 
-EVER = ("success", "violated")  # measures of an episode that hold once they held at a step
+EVER = ("success", "violated")  # measures that are true of an episode if true at any step
 STEP, FASTEST = 0.02, 20.0  # s, a control step; rad/s, beyond which a joint's speed is cut
 Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a key
 
@@ -25,40 +25,40 @@ Sampler = Callable[[Gaussian, jax.Array], jax.Array]  # draws raw actions with a
 class Episodes:
     """Episodes in progress.
 
-    One that did not start at its first step is not `whole`, and is never counted.
+    An episode whose first step was not simulated is not `whole`, and is never counted.
     """
 
     whole: jax.Array  # [N] bool
-    sums: dict[str, jax.Array]  # so far [N]: "return", "term_...", and 1 for what of EVER held
+    sums: dict[str, jax.Array]  # so far [N]: "return", "term_...", and 0 or 1 for each of EVER
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Simulations:
-    """All simulations of all members, between two steps."""
+    """State of all simulations of all members between two steps."""
 
     env: EnvState
     carry: dict[str, Carry]  # of the actors, by role [M, N/M, ...]
     partners: Carry  # carries of frozen partners; () without any
-    # Whether the current observation starts an episode [N]; with series, whether it starts one.
+    # Whether the current observation starts an episode, or a series if there are any [N].
     first: jax.Array
     episodes: Episodes
-    series: Any = ()  # `Series`, where robots remember their partner over several episodes
+    series: Any = ()  # `Series`, if robots remember their partner over several episodes
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Series:
-    """Where simulations stand in their series of episodes with one partner and wish."""
+    """Position of simulations in their series of episodes with one partner and wish."""
 
     turn: jax.Array  # [N] int32, the episode of the series
-    begins: jax.Array  # [N] whether the current observation starts an episode
+    begins: jax.Array  # [N] bool, the current observation starts an episode
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Tally:
-    """What simulations came to in a chunk."""
+    """Results of the simulations in a chunk."""
 
     final_obs: dict[str, jax.Array]  # at a simulation's time limit, before its reset [N, O]
     finished: jax.Array  # number of whole episodes that ended [N]
@@ -69,7 +69,7 @@ class Tally:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """A chunk of T steps of N simulations; for one member, N is its share."""
+    """Chunk of T steps of N simulations; for one member, N is its share."""
 
     carry: dict[str, Carry]  # of the actors at the start of the chunk, by role
     obs: dict[str, jax.Array]  # [T, N, O] acted on, by role and "global"
@@ -77,13 +77,13 @@ class Batch:
     raw: dict[str, jax.Array]  # raw actions [T, N, A], by role
     log_prob: dict[str, jax.Array]  # of the raw actions [T, N], by role
     reward: jax.Array  # [T, N]
-    # [T, N]; a simulation that diverged earns 0 from then on: its value is known to be 0.
+    # [T, N]; true for a diverged simulation too, whose later rewards are 0.
     terminated: jax.Array
     truncated: jax.Array  # [T, N]
     last_obs: dict[str, jax.Array]  # after the chunk [N, O]
     last_first: jax.Array  # [N]
     tally: Tally
-    partner: Any = ()  # [T, N, A + J] its actions and its joints' speeds, rad/s, where watched
+    partner: Any = ()  # [T, N, A + J] the partner's actions and joint speeds, rad/s, if watched
 
 
 def begin(
@@ -129,7 +129,7 @@ def collect(
     watched: bool = False,
     series: int = 1,
 ) -> tuple[Simulations, Batch]:
-    """Act for T steps; an episode that ends goes on from its simulation's state in `fresh`.
+    """Return the simulations after T steps, and the experience; ended episodes restart.
 
     Args:
         env: The environment.
@@ -137,13 +137,14 @@ def collect(
         params: Their parameters, leaves [M, ...].
         keys: Keys of the actions [T, M].
         state: The simulations.
-        fresh: Reset states [N]; T must not exceed the episode length, so that each is needed once.
+        fresh: Reset states [N] of ended episodes. T must not exceed the episode length, so that
+            each is needed once.
         inputs: Names of the observations that the learners read.
-        partners: Who acts in the role that has no policy here.
+        partners: Partners that act in the role without a policy.
         partner_params: Their parameters.
-        sample: How raw actions are drawn.
-        watched: Whether the batch holds what the partner did.
-        series: Episodes over which a robot remembers: their ends are none for it.
+        sample: Sampler of raw actions.
+        watched: Whether the batch holds the partner's actions and speeds.
+        series: Episodes of one series; inner episode ends are not marked as ends.
     """
     members = keys.shape[1]
     act = member_map(partial(_act, policies, sample))
@@ -155,21 +156,23 @@ def collect(
         action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
         if partners:
-            partner_carry, action[partners.role] = _meet(partners, partner_params, state, members)
+            partner_carry, action[partners.role] = _act_partners(
+                partners, partner_params, state, members
+            )
         after = env.step(state.env, action)
         terminated, truncated, ended = _ends(after)
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)
-        seen = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
-        seen |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
-        seen |= {"terminated": terminated, "truncated": truncated}
+        record = {"obs": {name: state.env.obs[name] for name in inputs}, "first": state.first}
+        record |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
+        record |= {"terminated": terminated, "truncated": truncated}
         if watched and partners:
             angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
-            seen["partner"] = _watched(action[partners.role], *angles)
+            record["partner"] = _watched(action[partners.role], *angles)
         after, diverged = select(ended, fresh, after), after.nonfinite
         state = Simulations(after, carry, partner_carry, ended, episodes, state.series)
         if series > 1:
-            state, seen = _in_series(state, diverged, seen, series)
-        return (state, tally), seen
+            state, record = _in_series(state, diverged, record, series)
+        return (state, tally), record
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
     last_obs = {name: after.env.obs[name] for name in inputs}
@@ -178,7 +181,7 @@ def collect(
 
 
 def by_member(batch: Batch, members: int) -> Batch:
-    """Move the member axis of a batch to the front: [T, N, ...] becomes [M, T, N/M, ...]."""
+    """Return a batch with the member axis in front: leaves [T, N, ...] become [M, T, N/M, ...]."""
 
     def over_time(leaf: jax.Array) -> jax.Array:
         return jnp.moveaxis(leaf.reshape(leaf.shape[0], members, -1, *leaf.shape[2:]), 1, 0)
@@ -193,7 +196,7 @@ def by_member(batch: Batch, members: int) -> Batch:
 
 
 def episode_metrics(batch: Batch) -> dict[str, jax.Array]:
-    """Return means over the whole episodes that ended (NaN without any), and counts."""
+    """Return means over the whole episodes that ended (NaN if there are none), and counts."""
     tally, finished = batch.tally, batch.tally.finished.sum()
     means = {name: value.sum() / finished for name, value in tally.finished_sums.items()}
     return {
@@ -208,32 +211,33 @@ _Loop = tuple[Simulations, Tally]
 
 
 def _ends(after: EnvState) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return whether simulations ended for good, at their time limit, or in either way [N]."""
+    """Return three masks [N]: terminated (or diverged), at the time limit, and either of them."""
     terminated = after.terminated | after.nonfinite
     return terminated, after.truncated & ~terminated, terminated | after.truncated
 
 
-def _meet(
+def _act_partners(
     partners: FrozenPartners, params: Any, state: Simulations, members: int
 ) -> tuple[Carry, jax.Array]:
-    """Return the partners' carries and actions [N, A]; they begin anew with every episode."""
+    """Return the partners' carries and actions [N, A]; carries are reset with every episode."""
     obs, humans = state.env.obs[partners.role], state.env.params
     first = state.series.begins if state.series else state.first
     return partners.act(params, state.partners, obs, first, members, humans)
 
 
 def _in_series(
-    state: Simulations, diverged: jax.Array, seen: dict[str, Any], series: int
+    state: Simulations, diverged: jax.Array, record: dict[str, Any], series: int
 ) -> tuple[Simulations, dict[str, Any]]:
-    """Let robots go on where an episode ended within a series: neither an end nor a start."""
+    """Return state and record in which the inner ends of a series are not marked as ends."""
     ended, before = state.first, state.series
-    more = ended & (before.turn < series - 1) & ~diverged
-    turn = jnp.where(more, before.turn + 1, jnp.where(ended, 0, before.turn))
-    state = dataclasses.replace(state, first=ended & ~more, series=Series(turn, ended))
-    return state, {**seen, **{n: seen[n] & ~more for n in ("terminated", "truncated")}}
+    continues = ended & (before.turn < series - 1) & ~diverged
+    turn = jnp.where(continues, before.turn + 1, jnp.where(ended, 0, before.turn))
+    state = dataclasses.replace(state, first=ended & ~continues, series=Series(turn, ended))
+    return state, {**record, **{n: record[n] & ~continues for n in ("terminated", "truncated")}}
 
 
 def _empty_tally(state: Simulations, inputs: tuple[str, ...]) -> Tally:
+    """Return a tally of zeros."""
     zeros = partial(jax.tree.map, jnp.zeros_like)
     count = jnp.zeros(state.first.shape, jnp.int32)
     final_obs = zeros({name: state.env.obs[name] for name in inputs})
@@ -251,10 +255,7 @@ def _act(
 ) -> tuple[
     dict[str, Carry], tuple[dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]
 ]:
-    """Let one member's policies act.
-
-    Return carries, and actions, raw actions and log probabilities by role.
-    """
+    """Return one member's carries, and by role its actions, raw actions and log probabilities."""
     carry, action, raw, log_prob = {}, {}, {}, {}
     for role, role_key in zip(policies, jax.random.split(key, len(policies)), strict=True):
         after, gaussian = policies[role].step(params[role], carries[role], obs[role], first)
@@ -265,20 +266,20 @@ def _act(
 
 
 def _read(policy: Policy, role: str, obs: dict[str, jax.Array]) -> jax.Array:
-    """Return what a policy reads [N, O]: its role's observation, and what it sees beside it."""
+    """Return a policy's input [N, O]: the observation of its role, and those in `beside`."""
     if not policy.beside:
         return obs[role]
     return jnp.concatenate([obs[role], *(obs[name] for name in policy.beside)], axis=-1)
 
 
 def _watched(action: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
-    """Return what a partner did in a step [N, A + J]; speeds of a simulation that diverged end."""
+    """Return a partner's action and joint speeds in a step [N, A + J]; NaN speeds become 0."""
     speed = jnp.clip((after - before) / STEP, -FASTEST, FASTEST)
     return jnp.concatenate([jnp.clip(action, -1.0, 1.0), jnp.nan_to_num(speed)], axis=-1)
 
 
 def _gains(state: EnvState) -> dict[str, jax.Array]:
-    """Return what a step adds to its episode [N]; measures that a task has not are left out."""
+    """Return the increments [N] of a step by name; measures that the task lacks are left out."""
     ever = {name: getattr(state.measures, name, None) for name in EVER}
     return {
         "return": state.reward,
@@ -290,7 +291,7 @@ def _gains(state: EnvState) -> dict[str, jax.Array]:
 def _account(
     episodes: Episodes, tally: Tally, after: EnvState, ended: jax.Array, truncated: jax.Array
 ) -> tuple[Episodes, Tally]:
-    """Add a step to the episodes in progress, and those that ended to the tally."""
+    """Return the episodes in progress after a step, and the tally with those that ended."""
     sums = {
         name: jnp.maximum(episodes.sums[name], gain) if name in EVER else episodes.sums[name] + gain
         for name, gain in _gains(after).items()

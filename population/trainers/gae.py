@@ -1,4 +1,4 @@
-"""Generalised advantage estimation with time limits that bootstrap."""
+"""Generalised advantage estimation with values at time limits."""
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +58,7 @@ def values(
     last_obs: Float[Array, "N O"],
     last_first: Bool[Array, " N"],
 ) -> tuple[Carry, Float[Array, "T N"], Float[Array, "T N"]]:
-    """Return the critic's carry after a chunk, and values [T, N] of observations and successors.
+    """Return the carry after a chunk, and values [T, N] of observations and of their successors.
 
     A time limit occurs at most once for a simulation in a chunk, so one extra observation for each
     holds all of them.
@@ -94,7 +94,7 @@ def _recurrent_values(
     first: jax.Array,
     truncated: jax.Array,
 ) -> tuple[Carry, Carry, jax.Array]:
-    """Unroll a recurrent critic, keeping the carry that stood when a time limit was reached."""
+    """Return a recurrent critic's last carry, its carry at the time limit, and values [T, N]."""
 
     def forward(
         state: tuple[Carry, Carry], x: tuple[jax.Array, ...]

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from population.networks.seat import Params
 
-_VARIANCE_FLOOR = 1e-6  # a feature that never moves is not blown up
+_VARIANCE_FLOOR = 1e-6  # keeps a constant feature finite
 
 
 @jax.tree_util.register_dataclass
@@ -22,12 +22,12 @@ class Statistics:
 
 
 def empty(size: int) -> Statistics:
-    """Return statistics that normalise nothing and that the first batch replaces."""
+    """Return initial statistics, an identity that the first batch replaces."""
     return Statistics(jnp.zeros(()), jnp.zeros(size), jnp.ones(size))
 
 
 def update(statistics: Statistics, obs: Float[Array, "*batch O"]) -> Statistics:
-    """Merge a batch obs [..., O] into the statistics (parallel variance of Chan et al., 1979)."""
+    """Return the statistics merged with obs [..., O] (parallel variance of Chan et al., 1979)."""
     flat = obs.reshape(-1, obs.shape[-1])
     count = statistics.count + flat.shape[0]
     share = flat.shape[0] / count

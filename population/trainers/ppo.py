@@ -1,7 +1,7 @@
-"""Proximal policy optimisation (Schulman et al., 2017) of teams: IPPO and MAPPO, many at once.
+"""Proximal policy optimisation (Schulman et al., 2017) of many teams at once: IPPO and MAPPO.
 
-Robot and human are trained by their own networks, optimisers and gradient clips, or share one of
-each; with frozen partners in one seat, only the other learns.
+Robot and human have a network, an optimiser and a gradient clip each, or share one of each. With
+frozen partners in one seat, only the other seat learns.
 """
 
 import dataclasses
@@ -40,13 +40,13 @@ from population.trainers.trainer import (
     role_keys,
 )
 
-_METHOD = 1  # folded into a learner's key: the networks that a method adds
+_METHOD = 1  # folded into a learner's key for the networks that a method adds
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """Networks of one role, or of both that share them, each with its optimiser state."""
+    """Networks of one role, or of both if they share them, each with its optimiser state."""
 
     networks: dict[str, Params]  # "actor" and "critic"
     optimisers: dict[str, Any]  # by the same names
@@ -54,7 +54,7 @@ class Learner:
 
 
 class PPO(Trainer):
-    """Trains with PPO: `ippo` has local critics, `mappo` central ones, `mep` IPPO's and a bonus."""
+    """PPO trainer: `ippo` has local critics, `mappo` central ones, `mep` IPPO's and a bonus."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class PPO(Trainer):
             self.learners = {shared_network.SHARED: self.roles}
 
     def hyper(self, members: Sequence[Member]) -> Hyper:
-        """Return the traced hyperparameters, and who are of a population if teams form any."""
+        """Return the traced hyperparameters [M], and "peers" if members form populations."""
         hyper = super().hyper(members)
         if self.config.population_coef:
             hyper["peers"] = diversity.peers(members)
@@ -92,7 +92,7 @@ class PPO(Trainer):
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and learn from it; metrics are [M]."""
+        """Return the state after one rollout and learning from it, and metrics [M]."""
         config = self.config
         state, batch, keys = self.collect(state, partners)
         left = 1.0 - self._progress(state)
@@ -115,11 +115,11 @@ class PPO(Trainer):
         return state, metrics | losses
 
     def policy(self, spec: PolicySpec) -> Policy:
-        """Return what acts in training."""
+        """Return the policy that acts in training for a spec."""
         return self.method.policy(spec)
 
     def acting(self, state: TrainState) -> dict[str, Params]:
-        """Return the parameters of what acts in the next rollout."""
+        """Return the parameters that act in the next rollout, by role."""
         progress, params = self._progress(state), self.policy_params(state.members)
         for name, roles in self.learners.items():
             networks = state.members.learners[name].networks
@@ -127,6 +127,7 @@ class PPO(Trainer):
         return params
 
     def _progress(self, state: TrainState) -> jax.Array:
+        """Return the share of the run that is done []."""
         return state.update.astype(jnp.float32) / self.updates
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
@@ -152,7 +153,7 @@ class PPO(Trainer):
     def _learn(
         self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
     ) -> tuple[MemberState, Metrics]:
-        """Improve both roles of one member on its batch, then update its observation statistics.
+        """Return a member after learning from its batch, with updated statistics, and metrics.
 
         The statistics change only after learning: within an update, probability ratios compare
         policies that read the same normalised observations, and start at exactly 1.
@@ -164,7 +165,7 @@ class PPO(Trainer):
             metrics |= losses
         statistics = member.statistics
         if self.config.normalise:
-            # A network that its method holds still goes on reading what it learned to read.
+            # A frozen network needs the normalisation that it learned with.
             learns = self.method.rate("actor", hyper) >= hyper["learning_rate"]
             statistics = jax.tree.map(
                 lambda new, old: jnp.where(learns, new, old),
@@ -176,7 +177,7 @@ class PPO(Trainer):
     def _learn_role(
         self, name: str, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
     ) -> tuple[Learner, Metrics]:
-        """Improve a role's networks, or those that both share; return them and what to log."""
+        """Return a role's or the shared learner after learning from a batch, and metrics."""
         learner = member.learners[name]
         samples, carries, critic_carry, explained = {}, {}, {}, {}
         noise = jax.random.fold_in(key, _METHOD)
@@ -201,7 +202,7 @@ class PPO(Trainer):
         hyper: Hyper,
         key: jax.Array,
     ) -> tuple[Carry, Samples]:
-        """Return the critic's carry after the batch, and what the role learns from."""
+        """Return the critic's carry after the batch, and the role's samples."""
         obs, final_obs, last_obs, extra = self._critic_inputs(role, member, learner, batch, key)
         params = self._critic_params(role, learner.networks["critic"])
         critic = self.critics[role], params, learner.critic_carry[role]
@@ -225,7 +226,7 @@ class PPO(Trainer):
     def _critic_inputs(
         self, role: str, member: MemberState, learner: Learner, batch: Batch, key: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
-        """Return what the critic reads, acted on, at time limits and last, and latents if any."""
+        """Return the critic's inputs acted on, at time limits and last, and extra sample fields."""
         everything = batch.obs, batch.tally.final_obs, batch.last_obs
         name, extra, stats = self.critic_obs[role], {}, self.normalisers(member)
         parts: list[Any] = [
@@ -238,7 +239,7 @@ class PPO(Trainer):
             parts.append(made)
             extra["latent"] = made.acted
             extra["noise"] = jax.random.normal(key, made.acted.shape)
-        obs, final, last = (jnp.concatenate(of, axis=-1) for of in zip(*parts, strict=True))
+        obs, final, last = (jnp.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
         return obs, final, last, extra
 
     def _descend(
@@ -250,9 +251,9 @@ class PPO(Trainer):
         hyper: Hyper,
         key: jax.Array,
     ) -> tuple[Learner, Metrics]:
-        """Take a step for each minibatch of each epoch.
+        """Return a learner after a step for each minibatch of each epoch, and mean losses.
 
-        One is a random set of whole simulations.
+        A minibatch is a random set of whole simulations.
         """
         config = self.config
         clipped = optimiser(config.adam_eps, hyper["max_grad_norm"])
@@ -286,7 +287,7 @@ class PPO(Trainer):
         carries: dict[str, tuple[Carry, Carry]],
         hyper: Hyper,
     ) -> tuple[jax.Array, Metrics]:
-        """Return the loss, its mean over roles where they share networks, and what to log."""
+        """Return the loss, its mean over roles if they share networks, and metrics to log."""
         loss, metrics = jnp.zeros(()), {}
         for role, part in samples.items():
             actor = self.actor(role, member, networks)
@@ -302,29 +303,34 @@ class PPO(Trainer):
                     policy, valuer, params, carries[role], seen, part.first
                 )
             role_loss, logged = ppo_loss(gaussian, value, part, hyper)
-            own_loss, own = self.method.loss(networks, policy, actor, part, actor_carry)
-            loss = loss + (role_loss + hyper["aux_coef"] * own_loss) / len(samples)
-            metrics |= {f"{name}_{role}": value for name, value in (logged | own).items()}
+            method_loss, method_metrics = self.method.loss(
+                networks, policy, actor, part, actor_carry
+            )
+            loss = loss + (role_loss + hyper["aux_coef"] * method_loss) / len(samples)
+            metrics |= {
+                f"{name}_{role}": value for name, value in (logged | method_metrics).items()
+            }
         return loss, metrics
 
     def _network(self, roles: tuple[str, ...]) -> Policy:
-        """Return the network that is initialised: a role's own, or the one that roles share."""
+        """Return the network to initialise: a role's own, or the one that roles share."""
         if len(roles) == 1:
             return self.policies[roles[0]]
         return Policy(shared_network.shared_spec([self.specs[role] for role in roles]))
 
     def _value_network(self, roles: tuple[str, ...]) -> Critic:
+        """Return the critic to initialise: a role's own, or the one that roles share."""
         if len(roles) == 1:
             return self.critics[roles[0]]
         sizes = {role: self.critics[role].spec.observation_size for role in roles}
         return self.critic(shared_network.padded_size(sizes))
 
     def critic(self, width: int) -> Critic:
-        """Return a critic of inputs of a width."""
+        """Return a critic for inputs of a width."""
         return self.method.critic(super().critic(width).spec)
 
     def critic_width(self, role: str) -> int:
-        """Return the width of what a role's critic reads."""
+        """Return the width of a role's critic inputs."""
         more = (self.env.observation_size[name] for name in self.method.critic_sees)
         return super().critic_width(role) + sum(more) + self.config.latent
 
@@ -332,12 +338,13 @@ class PPO(Trainer):
         """Return a role's ordinary parameters; leading axes of the leaves are free."""
         if self.config.shared:
             spec, shared = self.specs[role], networks["actor"]
-            own = shared_network.fold(shared, role, spec.observation_size, spec.action_size)
-            networks = {**networks, "actor": own}
+            folded = shared_network.fold(shared, role, spec.observation_size, spec.action_size)
+            networks = {**networks, "actor": folded}
         params = super().actor(role, member, networks)
         return {**params, "memory": networks["memory"]} if self.config.latent else params
 
     def _critic_params(self, role: str, params: Params) -> Params:
+        """Return the ordinary parameters of a role's critic."""
         if not self.config.shared:
             return params
         return shared_network.fold(params, role, self.critics[role].spec.observation_size)

@@ -1,9 +1,9 @@
-"""Replay: the newest transitions of every member, in a ring on the device.
+"""Replay buffer of the newest transitions of every member, in a ring on the device.
 
-A slot of the ring is a rollout of T steps in a member's n simulations. Observations are kept once,
-as T + 2 rows: the T acted on, the one after them, and the one at a simulation's time limit before
-its reset, of which a rollout has one at most. The successor of a transition is one of these rows,
-so that time limits bootstrap from what was really reached.
+A slot of the ring is a rollout of T steps in a member's n simulations. Observations are stored
+once, as T + 2 rows: the T acted on, the one after them, and the one at a simulation's time limit
+before its reset, of which a rollout has one at most. The successor of a transition is one of these
+rows, so that values at time limits come from the state that was reached.
 
 Memory of one member, in floats: capacity x ((T + 2) / T x widths of the observations read + widths
 of the actions + 1). With a million transitions, T = 8 and the task scratch that is 0.41 GB for
@@ -66,7 +66,7 @@ def empty(
 
 
 def add(replay: Replay, batch: Batch, action: dict[str, jax.Array]) -> Replay:
-    """Return the replay with a rollout in the place of the oldest.
+    """Return the replay with a rollout in place of the oldest.
 
     Its leaves are [M, T, n, ...].
     """

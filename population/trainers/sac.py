@@ -1,10 +1,9 @@
-"""Soft actor-critic (Haarnoja et al., 2018) of teams: ISAC and MASAC for many members at once.
+"""Soft actor-critic (Haarnoja et al., 2018) of many teams at once: ISAC and MASAC.
 
 Each role has a tanh-squashed Gaussian, two critics with slow copies, and a temperature. Critics of
 ISAC read the role's observation and action; those of MASAC read the global observation and both
-actions. A policy is improved against what its critics say of its own new action beside the replayed
-one of the other role. Whole rounds of collecting and learning stand in one program; the replay is
-part of its state.
+actions. A policy is improved by its critics' values of its new action and the other role's replayed
+one. Whole rounds of collecting and learning stand in one program; the replay is part of its state.
 """
 
 import dataclasses
@@ -41,14 +40,14 @@ from population.trainers.trainer import (
     optimiser,
 )
 
-# Of exploring actions: the squashed end of a raw action that is still finite.
+# Largest exploring action, below 1 so that its raw action is finite.
 _UNIFORM_LIMIT = 0.999
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """Networks of one role, and the optimiser state of what is descended."""
+    """Networks of one role, and the optimiser state of those that are trained."""
 
     networks: dict[str, Any]  # "actor"; "critic": the twins "first" and "second"; "log_alpha"
     target: Params  # the critics' slow copies
@@ -56,7 +55,7 @@ class Learner:
 
 
 class SAC(Trainer):
-    """Trains with SAC: `isac` has local critics, `masac` central ones."""
+    """SAC trainer: `isac` has local critics, `masac` central ones."""
 
     def __init__(
         self,
@@ -75,20 +74,17 @@ class SAC(Trainer):
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and, after exploring, learn from the replay.
-
-        Metrics are [M]; losses are 0 as long as actions are explored at random.
-        """
+        """Return the state after a rollout and learning, and metrics [M], 0 while exploring."""
         exploring = self._exploring(state)
         state, batch, keys = self.collect(state, partners)
         batch = experience.by_member(batch, len(keys))
         actions = {role: jnp.tanh(raw) for role, raw in batch.raw.items()}
-        kept = replay_buffer.add(state.replay, batch, actions)
+        replay = replay_buffer.add(state.replay, batch, actions)
 
         def learn(members: MemberState) -> tuple[MemberState, Metrics]:
             keys_of = jax.vmap(jax.random.split)(keys)
             shape = (self.config.updates, self.config.batch_size)
-            drawn = replay_buffer.draw(kept, keys_of[:, 0], shape)
+            drawn = replay_buffer.draw(replay, keys_of[:, 0], shape)
             return member_map(self._learn)(members, drawn, hyper, keys_of[:, 1])
 
         def wait(members: MemberState) -> tuple[MemberState, Metrics]:
@@ -103,10 +99,10 @@ class SAC(Trainer):
             statistics = {name: merge(statistics[name], batch.obs[name]) for name in self.inputs}
         members = dataclasses.replace(members, statistics=statistics)
         metrics |= jax.vmap(experience.episode_metrics)(batch)
-        return TrainState(members, state.simulations, state.update + 1, kept), metrics
+        return TrainState(members, state.simulations, state.update + 1, replay), metrics
 
     def sampler(self, state: TrainState) -> Sampler:
-        """Return how raw actions are drawn: uniformly while exploring, else from the policy."""
+        """Return the sampler of raw actions: uniform while exploring, else the policy's."""
         exploring = self._exploring(state)
 
         def sample(gaussian: Gaussian, key: jax.Array) -> jax.Array:
@@ -131,7 +127,7 @@ class SAC(Trainer):
         )
 
     def initial_learner(self, roles: tuple[Role, ...], key: jax.Array) -> Learner:
-        """Return one member's learner of these roles, which is one."""
+        """Return one member's learner of `roles`, which must be one role."""
         [role] = roles
         actor, first, second = jax.random.split(key, 3)
         critic = {
@@ -150,14 +146,13 @@ class SAC(Trainer):
         return Learner(networks, critic, optimisers)
 
     def _exploring(self, state: TrainState) -> jax.Array:
+        """Return whether actions are still random, [] bool."""
         return state.update * self.config.batch_steps < self.config.exploration_steps
 
     def _learn(
         self, member: MemberState, drawn: Transitions, hyper: Hyper, key: jax.Array
     ) -> tuple[MemberState, Metrics]:
-        """Improve one member on U minibatches, leaves [U, B, ...].
-
-        Its critics on each, its policies behind them.
+        """Return a member after learning from U minibatches, leaves [U, B, ...], and mean metrics.
 
         After every `policy_delay` steps of the critics, policy and temperature take as many, on the
         same minibatches: the delay lets critics settle and costs the policy no steps.
@@ -197,7 +192,7 @@ class SAC(Trainer):
         key: jax.Array,
         hyper: Hyper,
     ) -> tuple[dict[str, Learner], Metrics]:
-        """Take a step of every role's critics towards the soft targets of a minibatch [B, ...]."""
+        """Return the learners after a step of each critic towards a minibatch's soft targets."""
         new, metrics = {}, {}
         next_action, next_log_prob = self._act(learners, member, batch.next_obs, key)
         for role, learner in learners.items():
@@ -219,6 +214,8 @@ class SAC(Trainer):
         target: jax.Array,
         hyper: Hyper,
     ) -> tuple[Learner, Metrics]:
+        """Return a learner after a step of its critics and their slow copies, and metrics."""
+
         def loss(critic: Params) -> tuple[jax.Array, jax.Array]:
             q = self._values(role, critic, member, batch.obs, batch.action)
             return critic_loss(q, target), q
@@ -241,7 +238,7 @@ class SAC(Trainer):
         key: jax.Array,
         hyper: Hyper,
     ) -> tuple[dict[str, Learner], Metrics]:
-        """Take a step of every role's policy and temperature on one minibatch [B, ...]."""
+        """Return the learners after a step of every role's policy and temperature, and metrics."""
         new, metrics = {}, {}
         for role, role_key in zip(learners, jax.random.split(key, len(learners)), strict=True):
             new[role], logged = self._improve_policy(
@@ -259,6 +256,7 @@ class SAC(Trainer):
         key: jax.Array,
         hyper: Hyper,
     ) -> tuple[Learner, Metrics]:
+        """Return a learner after a step of its policy and temperature, and metrics."""
         log_alpha, critic = learner.networks["log_alpha"], learner.networks["critic"]
 
         def loss(actor: Params) -> tuple[jax.Array, jax.Array]:
@@ -290,7 +288,7 @@ class SAC(Trainer):
         obs: dict[str, jax.Array],
         key: jax.Array,
     ) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-        """Return actions in [-1, 1] and their log densities, by role, at obs [B, O]."""
+        """Return drawn actions in [-1, 1] and their log densities, by role, at obs [B, O]."""
         keys = jax.random.split(key, len(learners))
         drawn = {
             role: self._draw(role, learners[role].networks["actor"], member, obs[role], role_key)
@@ -303,6 +301,7 @@ class SAC(Trainer):
     def _draw(
         self, role: str, actor: Params, member: MemberState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
+        """Return a role's drawn actions in [-1, 1] and their log densities, at obs [B, O]."""
         first = jnp.zeros(obs.shape[:-1], bool)
         params = self.actor(role, member, {"actor": actor})
         _, gaussian = self.policies[role].step(params, (), obs, first)
@@ -317,7 +316,7 @@ class SAC(Trainer):
         obs: dict[str, jax.Array],
         action: dict[str, jax.Array],
     ) -> jax.Array:
-        """Return what both critics of a role say [2, B]."""
+        """Return the values of a role's two critics [2, B]."""
         name = self.critic_obs[role]
         seen = obs[name]
         if self.config.normalise:
@@ -334,15 +333,16 @@ class SAC(Trainer):
         )
 
     def critic_width(self, role: str) -> int:
-        """Return the width of what a role's critics read: observation and actions."""
+        """Return the width of a role's critic inputs: observation and actions."""
         actions = (self.env.action_size[other] for other in self._critic_actions(role))
         return super().critic_width(role) + sum(actions)
 
     def _critic_actions(self, role: str) -> tuple[str, ...]:
+        """Return the roles whose actions a role's critics read."""
         return self.roles if self.config.critic == "central" else (role,)
 
     def _optimiser(
         self, name: str, max_grad_norm: jax.Array | float
     ) -> optax.GradientTransformation:
-        """Return the optimiser of a network; a temperature is one number, and not clipped."""
+        """Return the optimiser of a network; a temperature is one number and is not clipped."""
         return optimiser(self.config.adam_eps, None if name == "log_alpha" else max_grad_norm)

@@ -1,4 +1,4 @@
-"""The losses of soft actor-critic, in the order in which a minibatch meets them.
+"""Losses of soft actor-critic, in the order of their use in a minibatch.
 
 Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", with twin critics.
 """
@@ -18,12 +18,12 @@ def soft_target(
     """Return r + gamma (1 - terminated) (min_i Q_i(s', a') - alpha log pi(a' | s')).
 
     Haarnoja et al., 2018, "Soft Actor-Critic Algorithms and Applications", equations 3 and 6, with
-    twin critics. A time limit is no termination: the value of what was reached counts.
+    twin critics. A time limit is not a termination: the value of the state reached counts.
 
     Args:
         reward: Rewards [B].
         terminated: Whether the process ended for good [B].
-        next_q: What the slow critics say of the next observation and a new action there [2, B].
+        next_q: Values by the slow critics of the next observation and a new action there [2, B].
         next_log_prob: Log density of that action [B].
         alpha: Temperature.
         gamma: Discount.
@@ -36,7 +36,7 @@ def critic_loss(q: Float[Array, "2 B"], target: Float[Array, " B"]) -> Float[Arr
     """Return sum_i E[(Q_i(s, a) - target)^2] (Haarnoja et al., 2018, equation 5, twice it).
 
     Args:
-        q: What both critics say of replayed actions [2, B].
+        q: Values by both critics of replayed actions [2, B].
         target: Their soft targets [B].
     """
     return jnp.square(q - target[None]).mean(1).sum()
@@ -50,7 +50,7 @@ def policy_loss(
     Args:
         alpha: Temperature.
         log_prob: Log densities of new actions [B].
-        q: What both critics say of them [2, B].
+        q: Values of them by both critics [2, B].
     """
     return (alpha * log_prob - q.min(0)).mean()
 
@@ -66,6 +66,6 @@ def temperature_gradient(
     Args:
         log_alpha: Logarithm of the temperature.
         log_prob: Log densities of new actions [B].
-        target_entropy: What the entropy is to be.
+        target_entropy: Entropy that the temperature aims at.
     """
     return jnp.exp(log_alpha) * (-log_prob.mean() - target_entropy)

@@ -1,4 +1,4 @@
-"""What PPO and SAC share: members and their state, collecting a rollout, a step of descent.
+"""Base of PPO and SAC: state of members, collection of rollouts, and a step of descent.
 
 Everything after the rollout is written for one member and mapped over members; the environment
 sees one flat axis of simulations. Each network has an optimiser and a gradient clip of its own:
@@ -35,7 +35,7 @@ L = TypeVar("L")  # a trainer's learner
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class MemberState:
-    """What a member learns; leaves [M, ...] for all members."""
+    """State of a member's learning; leaves [M, ...] for all members."""
 
     learners: dict[str, Any]  # the trainer's `Learner` by role, or one that is "shared"
     statistics: dict[str, Statistics]  # of the observations, by role and "global"
@@ -45,7 +45,7 @@ class MemberState:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class TrainState:
-    """Everything that a run needs to go on."""
+    """Complete state of a run, from which it can resume."""
 
     members: MemberState
     simulations: Simulations
@@ -54,20 +54,20 @@ class TrainState:
 
 
 class Trainer(abc.ABC):
-    """Trains teams, or egos with partners, in an environment; `initial` and `update` may be jitted.
+    """Trainer of teams, or of egos with partners; `initial` and `update` may be jitted.
 
     Args:
         config: Hyperparameters.
         env: The environment.
         updates: Length of the run.
-        partners: Who sits in the other seat; without them robot and human learn together.
+        partners: Partners in the other seat; without them robot and human learn together.
 
     Raises:
         ValueError: If the rollout is longer than an episode, or partners do not fit.
     """
 
-    sees: tuple[str, ...] = ()  # observations that a rollout keeps beside those of networks
-    watches = False  # whether it keeps what the partner did
+    sees: tuple[str, ...] = ()  # observations in a rollout beside those of networks
+    watches = False  # whether a rollout holds the partner's actions and speeds
     series = 1  # episodes over which a robot remembers its partner
 
     def __init__(
@@ -86,7 +86,7 @@ class Trainer(abc.ABC):
         self.policies = {role: self.policy(spec) for role, spec in self.specs.items()}
         # Learners by name, each of one role.
         self.learners: dict[str, tuple[Role, ...]] = {role: (role,) for role in self.roles}
-        # What critics see: the role's own observation, or everything.
+        # Observation that a role's critic reads: the role's own, or "global".
         self.critic_obs: dict[str, str] = {
             role: "global" if config.critic == "central" else role for role in self.roles
         }
@@ -121,7 +121,7 @@ class Trainer(abc.ABC):
         )
 
     def collect(self, state: TrainState, partners: Any = ()) -> tuple[TrainState, Batch, jax.Array]:
-        """Return the state after a rollout, the rollout, and the keys [M] to learn from it with.
+        """Return the state after a rollout, the rollout, and keys [M] for learning from it.
 
         Each member's key is split in four: for resets, for actions, for learning, and the next.
         """
@@ -152,9 +152,9 @@ class Trainer(abc.ABC):
     def update(
         self, state: TrainState, hyper: Hyper, partners: Any = ()
     ) -> tuple[TrainState, Metrics]:
-        """Collect one rollout and learn.
+        """Return the state after one rollout and learning from it, and metrics [M].
 
-        Metrics are [M], `partners` are frozen ones' parameters.
+        `partners` are the parameters of frozen partners.
         """
 
     @abc.abstractmethod
@@ -170,32 +170,32 @@ class Trainer(abc.ABC):
         }
 
     def policy(self, spec: PolicySpec) -> Policy:
-        """Return what acts in training for the network of a spec."""
+        """Return the policy that acts in training for a spec."""
         return Policy(spec)
 
     def acting(self, state: TrainState) -> dict[str, Params]:
-        """Return the parameters of what acts in the next rollout, by role; leaves [M, ...]."""
+        """Return the parameters that act in the next rollout, by role; leaves [M, ...]."""
         return self.policy_params(state.members)
 
     def critic(self, width: int) -> Critic:
-        """Return a critic of inputs of a width."""
+        """Return a critic for inputs of a width."""
         config = self.config
         return Critic(CriticSpec(width, config.torso, config.hidden, config.activation))
 
     def critic_width(self, role: str) -> int:
-        """Return the width of what a role's critic reads."""
+        """Return the width of a role's critic inputs."""
         return self.env.observation_size[self.critic_obs[role]]
 
     def sampler(self, state: TrainState) -> Sampler:
-        """Return how raw actions are drawn in the next rollout."""
+        """Return the sampler of raw actions in the next rollout."""
         return Gaussian.sample
 
     def initial_replay(self, members: int) -> Any:
-        """Return what keeps past transitions; nothing unless a trainer learns from them."""
+        """Return an empty replay for all members; () if the trainer has none."""
         return ()
 
     def actor(self, role: str, member: MemberState, networks: Mapping[str, Params]) -> Params:
-        """Return a role's parameters as `Policy` reads them, with what normalises observations.
+        """Return a role's parameters as `Policy` reads them, including the normaliser.
 
         Leading axes of the leaves are free.
         """
@@ -203,14 +203,14 @@ class Trainer(abc.ABC):
         return {**networks["actor"], "normaliser": stats[role]} if stats else networks["actor"]
 
     def normalisers(self, member: MemberState) -> dict[str, Params]:
-        """Return what normalises observations, by their names; nothing where nothing does."""
+        """Return the normaliser of each observation by name; {} without normalisation."""
         named = member.statistics if self.config.normalise else {}
         return {name: normaliser.to_params(statistics) for name, statistics in named.items()}
 
     def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
-        """Start an episode in each simulation [N], from members' keys [M].
+        """Return the environment's state at the start of an episode in each simulation [N].
 
-        Within a series the human and what it likes stay.
+        `keys` are the members' [M]. Within a series the human and its wish stay.
         """
         keys = _simulation_keys(keys, self.config.num_envs)
         if not self.partners:
@@ -223,6 +223,7 @@ class Trainer(abc.ABC):
         return self.env.reset(keys, new)
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
+        """Return a member's initial state; `carried` is the key of its rollouts."""
         statistics = {
             name: normaliser.empty(self.env.observation_size[name]) for name in self.inputs
         }
@@ -235,14 +236,14 @@ class Trainer(abc.ABC):
 
 
 def role_keys(key: jax.Array) -> dict[str, jax.Array]:
-    """Return a key for each role, whoever learns: a robot starts the same alone as in a team."""
+    """Return a key for each role; a robot's key is the same alone as in a team."""
     return dict(zip(ROLES, jax.random.split(key, len(ROLES)), strict=True))
 
 
 def optimiser(
     adam_eps: float, max_grad_norm: jax.Array | float | None
 ) -> optax.GradientTransformation:
-    """Return clip (none if None) and Adam of one network, before the learning rate."""
+    """Return a network's optimiser before the learning rate: clip (unless None), then Adam."""
     adam = optax.scale_by_adam(eps=adam_eps)
     if max_grad_norm is None:
         return adam
@@ -266,6 +267,7 @@ def descended(
 def _policy_specs(
     config: TrainerConfig, env: Environment, roles: Sequence[Role]
 ) -> dict[str, PolicySpec]:
+    """Return the specs of the roles' policies."""
     names = ("torso", "hidden", "activation", "squash", "std", "normalise", "latent")
     same: dict[str, Any] = {name: getattr(config, name) for name in names}
     return {
@@ -280,6 +282,7 @@ def _simulation_keys(keys: jax.Array, num_envs: int) -> jax.Array:
 
 
 def _check(config: TrainerConfig, env: Environment, partners: FrozenPartners | None) -> None:
+    """Refuse a rollout longer than an episode, and partners that do not fit the environment."""
     if config.rollout_steps > env.episode_length:
         raise ValueError(
             f"rollout_steps is {config.rollout_steps}; an episode of {env.task} has "

@@ -1,1 +1,1 @@
-"""Makes a generated program run: compilers, a cache of what they made, and calls from XLA."""
+"""Runtime of a generated program: compilers, a cache of their output, and calls from XLA."""

@@ -1,9 +1,9 @@
-"""A folder of what was compiled, found by what it was compiled from and trusted by its own hash.
+"""Cache of compiled programs in a folder, found by the hash of their sources.
 
-A file is named `<key>-<digest><suffix>`. The key is of all that went in; the digest is of the key
-and the bytes together, so that a damaged file, a cut one and one renamed from another key all give
-themselves away, are removed, and are compiled anew. Files appear whole, by renaming: processes may
-build the same one at the same time, and the last one's stays.
+A file is named `<key>-<digest><suffix>`. The key is the hash of all inputs. The digest is the hash
+of the key and the bytes together, so that a damaged, truncated or renamed file is detected, removed
+and compiled anew. Files appear whole, by renaming: processes may build the same file at the same
+time, and the last one stays.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from assistax_envs import compiled
 
 
 def folder() -> Path:
-    """Return this user's folder; others must not write to it, since what lies there is executed."""
+    """Return this user's folder; others must not be able to write to it, as its files are run."""
     path = compiled.folder()
     with _writing(path):
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -27,7 +27,7 @@ def folder() -> Path:
 
 
 def key(parts: Iterable[bytes]) -> str:
-    """Return the key of what is compiled from `parts`; where one part ends counts."""
+    """Return the key of a program compiled from `parts`; the bounds of the parts count."""
     whole = hashlib.sha256()
     for part in parts:
         whole.update(hashlib.sha256(part).digest())
@@ -35,23 +35,23 @@ def key(parts: Iterable[bytes]) -> str:
 
 
 def cached(key: str, suffix: str, build: Callable[[Path], None]) -> Path:
-    """Return the file of `key`, written by `build` to the path it is given where none is sound."""
-    home = folder()
-    for path in home.glob(f"{key}-*{suffix}"):
+    """Return the intact file of `key`; if there is none, `build` writes it to the given path."""
+    cache_folder = folder()
+    for path in cache_folder.glob(f"{key}-*{suffix}"):
         if path.name == _name(key, suffix, path.read_bytes()):
             return path
         path.unlink(missing_ok=True)
-    with _writing(home), tempfile.TemporaryDirectory(dir=home) as scratch:
-        made = Path(scratch, f"made{suffix}")
-        build(made)
-        path = home / _name(key, suffix, made.read_bytes())
-        os.replace(made, path)
+    with _writing(cache_folder), tempfile.TemporaryDirectory(dir=cache_folder) as scratch:
+        built = Path(scratch, f"made{suffix}")
+        build(built)
+        path = cache_folder / _name(key, suffix, built.read_bytes())
+        os.replace(built, path)
     return path
 
 
 @contextlib.contextmanager
 def _writing(path: Path) -> Generator[None]:
-    """Say of a folder that is read-only or full where it is, and how to have another."""
+    """Raise an OSError with the folder and a remedy if the folder is read-only or full."""
     try:
         yield
     except OSError as error:

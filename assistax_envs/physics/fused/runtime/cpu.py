@@ -1,4 +1,4 @@
-"""The compiled step on CPUs: vectors of simulations, shared out over the threads of XLA."""
+"""The compiled step on CPUs: vectors of simulations, divided among the threads of XLA."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,8 +7,8 @@ from assistax_envs.physics.fused.runtime import cache, toolchain
 from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
 
 LANES = 8  # simulations in a vector: with 16, or with AVX-512, it is no faster
-# Of clang's front end, which by itself assumes neither errno nor traps. No flag may let another
-# processor round otherwise.
+# Flags of clang's front end, which assumes neither errno nor traps. No flag may allow another
+# processor to round differently.
 FLAGS = ("-w", "-ffp-contract=off")
 NATIVE = ("-march=native", "-mprefer-vector-width=256")
 
@@ -20,7 +20,7 @@ def register(
     lanes: int = LANES,
     features: tuple[str, ...] = NATIVE,
 ) -> None:
-    """Compile a program, or find it compiled, and make it the custom call `name` on CPUs.
+    """Register a program, compiled now or before, as the custom call `name` on CPUs.
 
     Args:
         name: of the call.

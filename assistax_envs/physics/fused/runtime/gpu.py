@@ -15,7 +15,7 @@ _PROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
 
 
 def register(name: str, key: str, source: Callable[[], str]) -> None:
-    """Compile a program, or find it compiled, and make it the custom call `name` on GPUs.
+    """Register a program, compiled now or before, as the custom call `name` on GPUs.
 
     Args:
         name: of the call.
@@ -32,10 +32,10 @@ def register(name: str, key: str, source: Callable[[], str]) -> None:
 
 
 def hardest_first(effort: jax.Array) -> jax.Array:
-    """Return in which order [N] simulations are put into warps; CPUs sort in the call itself.
+    """Return the order [N] of simulations in warps, hardest first; CPUs sort in the call itself.
 
-    The threads of a warp wait for the slowest, and so does the end of a launch: simulations that
-    had as much to do as one another stand side by side, the hardest first (see `grid.h`).
+    The threads of a warp wait for the slowest, and so does the end of a launch. Simulations of
+    similar effort therefore stand side by side (see `grid.h`).
     """
     return jnp.argsort(-effort).astype(jnp.int32)
 
@@ -55,13 +55,13 @@ def check_driver() -> None:
     """Refuse a machine without an NVIDIA driver that can load the kernel.
 
     Raises:
-        ValueError: Says what it lacks.
+        ValueError: The driver is missing or too old.
     """
     _check(_driver().cuInit(0))
 
 
 def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
-    """Return the machine code of a program for an architecture; needs no GPU."""
+    """Return the path of a program's machine code for an architecture; needs no GPU."""
     before = "#define W 1\n"
     files = "arrays.h", "step.h", "grid.h", "gpu_kernel.h"
     after = "".join((HERE / file).read_text() for file in files)
@@ -74,7 +74,7 @@ def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
 
 
 def build_handler() -> Path:
-    """Return the machine code, for the CPU, of what launches a kernel; it is the same for all."""
+    """Return the path of the CPU's machine code that launches a kernel; it is the same for all."""
     texts = [(HERE / file).read_text() for file in ("arrays.h", "xla.h", "grid.h", "gpu_handler.h")]
     text = declarations() + "".join(texts)
     return cache.cached(
@@ -85,7 +85,7 @@ def build_handler() -> Path:
 
 
 def _load_kernel(path: Path) -> int:
-    """Return a handle of the kernel, for every GPU: the driver copies it there on first use."""
+    """Return a handle of the kernel for every GPU; the driver copies it there on first use."""
     library, kernel = ctypes.c_void_p(), ctypes.c_void_p()
     image = path.read_bytes()
     check_driver()
@@ -98,7 +98,7 @@ def _load_kernel(path: Path) -> int:
 
 
 def _processors() -> int:
-    """Return how many streaming multiprocessors the first GPU has."""
+    """Return the number of streaming multiprocessors of the first GPU."""
     found = ctypes.c_int()
     _check(_driver().cuDeviceGetAttribute(ctypes.byref(found), _PROCESSOR_COUNT, 0))
     return found.value
@@ -106,6 +106,7 @@ def _processors() -> int:
 
 @functools.cache
 def _driver() -> ctypes.CDLL:
+    """Return NVIDIA's driver library."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError as error:
@@ -116,6 +117,7 @@ def _driver() -> ctypes.CDLL:
 
 
 def _check(status: int) -> None:
+    """Raise RuntimeError with the driver's reason if `status` is not 0."""
     if status:
         text = ctypes.c_char_p()
         _driver().cuGetErrorString(status, ctypes.byref(text))

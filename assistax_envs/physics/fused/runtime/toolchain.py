@@ -1,12 +1,12 @@
 """The compilers that come with Warp: C++ to code for this CPU, CUDA to code for a GPU.
 
-Nobody needs a compiler of their own, since Warp brings clang (LLVM, with a linker in memory) and
-NVRTC in its two shared libraries. They are called directly, as Warp's own Python does in
+Warp brings clang (LLVM, with a linker in memory) and NVRTC in its two shared libraries, so users
+need no compiler. The libraries are called directly, as Warp's own Python does in
 `warp/_src/build.py`, and Warp itself is never imported. The public way, a `wp.kernel` around a
 `wp.func_native` snippet, would cost a second of import at every start, print lines, forbid macros,
-and leave Python between XLA and the machine code; here a compiled XLA call is loaded as it is.
-The price is that these C functions may change with any release of Warp: `mujoco-mjx` pins the
-release, and any other one is refused by name.
+and leave Python between XLA and the machine code; here a compiled XLA call is loaded unchanged. The
+price is that these C functions may change with any release of Warp: `mujoco-mjx` pins the release,
+and any other one is refused by name.
 """
 
 import ctypes
@@ -26,7 +26,7 @@ _LOADING = threading.Lock()
 
 
 def unavailable() -> str | None:
-    """Return why Warp's compilers cannot be used on this machine, or None where they can."""
+    """Return the reason why Warp's compilers cannot be used here, or None if they can."""
     if sys.platform not in _NAMES:
         return f"the fused engine has not been made to run on {sys.platform}"
     if platform.machine() not in ("x86_64", "aarch64", "arm64"):
@@ -42,7 +42,7 @@ def unavailable() -> str | None:
 
 
 def host_cpu() -> str:
-    """Return this processor's name and features: machine code for it may run on no other."""
+    """Return this processor's name and features, for which machine code is made."""
     clang = _clang()
     return f"{clang.wp_get_host_cpu_name().decode()} {clang.wp_get_host_cpu_features().decode()}"
 
@@ -51,7 +51,7 @@ def compile_cpp(text: str, output: Path, flags: Sequence[str]) -> None:
     """Compile C++ to an object file; clang's front end takes `flags`, and -march=native."""
     given = (ctypes.c_char_p * (len(flags) + 1))(*(flag.encode() for flag in flags), None)
     debug = verify = tiles = verbose = headers = False
-    # The name is that of no file: it stands in messages only.
+    # The name appears in messages only; there is no such file.
     failed = _clang().wp_compile_cpp(
         text.encode(), b"fused.cpp", _include(), str(output).encode(),
         debug, verify, False, tiles, given, 3, verbose, headers, None, 256,
@@ -73,10 +73,10 @@ def compile_cuda(text: str, output: Path, architecture: int) -> None:
 
 
 def load(path: Path, name: str, symbols: Sequence[str]) -> list[int]:
-    """Link an object file into this process, for good, and return the addresses of symbols."""
+    """Link an object file into this process permanently; return the addresses of `symbols`."""
     clang = _clang()
     with _LOADING:
-        # The linker wants functions for Warp's own kernels; bound are those that Warp binds.
+        # The linker needs functions for Warp's own kernels; we bind those that Warp binds.
         if not clang.wp_llvm_set_cpu_block_runtime(_core().wp_cpu_block_runtime_get_api()):
             raise RuntimeError("Warp's two libraries do not fit each other; install it again")
         if clang.wp_load_obj(str(path).encode(), name.encode(), False):
@@ -88,7 +88,7 @@ def load(path: Path, name: str, symbols: Sequence[str]) -> list[int]:
 
 
 def _home() -> Path:
-    """Return Warp's folder, which does not import it."""
+    """Return Warp's folder, without importing Warp."""
     spec = importlib.util.find_spec("warp")
     if spec is None or not spec.submodule_search_locations:
         raise ValueError(f"warp-lang is not installed; pip install warp-lang=={WARP}")

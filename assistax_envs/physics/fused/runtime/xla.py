@@ -1,4 +1,4 @@
-"""XLA's C interface for custom calls: its declarations, and the registration of a compiled call."""
+"""XLA's C interface for custom calls: its declarations, and the registration of a call."""
 
 import ctypes
 import functools
@@ -12,13 +12,13 @@ HERE = Path(__file__).parent
 
 @functools.cache
 def declarations() -> str:
-    """Return the declarations of this very jaxlib, which check the structures for us."""
+    """Return the C declarations of the installed jaxlib, against which our code is compiled."""
     text = Path(jax.ffi.include_dir(), "xla", "ffi", "api", "c_api.h").read_text()
     return (HERE / "freestanding.h").read_text() + re.sub(r"#include <.*>\n", "", text)
 
 
 def register_call(name: str, address: int, platform: str) -> None:
-    """Give XLA the compiled function at `address` as its custom call `name`."""
+    """Register the compiled function at `address` as XLA's custom call `name`."""
     capsule = ctypes.pythonapi.PyCapsule_New
     capsule.restype = ctypes.py_object
     capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
