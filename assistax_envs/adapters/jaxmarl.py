@@ -115,7 +115,7 @@ class AssistaxMarlEnv:
 
     @own_settings()
     def reset_batch(self, keys: jax.Array) -> tuple[dict[str, jax.Array], EnvState]:
-        """Return observations and state of N new episodes from keys [N], as `jax.vmap(env.reset)`."""
+        """Return observations and state of N new episodes from keys [N], like `jax.vmap(reset)`."""
         keys = _typed(keys)
         params = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, keys.shape), disability_params([self._disability])
