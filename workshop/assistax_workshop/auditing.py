@@ -1,4 +1,4 @@
-"""Audit of a task: whether it can be done without the partner, and roughly."""
+"""Audit of a task: whether it needs the partner, and whether it is done gently."""
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -37,30 +37,30 @@ def audit(
     out: Path | str | None = None,
     progress: Shown = True,
 ) -> Audit:
-    """Hold a task against its gates, on trained teams; those that nobody can measure are named.
+    """Return the gates of a task, measured on trained teams; gates without data are named.
 
     Args:
         task: Task, such as "gentle_scratch".
         teams: Folders that `train` filled, or globs over teams of the zoo: several seeds.
-        passive_robot: Robots trained with a human that does nothing: folders, or any form.
+        passive_robot: Robots trained with an idle human: folders, or any form.
         response: Robots, one for each team, trained with its frozen human.
         told: Teams whose robot is told the human's preference.
         blind: Teams whose human is not.
-        recurrent: Teams whose robot remembers.
+        recurrent: Teams whose robot has a memory.
         ego: Robots trained with frozen humans of some teams; they play with the others'.
         ego_told: The same, told the preference.
         ego_recurrent: The same, with a memory.
-        episodes: Of each pair, two or more.
-        seed: Of the episodes.
+        episodes: Episodes of each pair, two or more.
+        seed: Seed of the episodes.
         backend: Physics: "auto" for the fastest one here, or its name.
         env_version: Version of the environment; default that of published teams, else the newest.
-        zoo: Where teams come from, as in `open_zoo`.
-        out: Folder for the episodes, in which an audit that was stopped goes on.
-        progress: Show it, or a function that is told of it.
+        zoo: Source of teams, as in `open_zoo`.
+        out: Folder for the episodes, in which an interrupted audit resumes.
+        progress: Whether to show progress, or a function that receives it.
 
     Raises:
-        ValueError: What was asked for does not exist or does not fit the task.
-        ZooError: A folder or the zoo does not have it, or not unchanged.
+        ValueError: An argument does not exist or does not fit the task.
+        ZooError: A folder or the zoo lacks a policy, or has it changed.
 
     Examples:
         >>> table = audit("scratch", "scratch/ippo-d1-s[01]-v1", episodes=2, progress=False)
@@ -86,8 +86,10 @@ def audit(
 def _read(
     read: Callable[..., Teams], named: Mapping[str, Names], registry: Registry, task: str
 ) -> dict[str, Teams]:
+    """Return the policies of each non-empty argument by name."""
     return {name: read(_listed(names), registry, task) for name, names in named.items() if names}
 
 
 def _listed(names: Names) -> list[str]:
+    """Return names as a list."""
     return [names] if isinstance(names, str) else list(names)

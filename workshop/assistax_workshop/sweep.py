@@ -1,8 +1,7 @@
 """Hyperparameter sweeps: many configurations side by side, as members of a few vmapped programs.
 
 Continuous hyperparameters are traced: configurations that differ in them alone share one compiled
-program. Discrete ones change the program, so each combination of them is a block of its own, or
-several.
+program. Discrete ones change the program, so each combination of them has one or more blocks.
 """
 
 import dataclasses
@@ -33,7 +32,7 @@ FINAL_SHARE = 0.1  # of a run: the final return is the mean over its last tenth
 
 @validated
 class Sweep:
-    """What to try."""
+    """Settings of a sweep."""
 
     task: str  # environment task
     algorithm: str  # preset that is varied
@@ -73,7 +72,7 @@ class Sweep:
         return len(self.blocks()[number][0]) * self.seeds * self.steps
 
     def points(self) -> list[dict[str, Any]]:
-        """Return the configurations.
+        """Return the configurations, each a dict of hyperparameters.
 
         The grid over discrete values in turn, random draws of the others.
         """
@@ -90,7 +89,7 @@ class Sweep:
         ]
 
     def blocks(self) -> list[tuple[list[int], TrainConfig]]:
-        """Return the runs of the sweep, each with the numbers of its configurations."""
+        """Return the sweep's blocks: indices of configurations, and the run that trains them."""
         points, discrete = self.points(), self._discrete()
         groups: dict[tuple[Any, ...], list[int]] = {}
         for index, point in enumerate(points):
@@ -108,6 +107,7 @@ class Sweep:
         ]
 
     def _run(self, discrete: dict[str, Any], points: list[dict[str, Any]]) -> TrainConfig:
+        """Return the run of a block's configurations and seeds."""
         members = tuple(
             Member(
                 seed,
@@ -123,6 +123,7 @@ class Sweep:
         )
 
     def _discrete(self) -> dict[str, tuple[Any, ...]]:
+        """Return the discrete hyperparameters and their values."""
         return {
             name: values for name, values in self.space.items() if not isinstance(values, Range)
         }
@@ -146,7 +147,7 @@ def sweep_task(
     cluster: RayCluster | None = None,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """Do `run_sweep` on a backend; return its rows, and the best hyperparameters."""
+    """Run a sweep on a backend; return its rows, and the best hyperparameters."""
     from assistax_envs import make
 
     results = run_sweep(sweep, partial(make, sweep.task, backend), folder, cluster, advance)
@@ -163,14 +164,14 @@ def run_sweep(
     """Train every configuration, block by block; return a row for each configuration and seed.
 
     The folder holds a run for each block, `sweep.parquet`, and the best configuration as
-    `preset.json`. A sweep that was interrupted goes on. A configuration that diverges has no final
-    return; the others of its block are untouched.
+    `preset.json`. An interrupted sweep resumes. A configuration that diverges has no final return;
+    the others of its block are untouched.
 
     Args:
-        sweep: What to try.
+        sweep: Settings of the sweep.
         make_env: Makes the environment of the task, on each worker.
-        folder: Where results are kept: with a cluster shared by all machines, under the same path.
-        cluster: Where blocks run, if not here; the table is the same.
+        folder: Folder of the results; with a cluster all machines share it, under the same path.
+        cluster: Cluster that runs the blocks, if not this machine; the table is the same.
         advance: Called with the environment steps that were done since it was last called.
 
     Raises:
@@ -201,6 +202,7 @@ def run_sweep(
 def _train_remotely(
     number: int, _: int, sweep: Sweep, make_env: Callable[[], Environment], folder: Path
 ) -> None:
+    """Train a block on a worker."""
     _train_block(sweep, number, make_env(), folder)
 
 
@@ -211,6 +213,7 @@ def _train_block(
     folder: Path,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
+    """Train a block, or find it finished."""
     _, config = sweep.blocks()[number]
     size, shown = sweep.block_steps(number), 0
 
@@ -220,11 +223,11 @@ def _train_block(
         advance(shown - before)
 
     train(config, env, folder / _block(number), stop_on_divergence=False, progress=report)
-    advance(size - shown)  # of a block that was finished before
+    advance(size - shown)  # the rest, for a block that was finished before
 
 
 def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
-    """Write and return the results of blocks that are all done."""
+    """Write and return the results of all blocks."""
     points, tables = sweep.points(), []
     for number, (indices, _) in enumerate(sweep.blocks()):
         scores = score(read_parquet(folder / _block(number) / "metrics.parquet"))
@@ -249,7 +252,7 @@ def _collect(sweep: Sweep, folder: Path) -> pl.DataFrame:
 
 
 def score(metrics: pl.DataFrame) -> pl.DataFrame:
-    """Return final_return, auc and diverged of each member, in order, of a run's metrics.
+    """Return final_return, auc and diverged of each member of a run, in order.
 
     The final return is the mean of the episodes that ended in the last tenth of the steps; `auc` is
     the mean over all updates, so that the area under the curve is in units of return. A member with
@@ -275,7 +278,7 @@ def score(metrics: pl.DataFrame) -> pl.DataFrame:
 def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the configuration with the highest mean final return over seeds.
 
-    One with a diverged seed is never it.
+    Configurations with a diverged seed are left out.
 
     Raises:
         ValueError: No configuration has a final return for every seed.
@@ -296,5 +299,5 @@ def best(results: pl.DataFrame, points: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _block(number: int) -> str:
-    """Return the name of a block, which is its folder's."""
+    """Return the name of a block and its folder."""
     return f"block-{number:03d}"

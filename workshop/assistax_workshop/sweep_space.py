@@ -1,4 +1,4 @@
-"""What a sweep varies: ranges of continuous hyperparameters, and values of discrete ones."""
+"""Space of a sweep: ranges of continuous hyperparameters, and values of discrete ones."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from assistax_base.validated import first_problem, validated
 
 @validated
 class Range:
-    """Values of a continuous hyperparameter."""
+    """Range of a continuous hyperparameter."""
 
     low: float
     high: float
@@ -27,7 +27,7 @@ class Range:
             )
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw a value, rounded to four digits."""
+        """Return a drawn value, rounded to four digits."""
         if self.log:
             value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
         else:

@@ -14,14 +14,14 @@ from assistax_zoo.shell.console import new_table, print_json, print_table, stdou
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Others:
-    """Who plays for the gates that the teams alone cannot measure.
+    """Further policies, for the gates that the teams alone cannot measure.
 
     Attributes:
-        passive_robot: Robot trained with a human that does nothing: a folder, or any form.
+        passive_robot: Robot trained with an idle human: a folder, or any form.
         response: Robot trained with the frozen human of a team; one for each, in order.
         told: Teams whose robot is told the human's preference.
         blind: Teams whose human is not told its own.
-        recurrent: Teams whose robot remembers.
+        recurrent: Teams whose robot has a memory.
         ego: Robots trained with frozen humans of some teams; they play with the others'.
         ego_told: The same, told the preference.
         ego_recurrent: The same, with a memory.
@@ -51,7 +51,7 @@ def audit(
     registry: str | None = None,
     json: bool = False,
 ) -> None:
-    """Ask whether a task can be done without the partner, and whether it is done gently.
+    """Measure whether a task needs the partner, and whether it is done gently.
 
     Each gate is a figure of trained teams with its 95% interval and its bar. Gates
     whose option is missing are listed as not measured.
@@ -59,7 +59,7 @@ def audit(
     Args:
         task: Task, such as gentle_scratch.
         team: Teams: a folder that `train` filled, or a glob over the zoo's; repeat it for more.
-        others: Policies that play for the other gates.
+        others: Further policies, for the other gates.
         episodes: Episodes of each pair; each preference twice if not given.
         seed: Seed of the episodes.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
@@ -104,7 +104,7 @@ def _print(result: Mapping[str, Any]) -> None:
 
 
 def print_gates(title: str, gates: Sequence[Mapping[str, Any]], told: bool = False) -> None:
-    """Print gates as a table, each with what was compared where `told`."""
+    """Print gates as a table, with a column of details if `told`."""
     table = new_table(title)
     for name in ("gate", "bar", "found", "95%", "holds", *(("what",) if told else ())):
         table.add_column(name, overflow="fold")

@@ -72,10 +72,10 @@ def persons(
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Stages are ppo, told, gru, told-gru (robots that are told the wishes, or remember), idle
-    (trained with persons who do nothing), best (one robot for each of some persons), script,
-    search (the best numbers for the script; nothing is changed by it) and read (are wishes read?).
-    Each has a run and a file in FOLDER, and continues where it stopped. The table covers all files.
+    Stages are ppo, told, gru, told-gru (robots that are told the wishes, or have a memory), idle
+    (trained with idle persons), best (one robot for each of some persons), script, search (the best
+    numbers for the script, which stays unchanged) and read (are wishes read?). Each has a run and a
+    file in FOLDER, and resumes where it stopped. The table covers all files.
 
     Args:
         task: Gentle task.
@@ -85,7 +85,7 @@ def persons(
         steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
         single: Persons with a best response.
         tries: Tries of the search over the script's numbers.
-        models: Persons whom each try plays with.
+        models: Persons of each try.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         json: Print the gates as JSON.

@@ -1,4 +1,4 @@
-"""The command that trains and publishes the teams of a plan."""
+"""Command that trains and publishes the teams of a plan."""
 
 import contextlib
 import json as jsonlib
@@ -76,7 +76,7 @@ def population(
 
 @contextlib.contextmanager
 def _shown(json_lines: bool, planned: PlannedRun) -> Generator[Callable[[Any], None]]:
-    """Show the training of a run; as JSON lines, begin with a line that names the run."""
+    """Yield a function that shows a run's training; JSON lines begin with the run's name."""
     if json_lines:
         start = {"run": planned.name, "group": planned.group.name, "teams": len(planned.members)}
         print(jsonlib.dumps(start), flush=True)
@@ -85,6 +85,7 @@ def _shown(json_lines: bool, planned: PlannedRun) -> Generator[Callable[[Any], N
 
 
 def _report(statuses: Sequence[Status], json: bool, json_lines: bool) -> None:
+    """Print the groups' statuses: a table, JSON, or a JSON line."""
     rows = [status.to_json() for status in statuses]
     names = ("group", "teams", "published", "adoptable", "trained", "missing", "steps_to_train")
     columns = (*(name.replace("_", " ") for name in names), "device minutes")
@@ -96,7 +97,7 @@ def _report(statuses: Sequence[Status], json: bool, json_lines: bool) -> None:
 
 
 def _minutes(row: dict[str, Any]) -> str:
-    """Return what a group cost so far and what is to come, with the origin of the estimate."""
+    """Return a group's cost so far, the cost to come, and the origin of the estimate."""
     if not row["steps_to_train"]:
         return f"{row['device_minutes']}"
     to_go = "unknown: nothing like it was measured"

@@ -1,4 +1,4 @@
-"""The command that publishes trained teams on a remote."""
+"""Command that publishes trained teams."""
 
 import dataclasses
 from pathlib import Path
@@ -18,7 +18,7 @@ from zoo.schema import Citation
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cited:
-    """How others cite a release.
+    """Citation of a release.
 
     Attributes:
         author: Author of the release for `cite`; repeat it for more, in order.
@@ -31,7 +31,7 @@ class Cited:
     url: str = ""
 
     def given(self) -> Citation | None:
-        """Return it where anything of it is given."""
+        """Return the citation, or None if no part of it is given."""
         if not (self.author or self.title or self.url):
             return None
         try:
@@ -43,7 +43,7 @@ class Cited:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Card:
-    """What a remote's card says and shows.
+    """Licence and film of a remote's card.
 
     Attributes:
         license: Licence of the policies, as hubs name it; default apache-2.0.
@@ -79,7 +79,7 @@ def publish(
         date: ISO date of a new release; default today.
         description: One sentence on a new release.
         cited: How others cite the release.
-        card: What the card says and shows.
+        card: Licence and film of the card.
         key: Ed25519 private key, PEM, to sign the release with.
         json: Print JSON.
 

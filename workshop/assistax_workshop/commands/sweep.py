@@ -1,4 +1,4 @@
-"""The command that searches hyperparameters."""
+"""Command that searches hyperparameters."""
 
 import dataclasses
 from pathlib import Path
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Search:
-    """What a sweep tries.
+    """Configurations of a sweep.
 
     Attributes:
         space: JSON file, by hyperparameter a range {"low", "high", "log"} or a list of values;
@@ -79,9 +79,9 @@ def sweep(
         task: Task, such as scratch.
         out: Folder of the sweep: a run for each block, sweep.parquet, preset.json.
         algorithm: Preset that is varied: ippo, mappo, isac, masac or mep.
-        search: What the sweep tries.
+        search: Configurations of the sweep.
         backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one.
-        engine: Where the blocks run.
+        engine: Machines that run the blocks.
         json: Print the results as JSON.
 
     Example:

@@ -1,8 +1,8 @@
-"""Does a task need its partner, and is it done gently? Measured on trained teams.
+"""Audit of a task on trained teams: does it need its partner, and is it done gently?
 
-A gate is a figure with a bar: what a script or a robot without a partner reaches, what strangers
-lose, what knowing the human's preference is worth, and how hard people are touched. Every condition
-is a job of the evaluator, so that episodes are kept, paired and resumed as any others.
+A gate is a figure with a bar: the return of a script or a robot without a partner, the loss of
+strangers, the worth of knowing the human's preference, and the force of touches. Every condition is
+a job of the evaluator, so that episodes are stored, paired and resumed like any others.
 """
 
 import dataclasses
@@ -41,17 +41,17 @@ from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
 
 JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
-HELD = (-1.0, 0.0, 1.0)  # of each torque of its seat, what a human holds
+HELD = (-1.0, 0.0, 1.0)  # constant torques of a held human, as shares of each joint's strength
 EPISODES = 2 * len(PREFERENCES)  # of each pair: every preference twice
-# Times as many of a team with itself, and of the script with a passive human: those are few pairs,
-# and one episode in a hundred is to be told from none.
+# Factor on the episodes of a team with itself, and of the script with a passive human: those are
+# few pairs, and a rate of 0.01 must be distinguished from 0.
 MORE = 10
-BOTH = ("robot", "human")  # who is told the preference; the human alone elsewhere
+BOTH = ("robot", "human")  # roles that are told the preference; by default the human alone
 
 
 @dataclasses.dataclass(frozen=True)
 class Audit:
-    """The gates of a task, and the figures behind them by condition."""
+    """Gates of a task, and the figures behind them by condition."""
 
     task: str
     env_version: int
@@ -64,23 +64,23 @@ class Audit:
 
 @dataclasses.dataclass(frozen=True)
 class Others:
-    """Who plays for the gates that a task's own teams cannot measure; empty ones are left out."""
+    """Policies for the gates that a task's own teams cannot measure; empty ones are left out."""
 
     passive: Teams | None = None  # robots that were trained with a passive human
     told: Teams | None = None  # teams whose robot is told the preference
-    blind: Teams | None = None  # teams whose human is not
-    recurrent: Teams | None = None  # teams whose robot remembers
+    blind: Teams | None = None  # teams whose human is not told it
+    recurrent: Teams | None = None  # teams whose robot has a memory
     response: Teams | None = None  # robot i was trained with the frozen human of team i
     # Robots that were trained with the frozen humans of some teams, and play with the others'.
     ego: Teams | None = None
-    ego_told: Teams | None = None  # ... and are told the preference
-    ego_recurrent: Teams | None = None  # ... and remember
+    ego_told: Teams | None = None  # the same, told the preference
+    ego_recurrent: Teams | None = None  # the same, with a memory
 
 
 class WrongBeliefEnv:
-    """An environment whose human believes in another preference: the next force, speed, distance.
+    """Environment whose human observes another preference: the next force, speed and distance.
 
-    The reward keeps the one that it has.
+    The reward uses the true preference.
     """
 
     def __init__(self, env: Any) -> None:
@@ -118,19 +118,19 @@ def audit_task(
     version: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Audit:
-    """Play every condition that somebody can play, and hold the figures against their bars.
+    """Return the audit of a task: every condition with policies is played and its gates judged.
 
     Args:
         task: Any task; those of the paper have no preferences, and most gates fail.
         teams: Trained teams of several seeds, one disability setting.
-        others: For the other gates.
-        folder: Keeps the episodes by condition; an audit that was stopped goes on.
-        episodes: Of each pair; ten times as many of own teams, and of the script with a passive
-            human.
-        seed: Of the episodes.
+        others: Policies for the other gates.
+        folder: Folder of the episodes by condition, in which an interrupted audit resumes.
+        episodes: Episodes of each pair; ten times as many of own teams, and of the script with a
+            passive human.
+        seed: Seed of the episodes.
         backend: Physics.
-        version: Of the environment; the newest if not given.
-        on_progress: Told how far each condition is.
+        version: Version of the environment; the newest if not given.
+        on_progress: Called with the progress of each condition.
     """
     share_cores()
     _check(task, teams, others, episodes)
@@ -148,6 +148,7 @@ def audit_task(
 
 
 def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
+    """Refuse too few episodes, and policies that do not fit the teams or the task."""
     if episodes < 2:
         raise ValueError(f"episodes is {episodes}; give at least 2: half of them choose a posture")
     if others.response and len(others.response.robots.ids) != len(teams.humans.ids):
@@ -168,7 +169,7 @@ def _check(task: str, teams: Teams, others: Others, episodes: int) -> None:
 def _play(
     table: "_Tables", env: Any, teams: Teams, others: Others
 ) -> dict[Condition, pl.DataFrame]:
-    """Play every condition that somebody can play."""
+    """Return the episodes of every condition that has policies."""
     task = table.task
     sizes = {role: (env.observation_size[role], env.action_size[role]) for role in teams.SEATS}
     passive, script = (
@@ -191,15 +192,15 @@ def _play(
         played[Condition.RESPONSE] = table.play("response", robots, teams.humans, paired=True)
     for name in ("ego", "ego_told", "ego_recurrent"):
         if egos := getattr(others, name):
-            there = table.env(told=BOTH) if name == "ego_told" else env
-            met = table.play(name, egos.robots, teams.humans, env=there)
+            its_env = table.env(told=BOTH) if name == "ego_told" else env
+            met = table.play(name, egos.robots, teams.humans, env=its_env)
             played[Condition[name.upper()]] = met.filter(~pl.col("partner").is_in(egos.met))
     for name in ("recurrent", "told", "blind"):
         if pairs := getattr(others, name):
             observers = {"told": BOTH, "blind": ()}.get(name)
-            there = env if observers is None else table.env(told=observers)
+            its_env = env if observers is None else table.env(told=observers)
             played[Condition[name.upper()]] = table.play(
-                name, pairs.robots, pairs.humans, env=there, paired=True
+                name, pairs.robots, pairs.humans, env=its_env, paired=True
             )
     if task in PREFERRED:
         played[Condition.MISTAKEN] = table.play(
@@ -215,7 +216,7 @@ def _play(
 
 @dataclasses.dataclass(frozen=True)
 class _Tables:
-    """Plays conditions, each into a folder of its own."""
+    """Player of conditions, each into its own folder."""
 
     task: str
     folder: Path
@@ -239,6 +240,7 @@ class _Tables:
         condition: str | None = None,
         times: int = 1,
     ) -> pl.DataFrame:
+        """Return the episodes of robots with humans."""
         env = env or self.env()
         job = Job(
             task=self.task,
@@ -262,7 +264,7 @@ class _Tables:
 
 
 def touches(env: Any, teams: Teams, episodes: int, seed: int) -> dict[str, float]:
-    """Return how hard and how fast own teams touch, step by step: N, and shares."""
+    """Return forces (N) and speeds of the teams' touches, as quantiles and shares of steps."""
     forces, contacts, speeds = [], [], []
     for robot, human in zip(teams.rows("robot"), teams.rows("human"), strict=True):
         setting = str(teams.humans.members[human.id].disability)
@@ -302,7 +304,10 @@ def _steps(env: Any, robot: Any, human: Any, params: Any, seed: int) -> tuple[np
         contact = state.measures.contact
         seen = state.measures.force, state.measures.force if contact is None else contact
         speed = (jnp.abs(state.obs["robot"][:, 7:14]) / limits).max(axis=1)
-        return (state, {role: kept for role, (kept, _) in acted.items()}), (*seen, speed)
+        return (state, {role: memory_after for role, (memory_after, _) in acted.items()}), (
+            *seen,
+            speed,
+        )
 
     @jax.jit
     def episode() -> Any:
@@ -318,7 +323,7 @@ def held_roster(
     action_size: int,
     postures: Sequence[tuple[float, ...]] = (),
 ) -> Roster:
-    """Return humans that hold constant torques, shares of their strength: all if none are given."""
+    """Return humans with constant torques, shares of their strength; by default all of `HELD`."""
     postures = postures or tuple(itertools.product(HELD, repeat=action_size))
     spec = PolicySpec("human", observation_size, action_size, hidden=(1,), normalise=False)
     ids = tuple(f"held-{i}" for i in range(len(postures)))
@@ -339,7 +344,7 @@ def held_roster(
 
 
 def _next(values: jax.Array, names: Sequence[float]) -> jax.Array:
-    """Return for each value [N] the one that follows it in a cycle."""
+    """Return for each value [N] the following one of a cycle."""
     known = jnp.asarray(names, jnp.float32)
     place = jnp.abs(values[:, None] - known[None]).argmin(axis=1)
     return known[(place + 1) % len(names)]

@@ -1,4 +1,4 @@
-"""The gates of an audit: figures of its conditions against their bars, with 95% intervals."""
+"""Gates of an audit: figures of its conditions against their bars, with 95% intervals."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ Ends = tuple[float, float] | None
 
 
 class Condition(StrEnum):
-    """Who plays with whom; the text is what an audit calls its figures."""
+    """Pairing of robots with humans; the text names its figures in an audit."""
 
     OWN = "own teams"
     PAIRS = "all pairs"
@@ -42,14 +42,14 @@ class Condition(StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """One figure of a task against its bar."""
+    """Figure of a task against its bar."""
 
     gate: str
     bar: str
-    value: float | None  # None where nobody played for it
-    ci: Ends  # 95%, over robots, or over episodes where one robot played; None with one of either
-    holds: bool | None  # None where it was not measured
-    told: str  # what was compared, or what would measure it
+    value: float | None  # None if it was not measured
+    ci: Ends  # 95%, over robots, or over episodes of a single robot; None if there is one of either
+    holds: bool | None  # None if it was not measured
+    told: str  # details of the comparison, or the policies that it lacks
 
 
 def gates_of(
@@ -109,7 +109,7 @@ def gates_of(
 
 
 def _ego_gates(played: Mapping[Condition, pl.DataFrame]) -> list[Gate]:
-    """Return what knowing the preference is worth to robots among strangers, and remembering."""
+    """Return the gates of robots among strangers: worth of the preference, and of memory."""
     name, needs = (
         "among strangers, a robot that is told the preference",
         "egos, and egos that are told",
@@ -124,11 +124,11 @@ def _ego_gates(played: Mapping[Condition, pl.DataFrame]) -> list[Gate]:
     if recurrent is None:
         return [worth, Gate(name, bar, None, None, None, "not measured: needs recurrent egos")]
     returns = [_by_robot(table, "return") for table in (plain, knowing, recurrent)]
-    said = f"return {returns[2].mean():.1f}"
+    detail = f"return {returns[2].mean():.1f}"
     if returns[1].mean() <= returns[0].mean():
-        return [worth, Gate(name, bar, None, None, None, f"{said}: nothing to win back")]
+        return [worth, Gate(name, bar, None, None, None, f"{detail}: nothing to win back")]
     value, ci = of_means(lambda a, b, c: (c - a) / (b - a), *returns)
-    return [worth, Gate(name, bar, value, ci, ci is not None and ci[0] > 0.0, said)]
+    return [worth, Gate(name, bar, value, ci, ci is not None and ci[0] > 0.0, detail)]
 
 
 def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:
@@ -137,15 +137,16 @@ def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def condition_figures(table: pl.DataFrame) -> dict[str, float]:
-    """Return the means of a condition's episodes."""
+    """Return the means of a condition's episodes by name."""
     table = with_safety(table)
     names = ("return", "success", "safe_success", "violated", "force_mean", "force_peak")
-    shown = [name for name in (*names, "contact_peak") if name in table.columns]
-    means = table.select(pl.col(name).cast(pl.Float64).mean() for name in shown)
+    present = [name for name in (*names, "contact_peak") if name in table.columns]
+    means = table.select(pl.col(name).cast(pl.Float64).mean() for name in present)
     return {"episodes": float(table.height), **means.row(0, named=True)}
 
 
 def _touch_gates(touch: Mapping[str, float]) -> list[Gate]:
+    """Return the gates of contact forces and joint speeds."""
     below = touch.get("contact steps below the limit")
     speed = touch["joint speed, share of the limit"]
     detail = "own teams, step by step"
@@ -159,7 +160,7 @@ def _touch_gates(touch: Mapping[str, float]) -> list[Gate]:
 def _share(
     name: str, bar: str, table: pl.DataFrame, column: str, holds: Callable[[float], bool]
 ) -> Gate:
-    """Return in which share of episodes something happened."""
+    """Return the gate of a share of episodes, the mean of a column."""
     if column not in with_safety(table).columns:
         return Gate(name, bar, None, None, None, "not measured: a gentle task's sensors feel it")
     values = _by_robot(table, column)
@@ -168,7 +169,7 @@ def _share(
 
 
 def _cross_play(table: pl.DataFrame) -> Gate:
-    """Return the share of self-play's return that strangers lose, resampling whole teams."""
+    """Return the gate of the share of self-play's return that strangers lose, by team bootstrap."""
     name, bar = "cross-play between seeds", "loses > 10%, the interval above 0"
     if strange_pairs(table).is_empty():
         return Gate(name, bar, None, None, None, "not measured: needs two teams")
@@ -188,7 +189,7 @@ def _cross_play(table: pl.DataFrame) -> Gate:
 
 
 def _lost(gate: Gate, least: float, *, above: bool = False) -> Gate:
-    """Return the share that a condition loses, of one that says what it earns."""
+    """Return the gate of the share that a condition loses, from the gate of its earned share."""
     if gate.value is None:
         return gate
     value, ci = 1.0 - gate.value, (1.0 - gate.ci[1], 1.0 - gate.ci[0]) if gate.ci else None
@@ -207,9 +208,9 @@ def _earned(
     paired: bool = False,
     than: str = "own teams",
 ) -> Gate:
-    """Return what the other condition earns, as a share of what `than` earn.
+    """Return the gate of another condition's return, as a share of the return of `than`.
 
-    Where paired, with the same humans in the same episodes, of which own teams may play more.
+    With `paired`, only episodes with the same humans are compared; own teams may have more.
     """
     if other is None:
         return Gate(name, bar, None, None, None, f"not measured: needs {needs}")
@@ -227,7 +228,10 @@ def _earned(
 def of_means(
     figure: Callable[..., Any], *samples: np.ndarray, paired: bool = False
 ) -> tuple[float, Ends]:
-    """Return a figure of the samples' means and its interval; paired samples are drawn together."""
+    """Return a figure of the samples' means and its interval.
+
+    Paired samples are resampled together.
+    """
     point = float(figure(*(values.mean() for values in samples)))
     if min(values.size for values in samples) < 2:
         return point, None
@@ -240,7 +244,7 @@ def of_means(
 
 
 def _by_robot(table: pl.DataFrame, column: str, who: str = "ego") -> np.ndarray:
-    """Return a column's mean of each robot, or of each episode where one robot played.
+    """Return the means of a column by robot, or its episodes if one robot played.
 
     With `who` "partner", of each human: those who meet one robot each stand for it, by one name in
     all conditions.

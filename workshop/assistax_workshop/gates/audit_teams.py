@@ -1,4 +1,4 @@
-"""The teams of an audit: of the registry, or of folders that `train` filled."""
+"""Teams of an audit, from the registry or from folders that `train` filled."""
 
 import dataclasses
 import hashlib
@@ -21,7 +21,7 @@ Single = tuple[Member, PolicySpec, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One policy of a team."""
+    """Policy of one seat of a team."""
 
     id: str
     spec: PolicySpec
@@ -30,11 +30,11 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Teams:
-    """Robots and, unless they are robots alone, the human of each: stacks of either pair up."""
+    """Robots and, unless they are robots alone, their humans; the stacks of both pair up."""
 
     robots: Roster
     humans: Roster
-    met: tuple[str, ...] = ()  # frozen humans with whom robots alone were trained
+    met: tuple[str, ...] = ()  # frozen humans that robots alone were trained with
 
     SEATS: ClassVar = ("robot", "human")
 
@@ -50,7 +50,7 @@ class Teams:
 
 
 def read_teams(sources: Sequence[str], registry: Registry, task: str) -> Teams:
-    """Return the teams of folders that `train` filled, and of globs over the registry.
+    """Return the teams of run folders of `train`, and of globs over the registry.
 
     Raises:
         ValueError: A folder is of another task, or nothing matches.
@@ -79,7 +79,7 @@ def read_teams(sources: Sequence[str], registry: Registry, task: str) -> Teams:
 
 
 def read_robots(sources: Sequence[str], registry: Registry, task: str) -> Teams:
-    """Return robots alone, of folders of `train` or by any form of a robot."""
+    """Return robots alone, from folders of `train` or by any form of a robot."""
     single: list[Single] = []
     other: list[str] = []
     for source in sources:
@@ -96,7 +96,7 @@ def read_robots(sources: Sequence[str], registry: Registry, task: str) -> Teams:
 
 
 def read_trained_egos(sources: Sequence[str], registry: Registry, task: str) -> Teams:
-    """Return robots of folders of `train`, and whom they have met there."""
+    """Return robots from folders of `train`, with the frozen humans that they were trained with."""
     if elsewhere := [source for source in sources if not Path(source).is_dir()]:
         raise ValueError(f"an ego is {elsewhere[0]!r}; give the folder in which it was trained")
     met = [name for source in sources for name in RunFolder(source).config().partners]
@@ -104,6 +104,7 @@ def read_trained_egos(sources: Sequence[str], registry: Registry, task: str) -> 
 
 
 def _of_run(source: str, task: str) -> list[dict[str, Single]]:
+    """Return the teams of a run folder, by role."""
     teams: list[dict[str, Single]] = []
     for team in read_run(source):
         if team.task != task:
@@ -130,6 +131,7 @@ def _of_run(source: str, task: str) -> list[dict[str, Single]]:
 
 
 def _of_zoo(pattern: str, registry: Registry, task: str) -> list[dict[str, Single]]:
+    """Return the registry's teams of a pattern, by role."""
     teams: dict[str, dict[str, Single]] = {}
     for role in Teams.SEATS:
         entries = registry.select(pattern, task=task, role=role)
@@ -147,6 +149,7 @@ def _of_zoo(pattern: str, registry: Registry, task: str) -> list[dict[str, Singl
 
 
 def _digest(params: Any) -> str:
+    """Return the sha256 of nested parameters."""
     whole = hashlib.sha256()
     for name, leaf in sorted(flatten(params).items()):
         whole.update(name.encode() + np.ascontiguousarray(leaf).tobytes())

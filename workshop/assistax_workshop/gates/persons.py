@@ -1,8 +1,8 @@
-"""Who plays for the gates of persons: robots that learn with them, and what they earn with them.
+"""Stages of the gates of persons: robots that train with persons, and their returns with them.
 
-Each kind of robot is a stage of its own: a run in FOLDER/NAME, which can be continued, and
-FOLDER/NAME.json with what its robots earn with persons. `persons_table` reads these files, so that
-stages may run on several machines.
+Each kind of robot is a stage: a run in FOLDER/NAME, which can be resumed, and FOLDER/NAME.json with
+the results of its robots with persons. `persons_table` reads these files, so that stages may run on
+several machines.
 """
 
 import contextlib
@@ -35,14 +35,14 @@ from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePers
 
 @dataclasses.dataclass(frozen=True)
 class Robots:
-    """A kind of robot: whom it learns with, and what it is given.
+    """Kind of robot: its partners, its observations and its hyperparameters.
 
     Attributes:
         told: Roles that observe the person's wishes.
-        changes: Of the task's hyperparameters.
-        partners: The training side's persons, a new one each episode; the same who do nothing; or
-            one person of a sample for each robot.
-        steps: Environment steps of each robot, unless others are asked for.
+        changes: Changes of the task's hyperparameters.
+        partners: The training side's persons, a new one each episode; the same but idle; or one
+            person of a sample for each robot.
+        steps: Environment steps of each robot, unless the plan has others.
     """
 
     told: tuple[str, ...] = ("human",)
@@ -52,8 +52,8 @@ class Robots:
 
 
 BOTH, MEMORY = ("human", "robot"), {"torso": "gru"}
-# With few simulations a robot learns more from as many steps, and stays rougher: best responses
-# have 10 M.
+# Few simulations learn more from the same number of steps, but less gently. Best responses have
+# 10 M steps.
 FEW = {"num_envs": 256, "learning_rate": 1e-3}
 ROBOTS: Mapping[str, Robots] = {
     "ppo": Robots(),
@@ -65,7 +65,7 @@ ROBOTS: Mapping[str, Robots] = {
 }
 SCRIPT, SEARCH, READ = "script", "search", "read"
 STAGES = (*ROBOTS, SCRIPT, SEARCH, READ)
-# Sides of persons that no robot met, by name: the first number, how far apart, and the family.
+# Sides of persons that no robot met, by name: the first number, the step, and the family.
 STRANGERS = {
     "validation": (9, 10, "spring"),
     "corners": (8000, 1, "spring"),
@@ -73,26 +73,26 @@ STRANGERS = {
 }
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
-SPRINGS = 9_000  # persons of the family `spring`, of whom best responses are learned
-SINGLE = "single"  # what a sample of them is called, each of whom plays more episodes
+SPRINGS = 9_000  # persons of the family `spring`, for which best responses are trained
+SINGLE = "single"  # name of a sample of them, which plays more episodes
 SINGLE_EPISODES = 20
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How the stages of a task are trained and played.
+    """Settings of the stages of a task.
 
     Attributes:
         task: Gentle task.
-        folder: Of all stages.
-        seeds: Of the robots; those of single persons have a person's number.
+        folder: Folder of all stages.
+        seeds: Seeds of the robots; a best response has its person's number.
         steps: Environment steps of each robot; the kind's own if not given.
-        single: How many persons have a best response.
-        tries: Of the search over the script's numbers.
-        models: Persons whom each try plays with.
-        changes: Of hyperparameters, for all kinds.
+        single: Number of persons with a best response.
+        tries: Tries of the search over the script's numbers.
+        models: Persons of each try.
+        changes: Changes of hyperparameters, for all kinds.
         backend: Physics.
-        horizon: Steps of an episode that is played; the environment's if not given.
+        horizon: Steps of an evaluated episode; the environment's if not given.
     """
 
     task: str
@@ -108,19 +108,19 @@ class Plan:
 
     @property
     def sample(self) -> range:
-        """Return the numbers of the persons with a best response, all over the first family."""
+        """Numbers of the persons with a best response, spread evenly over the first family."""
         return range(0, SPRINGS, SPRINGS // self.single)[: self.single]
 
 
 def recipe_with_persons(task: str) -> dict[str, Any]:
-    """Return what robots of a gentle task that learn with persons change of PPO's preset."""
+    """Return the changes of PPO's preset for robots of a gentle task that train with persons."""
     return {**CHANGES[task], "learning_rate": 5e-4, "num_envs": 2048}
 
 
 def run_stages(
     plan: Plan, stages: Sequence[str] = STAGES, progress: Callable[[str], None] = print
 ) -> None:
-    """Train and play stages; what a folder holds already is not done again.
+    """Train and play stages; results that the folder holds are not made again.
 
     Raises:
         ValueError: There is no such stage.
@@ -137,6 +137,7 @@ def run_stages(
 
 
 def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Return the results of one stage."""
     if name == SCRIPT:
         return play_script(plan)
     if name == SEARCH:
@@ -151,7 +152,7 @@ def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, 
 
 
 def play_robots(plan: Plan, name: str) -> dict[str, Any]:
-    """Train the robots of a kind, and return what they earn with persons."""
+    """Train the robots of a kind; return their returns and safe successes with persons, by side."""
     kind = ROBOTS[name]
     env = make(plan.task, plan.backend, told=kind.told)
     run = read_trained_run(_train(plan, name, kind, env))
@@ -166,7 +167,7 @@ def play_robots(plan: Plan, name: str) -> dict[str, Any]:
 
 
 def play_script(plan: Plan) -> dict[str, Any]:
-    """Return what the task's script earns with strangers, and with those of best responses."""
+    """Return the script's results with strangers, and with the persons of best responses."""
     env = make(plan.task, plan.backend)
     sizes = env.observation_size["robot"], env.action_size["robot"]
     [stack] = script_roster(plan.task, *sizes).stacks
@@ -179,7 +180,7 @@ def play_script(plan: Plan) -> dict[str, Any]:
 
 
 def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
-    """Train the robots of a kind into a folder of their own, which is returned."""
+    """Train the robots of a kind; return the folder of the run."""
     rows, seeds = persons(plan.task), plan.seeds
     met = rows[numbers("training")]
     if kind.partners is OnePersonEach:
@@ -201,7 +202,7 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
 
 
 def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
-    """Play robots with persons of a side that none of them met; see `play_persons`."""
+    """Return the results of robots with strangers of a side; see `play_persons`."""
     first, apart, family = STRANGERS[side]
     met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
     rollout = rollout_with_persons(plan, env, policy, family)
@@ -211,7 +212,7 @@ def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) ->
 def _play_single(
     plan: Plan, env: Env, policy: Any, params: Any, alone: bool = False
 ) -> dict[str, Any]:
-    """Play robot i with person i of the sample, or one robot with all of them."""
+    """Return the results of robot i with person i of the sample, or of one robot with them all."""
     rollout = rollout_with_persons(plan, env, policy, paired=not alone)
     return play_persons(rollout, plan.task, params, np.array(plan.sample), SINGLE_EPISODES)
 
@@ -219,7 +220,7 @@ def _play_single(
 def rollout_with_persons(
     plan: Plan, env: Env, policy: Any, family: str = "spring", paired: bool = False
 ) -> Rollout:
-    """Return what plays robots of one form with persons of a family."""
+    """Return the rollout of robots of one form with persons of a family."""
     human = PersonPlayer(plan.task, family)
     return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
 
@@ -228,9 +229,9 @@ def rollout_with_persons(
 def play_persons(
     rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
 ) -> dict[str, Any]:
-    """Return what robots [M] earn in each episode with persons [P] of these numbers.
+    """Return the results of robots [M] in each episode with the persons [P] numbered `met`.
 
-    "return" and "safe_success" are [M, P, K]; M is 1 where robot i is paired with person i.
+    "return" and "safe_success" are [M, P, K]; M is 1 if robot i is paired with person i.
     """
     keys = jax.random.split(key_of(99), (len(met), episodes))
     rows = persons(task)[met]
@@ -245,7 +246,7 @@ def play_persons(
 
 
 def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
-    """Return what the figures of a stage are of."""
+    """Return the task, version, backend, steps and hyperparameters of a stage."""
     return {
         "task": plan.task,
         "env_version": env.version,

@@ -1,6 +1,6 @@
-"""Can a wish be read from what a robot observes? By scripts, and by robots that were trained.
+"""Reading of wishes from a robot's observations, by scripts and by trained robots.
 
-What a robot does limits what it can read: see `assistax_envs.persons.measure`.
+A robot's behaviour limits what it can read: see `assistax_envs.persons.measure`.
 """
 
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from assistax_workshop.gates.persons import Plan
 from population.networks.policy import Policy
 from population.runs.trained import read_trained_run
 
-READERS = 900  # persons, a third of whom are read by what the others showed
+READERS = 900  # persons; the wishes of a third are predicted from the others
 STEPS = 600  # of each episode
 TRAINED = ("gru", "ppo")  # kinds whose first robot reads too, if it was trained in this folder
 
 
 def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
-    """Return in which share of persons each wish is read, by robot, wish and seconds."""
+    """Return the share of persons whose wish is read, by robot, wish and seconds."""
     task, found = plan.task, {}
     rows = persons(task)[numbers("training")][:READERS]
     robots: dict[str, Any] = {kind: _trained(plan, kind) for kind in TRAINED}
@@ -39,7 +39,7 @@ def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str
 
 
 def _read(seen: dict[str, np.ndarray], wish: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return by seconds the share of persons who are read, of how many, and with mixed labels."""
+    """Return by seconds the share of persons read, their number, and the share by chance."""
     mixed, shares = np.random.default_rng(0).permutation(wish), {}
     for window in measure.WINDOWS:
         (share, count), (chance, _) = (measure.read(seen, of, window) for of in (wish, mixed))
@@ -48,7 +48,7 @@ def _read(seen: dict[str, np.ndarray], wish: np.ndarray) -> dict[str, dict[str, 
 
 
 def _trained(plan: Plan, kind: str) -> measure.Robot | None:
-    """Return the first robot of a kind that this folder has trained; None if it has not."""
+    """Return the first robot of a kind that this folder has trained; None if there is none."""
     folder = plan.folder / kind
     if not (folder / "teams.json").exists():
         return None

@@ -1,4 +1,4 @@
-"""The gates of persons: what stages measured, against the bars, with 95% intervals."""
+"""Gates of persons: results of the stages against their bars, with 95% intervals."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -14,26 +14,26 @@ from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE, STRANG
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
-SIDE = "validation"  # whose strangers the gates are of, where they do not name a side
+SIDE = "validation"  # side of the strangers of gates that name no side
 SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stages, and words
-CONVERGED = 0.5  # of the best robot's return: what earns less has not learned
+CONVERGED = 0.5  # share of the best robot's return below which a robot has not learned
 FEW = "hardly anybody was touched for so long"
 TUNED = 0.9
-CHANCE = 1 / 3  # of a third of a wish
-RESAMPLED = 200  # of a share of variance
+CHANCE = 1 / 3  # share of wishes read by chance: wishes are binned in thirds
+RESAMPLED = 200  # bootstrap samples of a share of variance
 
-Files = Mapping[str, Mapping[str, Any]]  # of stages, by name
+Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
 
 
 def read_stages(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return what stages left in a folder, by name."""
+    """Return the results of a folder's stages, by name."""
     return {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
 
 
 def gates_of_persons(task: str, files: Files) -> list[Gate]:
-    """Return every gate of persons, from what `run_stages` wrote."""
+    """Return every gate of persons, from the results that `run_stages` wrote."""
     return [
         *_with_one(files),
         _as_searched(files),
@@ -51,7 +51,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
 
 
 def _with_one(files: Files) -> list[Gate]:
-    """Return the gates of best responses to single persons, and of the script beside them."""
+    """Return the gates of best responses to single persons, and of the script with them."""
     name, bar = "best response to one person", f"safe success {SAFE:.0%} with {OFTEN:.0%} of them"
     beside, half = "script with the same persons", "below half of the best response's"
     if "best" not in files:
@@ -59,8 +59,8 @@ def _with_one(files: Files) -> list[Gate]:
     best = {what: _scores(files["best"], SINGLE, what).mean(axis=(0, 2)) for what in PLAYED}
     often = (best["safe_success"] >= SAFE).astype(float)
     value, ci = of_means(lambda share: share, often)
-    said = f"{len(often)} persons, safe success {best['safe_success'].mean():.0%}"
-    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{said}, {_steps(files['best'])}")]
+    detail = f"{len(often)} persons, safe success {best['safe_success'].mean():.0%}"
+    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{detail}, {_steps(files['best'])}")]
     if SCRIPT not in files:
         return [*gates, _missing(beside, half, SCRIPT)]
     for what, word in PLAYED.items():
@@ -71,30 +71,32 @@ def _with_one(files: Files) -> list[Gate]:
                 "the same number"
             )
         row = f"{beside}: {word}"
-        said = f"{script.mean():.3g} of {theirs.mean():.3g}"
+        detail = f"{script.mean():.3g} of {theirs.mean():.3g}"
         if theirs.mean() <= 0.0:
-            gates.append(Gate(row, half, None, None, None, f"{said}: no share of it"))
+            gates.append(Gate(row, half, None, None, None, f"{detail}: no share of it"))
             continue
         ratio, ci = of_means(lambda a, b: a / b, script, theirs, paired=True)
-        gates.append(Gate(row, half, ratio, ci, ratio < 0.5, said))
+        gates.append(Gate(row, half, ratio, ci, ratio < 0.5, detail))
     return gates
 
 
 def _as_searched(files: Files) -> Gate:
-    """Return what the script earns, of what the best of a search over its numbers does."""
+    """Return the gate of the script's return, as a share of the best searched script's."""
     name, bar = "script beside the best of a search", f">= {TUNED:.0%} of its return"
     if SEARCH not in files:
         return _missing(name, bar, SEARCH)
     best, own = _scores(files[SEARCH], SIDE, "return").mean(axis=2)
-    said = f"return {own.mean():.1f} of {best.mean():.1f}, {files[SEARCH]['about']['tries']} tries"
+    detail = (
+        f"return {own.mean():.1f} of {best.mean():.1f}, {files[SEARCH]['about']['tries']} tries"
+    )
     if best.mean() <= 0.0:
-        return Gate(name, bar, None, None, None, f"{said}: no share of it")
+        return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     value, ci = of_means(lambda a, b: a / b, own, best, paired=True)
-    return Gate(name, bar, value, ci, value >= TUNED, said)
+    return Gate(name, bar, value, ci, value >= TUNED, detail)
 
 
 def _lost(files: Files) -> Gate:
-    """Return what robots lose that were trained with idle persons."""
+    """Return the gate of the loss of robots that were trained with idle persons."""
     name, bar = "robot trained with idle persons", f"loses > {LESS:.0%}, the interval above 0"
     return _compared(
         name,
@@ -109,14 +111,14 @@ def _lost(files: Files) -> Gate:
 def _worth(
     name: str, files: Files, kinds: tuple[str, str], side: str, least: float | None = None
 ) -> Gate:
-    """Return the share that a kind of robot earns more than another; without a bar it is stated."""
+    """Return the gate of the share that one kind of robot earns more than another."""
     bar = "stated" if least is None else f">= {least:+.0%}, the interval above 0"
     holds = None if least is None else lambda value, low: value >= least and low > 0.0
     return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
 def _won_back(files: Files) -> Gate:
-    """Return which share of what telling is worth a robot with a memory wins by itself."""
+    """Return the gate of the share of telling's worth that a memory recovers."""
     name, bar = "a memory wins back, of that", f">= {BACK:.0%}"
     kinds = ("ppo", "told", "gru")
     if absent := [kind for kind in kinds if kind not in files]:
@@ -135,7 +137,7 @@ def _won_back(files: Files) -> Gate:
 
 
 def _who_meets_whom(files: Files) -> Gate:
-    """Return the share of variance that neither robot nor person brings alone."""
+    """Return the gate of the share of variance that belongs to pairs of robot and person."""
     name, bar = "who meets whom, share of variance", f">= {WHO:.0%}"
     if "ppo" not in files:
         return _missing(name, bar, "ppo")
@@ -149,12 +151,12 @@ def _who_meets_whom(files: Files) -> Gate:
     drawn = rng.integers(people, size=(RESAMPLED, people))
     draws = [_share_of_pairs(returns[:, who]) for who in drawn]
     low, high = np.quantile(draws, (0.025, 0.975))
-    said = f"{len(returns)} of {len(means)} robots, {people} persons"
-    return Gate(name, bar, value, (float(low), float(high)), value >= WHO, said)
+    detail = f"{len(returns)} of {len(means)} robots, {people} persons"
+    return Gate(name, bar, value, (float(low), float(high)), value >= WHO, detail)
 
 
 def _share_of_pairs(returns: np.ndarray) -> float:
-    """Return the variance of pairs, of that of robots, persons and pairs, in returns [S, P, K]."""
+    """Return the share of pairs in the variance of returns [robots, persons, episodes]."""
     axes = np.meshgrid(*(np.arange(n) for n in returns.shape), indexing="ij")
     columns = dict(zip(("ego", "partner", "episode"), (axis.ravel() for axis in axes), strict=True))
     spread = measure_spread(pl.DataFrame({**columns, "return": returns.ravel()}))
@@ -163,7 +165,7 @@ def _share_of_pairs(returns: np.ndarray) -> float:
 
 
 def _read(files: Files) -> list[Gate]:
-    """Return how often each wish is read, by the first robot of the stage's that read."""
+    """Return the gates of each wish's reading, by the first robot of the stage."""
     name = "a wish is read from what the robot observes"
     if READ not in files:
         return [_missing(name, "above chance at 5 s, the interval above it", READ)]
@@ -186,7 +188,7 @@ def _read(files: Files) -> list[Gate]:
 
 
 def _in_range(task: str) -> Gate:
-    """Return which share of all persons' numbers lies inside its cited range."""
+    """Return the gate of the share of persons' numbers inside their cited ranges."""
     rows, ranges = persons(task), PARAMETERS[task]
     inside = [
         ((row >= np.float32(number.low)) & (row <= np.float32(number.high)))
@@ -194,9 +196,11 @@ def _in_range(task: str) -> Gate:
         for row, number in zip(rows.T, ranges, strict=True)
     ]
     value, sources = float(np.mean(inside)), sum(bool(number.source) for number in ranges)
-    said = f"{len(rows)} persons; {sources} of {len(ranges)} numbers name a source"
+    detail = f"{len(rows)} persons; {sources} of {len(ranges)} numbers name a source"
     holds = value == 1.0 and sources == len(ranges)
-    return Gate("numbers inside their ranges", "all, each with a source", value, None, holds, said)
+    return Gate(
+        "numbers inside their ranges", "all, each with a source", value, None, holds, detail
+    )
 
 
 def _compared(
@@ -208,16 +212,16 @@ def _compared(
     holds: Callable[[float, float], bool] | None,
     side: str = SIDE,
 ) -> Gate:
-    """Return a figure of mean returns with strangers, resampling seeds of each kind and persons."""
+    """Return the gate of a figure of returns with strangers; seeds and persons are resampled."""
     if absent := [kind for kind in kinds if kind not in files]:
         return _missing(name, bar, *absent)
     scores = [_scores(files[kind], side, "return").mean(axis=2) for kind in kinds]
-    said = ", ".join(
+    detail = ", ".join(
         f"{kind} {s.mean():.1f} ({len(s)} seeds, {_steps(files[kind])})"
         for kind, s in zip(kinds, scores, strict=True)
     )
     if scores[0].mean() <= 0.0:
-        return Gate(name, bar, None, None, None, f"{said}: no share of it")
+        return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     rng = np.random.default_rng(0)
     people = draw_counts(scores[0].shape[1], RESAMPLES, rng)
     means = [
@@ -227,11 +231,11 @@ def _compared(
     low, high = map(float, np.nanquantile(figure(*means), (0.025, 0.975)))
     value = float(figure(*(s.mean() for s in scores)))
     met = None if holds is None else holds(value, low)
-    return Gate(name, bar, value, (low, high), met, said)
+    return Gate(name, bar, value, (low, high), met, detail)
 
 
 def _scores(file: Mapping[str, Any], side: str, what: str) -> np.ndarray:
-    """Return what a stage has of a side, [robots, persons, episodes]."""
+    """Return a stage's results with a side [robots, persons, episodes]."""
     return np.array(file["sides"][side][what], float)
 
 
@@ -240,4 +244,5 @@ def _steps(file: Mapping[str, Any]) -> str:
 
 
 def _missing(name: str, bar: str, *stages: str) -> Gate:
+    """Return a gate that was not measured, with the stages that it needs."""
     return Gate(name, bar, None, None, None, f"not measured: needs {', '.join(stages)}")

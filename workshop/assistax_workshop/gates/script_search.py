@@ -1,4 +1,4 @@
-"""A search over the numbers of a task's script: how strong is it when somebody has tuned it?
+"""Search over the numbers of a task's script, for the return of a tuned script.
 
 The cross-entropy method: rounds of tries, each drawn about the best fifth of the round before. All
 tries of a round play the same episodes, side by side in one program.
@@ -24,13 +24,13 @@ from assistax_workshop.gates.persons import (
 )
 
 ROUNDS = 5
-ELITE = 5  # one try in so many is a model of the next round
-FIRST, LEAST = 0.2, 0.03  # spread of the first and least of the last round, shares of a range
-DRAWN = 0.4  # share of the first round that is drawn from anywhere in the ranges
+ELITE = 5  # one try in this many is a model of the next round
+FIRST, LEAST = 0.2, 0.03  # spread of the first round, and least spread, as shares of a range
+DRAWN = 0.4  # share of the first round that is drawn uniformly from the ranges
 
 
 class TriedScript:
-    """Plays a task's script by the numbers that it is given, in the form of a policy."""
+    """Policy that plays a task's script with given numbers."""
 
     def __init__(self, env: Env) -> None:
         self._env = env
@@ -42,13 +42,13 @@ class TriedScript:
     def act(
         self, params: Mapping[str, jax.Array], carry: tuple[()], obs: jax.Array, first: jax.Array
     ) -> tuple[tuple[()], jax.Array]:
-        """Return actions [..., 7] for observations [..., O] of the numbers `params`, [] each."""
+        """Return actions [..., 7] for obs [..., O], by the script's numbers `params`, [] each."""
         robot = script_of(self._env.task, self._env.model, params)
         return carry, robot(obs.reshape(-1, obs.shape[-1])).reshape(*obs.shape[:-1], -1)
 
 
 def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
-    """Search the numbers with persons of the training side, and play the best with strangers.
+    """Return the best numbers found with persons of the training side, and their results.
 
     Raises:
         ValueError: There are too few tries for the rounds.
@@ -88,7 +88,7 @@ def search_script(plan: Plan, progress: Callable[[str], None] = print) -> dict[s
 
 
 def _own_places(task: str) -> np.ndarray:
-    """Return where a script's own numbers lie between their least and their most, as shares."""
+    """Return the script's own numbers as shares of their ranges."""
     script = SCRIPTS[task]
     return np.array(
         [(script.numbers[n] - low) / (high - low) for n, (low, high) in script.ranges.items()]
@@ -96,7 +96,7 @@ def _own_places(task: str) -> np.ndarray:
 
 
 def _stack(task: str, places: np.ndarray) -> dict[str, jax.Array]:
-    """Return the numbers by name, [tries] each, at places [tries, numbers]."""
+    """Return the numbers by name, [tries] each, for shares of their ranges [tries, numbers]."""
     ranges = np.array(list(SCRIPTS[task].ranges.values()))
     values = ranges[:, 0] + places * (ranges[:, 1] - ranges[:, 0])
     columns = np.array([[float(f"{value:.4g}") for value in row] for row in values], np.float32)

@@ -1,7 +1,7 @@
-"""Trains those who play for the gates of a gentle task; an audit reads the folders.
+"""Training of the policies for the gates of a gentle task; an audit reads the folders.
 
-Teams whose robot is told the human's preference, or whose human is not told it, robots that learn
-with a human that does nothing: such are in no release, and nothing but the gates wants them.
+Examples are teams whose robot is told the human's preference, teams whose human is not told it, and
+robots that train with an idle human. Only the gates use them; no release holds them.
 """
 
 import contextlib
@@ -37,13 +37,13 @@ CHANGES: Mapping[str, Mapping[str, Any]] = ByTask(
 
 @dataclasses.dataclass(frozen=True)
 class Condition:
-    """Who learns, and with whom."""
+    """Algorithm, observations and partners of a training."""
 
     algorithm: str = "ippo"
     torso: str = "mlp"
-    told: tuple[str, ...] = ("human",)  # who observes the preference
-    # Frozen humans of a robot's training: none, one that does nothing, one team's, or those of
-    # every other team, so that it can play with the rest as with strangers.
+    told: tuple[str, ...] = ("human",)  # roles that observe the preference
+    # Frozen humans of a robot's training: none, a passive one, one team's, or those of every other
+    # team, so that the remaining teams' humans are strangers.
     humans: str = "none"
 
 
@@ -63,7 +63,7 @@ CONDITIONS: Mapping[str, Condition] = {
 
 
 class OneEach(FrozenPartners):
-    """Member i learns with partner i alone: best responses to all of them, in one program.
+    """Partners of which member i trains with partner i alone, for best responses in one program.
 
     Partners are of one spec and one setting. Members are not spread over several devices.
     """
@@ -113,12 +113,12 @@ def train_conditions(
 
     Args:
         task: Gentle task.
-        folder: Of the runs.
+        folder: Folder of the runs.
         conditions: Names among CONDITIONS.
-        seeds: Of each condition.
+        seeds: Seeds of each condition.
         steps: Environment steps of each team.
         disability: The human's setting.
-        changes: Of the preset's hyperparameters.
+        changes: Changes of the preset's hyperparameters.
         backend: Physics.
 
     Raises:
@@ -147,6 +147,7 @@ def train_conditions(
 
 
 def _trainer(task: str, condition: Condition, changes: Mapping[str, Any]) -> TrainerConfig:
+    """Return the hyperparameters of a condition."""
     of_task = CHANGES[task]
     if preset(condition.algorithm).kind == "sac":
         of_task = {"initial_log_std": of_task["initial_log_std"]}
@@ -162,7 +163,7 @@ def _humans(
     env: Any,
     disability: str,
 ) -> Iterator[tuple[Path, Sequence[int], FrozenPartners | None]]:
-    """Yield the runs of a condition: folder, seeds, and the frozen humans."""
+    """Yield the runs of a condition: folder, seeds, and frozen humans (None if teams train)."""
     if condition.humans == "none":
         yield folder / name, seeds, None
         return
@@ -185,6 +186,7 @@ def _humans(
 
 
 def _frozen(humans: Roster, disability: str) -> FrozenPartners:
+    """Return the humans of a roster as frozen partners of one setting."""
     stacks = [stack for stack in humans.stacks if isinstance(stack, PolicyStack)]
     setting = DISABILITY_SETTINGS[disability]
     return FrozenPartners(stacks, {name: setting for stack in stacks for name in stack.ids})

@@ -1,1 +1,1 @@
-"""Populations by plan: what to train, how far it is, the next share."""
+"""Plans of populations: their runs, their status, and the next run to train."""

@@ -1,6 +1,6 @@
-"""Learning curves kept small.
+"""Learning curves in small files.
 
-A run's metrics at a hundred points, one file for each group of a plan.
+They are a run's metrics at a hundred points, one file for each group of a plan.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _SCHEMA = {
     "seed": pl.Int64,
     "steps": pl.Int64,
 }
-# Of episodes, kept where a run's metrics have them: a figure of a gentle task needs all.
+# Metrics of episodes, written if a run has them: a figure of a gentle task needs all.
 _MEASURES = ("return", "success", "violated", "term_force", "term_violation")
 
 
@@ -28,23 +28,23 @@ def thin(metrics: pl.DataFrame, config: TrainConfig, points: int = POINTS) -> pl
     """Return each member's means over `points` stretches of equal length.
 
     Args:
-        metrics: Metrics of a run: steps, disability, seed, episodes, and return, null where no
-            episode ended. Some have success, violated and the terms of forces, too.
+        metrics: Metrics of a run: steps, disability, seed, episodes, and return, null if no
+            episode ended. Some also have success, violated and the terms of forces.
         config: The run.
         points: Stretches; fewer if the run has fewer updates.
 
     Returns:
-        Columns task, algorithm, disability, seed, steps (the end of the stretch) and return, with
-        what else the metrics have: the means over its episodes, null where none ended.
+        Columns task, algorithm, disability, seed, steps (the end of the stretch), return and other
+        measures that the metrics have: means over the stretch's episodes, null if it has none.
     """
     points = min(points, config.updates)
     stretch = (pl.col("update") * points / config.updates).ceil().cast(pl.Int64)
     ended = pl.col("return").is_not_null()
     weight = pl.col("episodes").filter(ended)
-    kept = [name for name in _MEASURES if name in metrics.columns]
+    present = [name for name in _MEASURES if name in metrics.columns]
     means = [
         ((pl.col(name).filter(ended) * weight).sum() / weight.sum()).fill_nan(None).alias(name)
-        for name in kept
+        for name in present
     ]
     table = metrics.group_by("disability", "seed", stretch.alias("stretch")).agg(
         pl.col("steps").max(), *means
@@ -52,14 +52,16 @@ def thin(metrics: pl.DataFrame, config: TrainConfig, points: int = POINTS) -> pl
     named = table.with_columns(
         pl.lit(config.task).alias("task"), pl.lit(config.algorithm).alias("algorithm")
     )
-    schema = _SCHEMA | dict.fromkeys(kept, pl.Float32)
+    schema = _SCHEMA | dict.fromkeys(present, pl.Float32)
     return named.select(pl.col(name).cast(dtype) for name, dtype in schema.items()).sort(
         *_MEMBER, "steps"
     )
 
 
 def write_curves(path: Path, runs: Sequence[tuple[pl.DataFrame, TrainConfig]]) -> pl.DataFrame:
-    """Write the curves of runs to one file; members that it holds of other runs stay in it.
+    """Write the curves of runs to one file, and return its table.
+
+    Curves that the file holds of other members stay.
 
     Args:
         path: A Parquet file; its folder is created.

@@ -1,9 +1,9 @@
 """A plan: every team of a release, in groups that train in one program each.
 
 A group is one task and one algorithm, with all its disability settings and seeds. Its run folders
-are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with some of its members. What a
-run folder holds is decided when it is begun: a plan that changes later adds new folders, and never
-alters those that are there. Imports no JAX.
+are `NAME`, `NAME-2`, ... in the folder of the plan's runs, each with some of its members. The
+members of a run folder are fixed when it is begun: a plan that changes later adds new folders, and
+never alters existing ones. Imports no JAX.
 """
 
 import collections
@@ -40,17 +40,17 @@ from population.config import (
 from population.hyperparameters import TrainerConfig, preset
 from population.runs.folder import RunFolder, differences
 
-# The last word of a group's name is no number, or it were taken for another's second folder.
+# The last word is not a number, so that a name is not mistaken for another group's second folder.
 _NAME = re.compile(r"[a-z][a-z0-9_]*((-[a-z0-9_]+)*-[0-9]*[a-z_][a-z0-9_]*)?")
 
 Key = tuple[str, int]  # disability setting and seed: a team within its group
-SECRET_SEEDS = range(2**31, 2**63)  # no public plan has any of them
+SECRET_SEEDS = range(2**31, 2**63)  # no public plan uses these
 Release = Annotated[str, Field(pattern=r"^v(0|[1-9][0-9]*)$")]
 
 
 @validated
 class Group:
-    """Teams of one task and algorithm that train side by side."""
+    """Group of teams of one task and algorithm that train side by side."""
 
     name: str  # names its run folders, such as "scratch-ippo"
     task: str  # environment task
@@ -62,9 +62,9 @@ class Group:
     updates_per_call: PositiveInt | None = None  # dispatched at once; None: the trainer's default
     checkpoint_every: PositiveInt | None = None  # in updates; None: the trainer's default
     self_play_episodes: NonNegativeInt = 16  # of each team's final evaluation; 0 leaves it out
-    precision: Precision = "float32"  # in which teams are published, after which they are evaluated
+    precision: Precision = "float32"  # of the published parameters, which are then evaluated
     max_members: PositiveInt | None = None  # most teams in one run, so that it fits the device
-    adopt: Release | None = None  # whose teams of at least `steps` join unchanged
+    adopt: Release | None = None  # release whose teams of at least `steps` join unchanged
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -87,7 +87,7 @@ class Group:
 
     @property
     def together(self) -> int:
-        """How many members in order must train in one run: a population has all its seeds."""
+        """Number of consecutive members that train in one run, such as a population's seeds."""
         return len(self.seeds) if self.trainer.population_coef else 1
 
     @property
@@ -112,7 +112,7 @@ class Group:
 
 @validated
 class Plan:
-    """The teams of a release."""
+    """Plan of a release's teams."""
 
     version: Literal[1]  # of the plan's format
     release: Release  # release that they join, such as "v1"
@@ -170,16 +170,16 @@ def read_plan(path: Path) -> Plan:
 def private_plan(
     plan: Plan, task: str | None = None, release: str | None = None, teams: int | None = None
 ) -> Plan:
-    """Return a plan like a public one, whose teams nobody else can train.
+    """Return a plan like a public one, with secret seeds.
 
-    Seeds are drawn from the system's secrets, 63 bits each: no two of the plan are the same, and
-    none is a public one. It adopts nothing.
+    Seeds are drawn from the system's secrets, 63 bits each. They differ from one another and from
+    the public ones. The plan adopts no teams.
 
     Args:
         plan: The public plan.
         task: Task whose groups are kept; None keeps all.
         release: Release that the teams join; None keeps the plan's.
-        teams: At most so many, by fewer seeds in every group; None has as many seeds as before.
+        teams: Most teams, by fewer seeds in every group; None keeps the number of seeds.
 
     Raises:
         ValueError: The plan has no group of the task, the release is not "v" and a number, or so
@@ -188,7 +188,7 @@ def private_plan(
     groups = [group for group in plan.groups if task in (None, group.task)]
     if not groups:
         tasks = ", ".join(dict.fromkeys(group.task for group in plan.groups))
-        raise ValueError(f"task is {task!r}; the plan has {tasks}: name one, or none for all")
+        raise ValueError(f"task is {task!r}; the plan has {tasks}: give one, or omit it for all")
     public = {seed for group in plan.groups for seed in group.seeds}
     counts = _seed_counts(groups, teams)
     enough = sum(counts) + len(public)  # public ones may be drawn
@@ -203,9 +203,9 @@ def private_plan(
 
 
 def _seed_counts(groups: Sequence[Group], teams: int | None) -> list[int]:
-    """Return how many seeds each group has in a plan of so many teams: in proportion, one at least.
+    """Return the number of seeds of each group in a plan of `teams`, in proportion.
 
-    A population needs two.
+    A group has at least one seed, a population two.
     """
     whole = sum(len(group.members) for group in groups)
     if teams is None or teams >= whole:
@@ -222,7 +222,7 @@ def _seed_counts(groups: Sequence[Group], teams: int | None) -> list[int]:
 
 
 def write_private_plan(plan: Plan, path: Path) -> None:
-    """Write a plan to a file, in a folder made for it if need be, that only its owner may read.
+    """Write a plan to a new file that only its owner may read; its folder is created.
 
     Raises:
         ValueError: There is such a file; its seeds are nowhere else, so it stays.
@@ -240,7 +240,7 @@ def write_private_plan(plan: Plan, path: Path) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class PlannedRun:
-    """Members of a group in one run folder."""
+    """Run of a group's members in one folder."""
 
     group: Group
     folder: Path
@@ -258,7 +258,7 @@ class PlannedRun:
         return frozenset((member.disability, member.seed) for member in self.members)
 
     def config(self) -> TrainConfig:
-        """Return what the folder's run trains: what it was begun with, else what the plan says."""
+        """Return the config of a begun run's folder, or the plan's config for a new run."""
         return (
             self.group.config(self.members)
             if self.state == "new"
@@ -266,15 +266,15 @@ class PlannedRun:
         )
 
     def differences(self) -> str:
-        """Say in what a begun run is another than the plan now wants; "" if in nothing."""
+        """Return a description of a begun run's differences from the plan; "" if there are none."""
         config = self.group.config(self.members)
         return differences(self.config().to_json(), config.to_json())
 
 
 def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[PlannedRun]:
-    """Return the runs of a group that hold, or are to hold, members that are not done.
+    """Return the runs of a group for members that are not done: existing folders, then new ones.
 
-    Members that no folder holds are cut in order into new runs of at most `max_members`, so that
+    Members without a folder are cut in order into new runs of at most `max_members`, so that
     processes which look at different times cut alike. A population is never cut.
 
     Args:
@@ -283,7 +283,7 @@ def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[Pl
         done: Members that need no run: published, or adopted from another release.
 
     Raises:
-        ValueError: Some members of a population are there, and some are not.
+        ValueError: A population is there in part.
     """
     known = list(_existing(group, out))
     held = {key for planned in known for key in planned.keys} | set(done)
@@ -307,7 +307,7 @@ def planned_runs(group: Group, out: Path, done: Collection[Key] = ()) -> list[Pl
 
 
 def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:
-    """Yield the run folders of a group, by number."""
+    """Yield the existing runs of a group, by number of their folders."""
     pattern = re.compile(rf"{re.escape(group.name)}(?:-([0-9]+))?")
     places = [
         (int(match[1] or 1), path)
@@ -326,7 +326,7 @@ def _existing(group: Group, out: Path) -> Iterator[PlannedRun]:
 def _finished_members(group: Group, folder: Path) -> tuple[Member, ...]:
     """Return the members that a run's teams.json names.
 
-    All that is left of some runs but their parameters.
+    Some runs have only this file and their parameters left.
     """
     try:
         teams = [item["team"] for item in RunFolder(folder).team_items()]
@@ -340,6 +340,7 @@ def _finished_members(group: Group, folder: Path) -> tuple[Member, ...]:
 
 
 def _check_owner(group: Group, folder: Path, task: str, algorithm: str) -> None:
+    """Refuse a folder whose run is of another task or algorithm than the group."""
     if (task, algorithm) != (group.task, group.algorithm):
         raise ValueError(
             f"{folder} holds a run of {task} {algorithm}, but group {group.name} is {group.task} "

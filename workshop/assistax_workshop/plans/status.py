@@ -1,7 +1,4 @@
-"""How far a plan is.
-
-What its registry and its run folders hold, what it cost, and the file that says so.
-"""
+"""Status of a plan: teams in its registry and run folders, their cost, and the progress file."""
 
 import dataclasses
 import datetime
@@ -21,15 +18,15 @@ from zoo.registry import Registry, load_registry
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """One group of a plan."""
+    """Status of one group of a plan."""
 
     group: Group
     published: frozenset[Key]  # teams that the release has
-    adoptable: frozenset[Key]  # teams that another release has, and this one not yet
-    planned: tuple[PlannedRun, ...]  # runs that hold, or are to hold, the others
-    # What progress.json says of published and finished runs, by name.
+    adoptable: frozenset[Key]  # teams that another release has and this one lacks
+    planned: tuple[PlannedRun, ...]  # runs of the other teams, finished or not
+    # Entries of published and finished runs in progress.json, by name.
     runs: Mapping[str, Mapping[str, Any]]
-    # Training steps a second and device that were measured, by task and algorithm.
+    # Measured training steps per second and device, by task and algorithm.
     speeds: Mapping[tuple[str, str], int] = dataclasses.field(default_factory=dict)
 
     @property
@@ -67,7 +64,7 @@ class Status:
 
     @property
     def estimate(self) -> float | None:
-        """Device minutes of what is missing; None if nothing like it was measured."""
+        """Device minutes of the missing teams; None without a measured speed."""
         if not (steps := steps_to_train(self.planned)):
             return 0.0
         source = self.estimated_from
@@ -92,26 +89,26 @@ class Status:
 def survey(
     groups: Sequence[Group], release: str, out: Path, registry: Registry | None
 ) -> list[Status]:
-    """Return how far each group is.
+    """Return the status of each group.
 
     Raises:
         ValueError: A group adopts a release that the registry does not have.
     """
     statuses = [_status(group, release, out, registry) for group in groups]
-    # What nobody here has trained yet has the speed that published teams were trained at.
+    # Tasks and algorithms that were not trained here have the speed of published teams.
     speeds = {**_speeds(load_registry(), ()), **_speeds(registry, statuses)}
     return [dataclasses.replace(status, speeds=speeds) for status in statuses]
 
 
 def team_id(group: Group, key: Key, release: str) -> TeamId:
-    """Return the id that a member has in a release."""
+    """Return a member's id in a release."""
     return TeamId(group.task, group.algorithm, key[0], key[1], release)
 
 
 def steps_to_train(runs_of_plan: Sequence[PlannedRun]) -> int:
-    """Return the environment steps that all members of unfinished runs take.
+    """Return the environment steps of all members of unfinished runs.
 
-    A begun run counts whole.
+    A begun run counts wholly.
     """
     configs = [planned.config() for planned in runs_of_plan if planned.state != "finished"]
     return sum(
@@ -120,6 +117,7 @@ def steps_to_train(runs_of_plan: Sequence[PlannedRun]) -> int:
 
 
 def _status(group: Group, release: str, out: Path, registry: Registry | None) -> Status:
+    """Return the status of one group, without speeds."""
     teams = {(member.disability, member.seed) for member in group.members}
     published = frozenset(
         key
@@ -137,6 +135,7 @@ def _status(group: Group, release: str, out: Path, registry: Registry | None) ->
 def _adoptable(
     group: Group, keys: set[Key], release: str, registry: Registry | None
 ) -> frozenset[Key]:
+    """Return the teams among `keys` that the group's earlier release can give."""
     assert group.adopt is not None
     if registry is None or group.adopt not in registry.data.releases:
         where = f"the registry {registry.path} has none" if registry else "there is no registry"
@@ -154,9 +153,9 @@ def _adoptable(
 def _published_runs(
     group: Group, published: frozenset[Key], release: str, registry: Registry | None
 ) -> dict[str, dict[str, Any]]:
-    """Return the runs of the published teams.
+    """Return the entries of the runs of published teams, by name.
 
-    An adopted run has its release's name and counts all it trained.
+    An adopted run is named with its release, and counts all teams that it trained.
     """
     runs: dict[str, dict[str, Any]] = {}
     for key in sorted(published):
@@ -173,9 +172,9 @@ def _published_runs(
 
 
 def _origin(group: Group, key: Key, release: str, registry: Registry) -> str | None:
-    """Return the release that a team was adopted from.
+    """Return the release that a team was adopted from: its team there has equal parameters.
 
-    The one whose team has the same parameters.
+    None if the team was not adopted.
     """
     earlier = (
         registry.data.teams.get(str(team_id(group, key, group.adopt))) if group.adopt else None
@@ -190,6 +189,7 @@ def _origin(group: Group, key: Key, release: str, registry: Registry) -> str | N
 
 
 def _finished_runs(runs_of_plan: Sequence[PlannedRun]) -> dict[str, dict[str, Any]]:
+    """Return the entries of finished runs, by name."""
     runs = {}
     for planned in runs_of_plan:
         if planned.state == "finished":
@@ -201,7 +201,7 @@ def _finished_runs(runs_of_plan: Sequence[PlannedRun]) -> dict[str, dict[str, An
 
 
 def _of_registry(registry: Registry, run: str, teams: int, together: int) -> dict[str, Any]:
-    """Return what a published run cost that trained some teams together."""
+    """Return the cost entry of a published run, which trained `together` teams."""
     training = registry.data.runs[run]
     devices = training.notes.get("devices")
     count = devices if isinstance(devices, int) else 1
@@ -209,9 +209,9 @@ def _of_registry(registry: Registry, run: str, teams: int, together: int) -> dic
 
 
 def _cost(training: Mapping[str, Any], devices: int, teams: int, together: int) -> dict[str, Any]:
-    """Return what a run cost.
+    """Return the cost entry of a run.
 
-    Its speed is that of all the teams which it trained together, on one device.
+    Its speed is that of all the teams that it trained together, on one device.
     """
     steps, seconds = training["steps"], training.get("seconds")
     return {
@@ -226,10 +226,7 @@ def _cost(training: Mapping[str, Any], devices: int, teams: int, together: int) 
 
 
 def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
-    """Return the time that runs took on all their devices.
-
-    What another release paid for is left out.
-    """
+    """Return the seconds that runs took on all their devices, without adopted runs."""
     return sum(
         (run.get("seconds") or 0.0) * run.get("devices", 1)
         for run in runs
@@ -238,14 +235,14 @@ def _device_seconds(runs: Iterable[Mapping[str, Any]]) -> float:
 
 
 def _teams_of(registry: Registry, run: str) -> int:
-    """Return how many different teams a published run trained."""
+    """Return the number of different teams of a published run."""
     return len(
         {name.rpartition("-")[0] for name, team in registry.data.teams.items() if team.run == run}
     )
 
 
 def _speeds(registry: Registry | None, statuses: Sequence[Status]) -> dict[tuple[str, str], int]:
-    """Return training steps a second and device by task and algorithm, of the largest runs."""
+    """Return training steps per second and device by task and algorithm, of the largest runs."""
     runs = [
         ((status.group.task, status.group.algorithm), run)
         for status in statuses
@@ -265,10 +262,10 @@ def _speeds(registry: Registry | None, statuses: Sequence[Status]) -> dict[tuple
 def write_progress(
     path: Path, plan: Plan, statuses: Sequence[Status], errors: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write a plan's progress to its file, beside what other processes wrote, and return it.
+    """Update a plan's progress file, which other processes write too, and return its content.
 
-    What the registry and the run folders say replaces what the file said of the same run; runs that
-    only another process can see stay until their teams are published.
+    Entries of runs that this process sees in registry or folders are replaced. Other entries stay
+    until their teams are published.
 
     Args:
         path: The file.
@@ -297,10 +294,7 @@ def write_progress(
 
 
 def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) -> dict[str, Any]:
-    """Return a group's entry.
-
-    Its runs as seen now, and those of the file that nothing has replaced.
-    """
+    """Return a group's entry: its runs as seen now, and the file's entries of other runs."""
     before = old.get("runs", {})
     runs = {name: _dated(run, before.get(name, {})) for name, run in status.runs.items()}
     complete = len(status.published) == len(status.group.members)
@@ -327,7 +321,7 @@ def _entry(status: Status, old: Mapping[str, Any], errors: Mapping[str, str]) ->
 
 
 def _dated(run: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a run with the day on which it was first seen as published."""
+    """Return a run's entry with the day of its publication, if it is published."""
     if run["state"] != "published":
         return dict(run)
     today = datetime.date.today().isoformat()

@@ -1,4 +1,4 @@
-"""Training and publishing what a plan lacks, beside other processes that do the same."""
+"""Training and publishing of a plan's missing teams, beside other processes of the same plan."""
 
 import contextlib
 import dataclasses
@@ -23,13 +23,13 @@ from population.runs.trained import TrainedTeam
 from zoo.registry import Registry, load_registry
 from zoo.saving import writable_registry
 
-# Given a run, a context that lends what its training reports to.
+# Function from a run to a context, which yields the receiver of the training's reports.
 Shown = Callable[[Any], contextlib.AbstractContextManager[Callable[[Any], None]]]
 
 
 @dataclasses.dataclass
 class PlanTraining:
-    """What one process does with a plan; `errors` says what failed, and the rest went on."""
+    """Work of one process on a plan; a failure is noted in `errors`, and the rest goes on."""
 
     plan: Plan
     groups: list[Group]
@@ -41,10 +41,10 @@ class PlanTraining:
     errors: dict[str, str] = dataclasses.field(default_factory=dict)  # by run, or adopting group
 
     def do(self, *, train: bool, publish: bool, curves: Path | None) -> None:
-        """Adopt, train and publish what is missing; what is turned off is left out.
+        """Run the enabled stages for teams that the release lacks.
 
         Raises:
-            PublishError: It is to be published to an official registry.
+            PublishError: The registry to publish to is official.
         """
         if publish:
             writable_registry(self.registry)  # before hours of training
@@ -58,22 +58,22 @@ class PlanTraining:
         self.record()
 
     def survey(self) -> list[Status]:
-        """Return how far every chosen group is, by the registry and the folders of this moment."""
+        """Return the present status of every chosen group, by registry and folders."""
         return survey(self.groups, self.plan.release, self.out, self.load())
 
     def load(self) -> Registry | None:
         return load_registry(self.registry) if self.registry.is_file() else None
 
     def record(self, trying: str | None = None) -> None:
-        """Write the progress file; training goes on if it cannot be written."""
+        """Write the progress file; an error is noted, and training goes on."""
         errors = self.errors | ({trying: ""} if trying else {})
         with self._noting(path := self.path.with_suffix(".progress.json")):
             write_progress(path, self.plan, self.survey(), errors)
 
     def publish_ready(self) -> None:
-        """Adopt and publish all that is there, in one publication.
+        """Adopt and publish all finished teams in one publication.
 
-        One shard and one split instead of many.
+        This makes one shard and one split instead of many.
         """
         batches: dict[str, list[TrainedTeam]] = {}
         for status in self.survey():
@@ -88,14 +88,14 @@ class PlanTraining:
                         batches[planned.name] = _waiting_teams(status, planned)
         try:
             self._publish([team for teams in batches.values() for team in teams])
-        except Exception:  # one that is refused must not keep the others out
+        except Exception:  # a refused batch must not block the others
             for name, teams in batches.items():
                 with self._noting(name):
                     self._publish(teams)
         self.record()
 
     def train_missing(self, publish: bool) -> None:
-        """Train run after run that no other process holds, until none is left."""
+        """Train the runs that no other process holds, one after the other."""
         tried: set[str] = set()
         while taken := self._take(tried):
             status, planned, hold = taken
@@ -152,9 +152,8 @@ class PlanTraining:
         ]:
             if name in tried or not (hold := _hold(self.out, name)):
                 continue
-            for status in (
-                self.survey()
-            ):  # again, under the lock: another process may have finished it meanwhile
+            # Surveyed again under the lock, since another process may have finished the run.
+            for status in self.survey():
                 for planned in status.planned:
                     if planned.name == name and planned.state != "finished":
                         return status, planned, hold
@@ -162,6 +161,7 @@ class PlanTraining:
         return None
 
     def _train(self, status: Status, planned: PlannedRun) -> None:
+        """Train one run, with a line on standard error."""
         from population.runs.logged_run import run_training
 
         teams = (
@@ -184,6 +184,7 @@ class PlanTraining:
             run_training(config, self.backend, planned.folder, progress=progress)
 
     def _adopted(self, status: Status) -> list[TrainedTeam]:
+        """Return a group's adoptable teams, ready to be published."""
         registry, release = self.load(), status.group.adopt
         assert registry is not None and release is not None
         return read_published(
@@ -191,6 +192,7 @@ class PlanTraining:
         )
 
     def _publish(self, teams: Sequence[TrainedTeam]) -> None:
+        """Publish teams in the plan's release, if there are any."""
         if teams:
             publish(
                 teams,
@@ -207,9 +209,9 @@ class PlanTraining:
 
     @contextlib.contextmanager
     def _noting(self, what: str | Path) -> Generator[None]:
-        """Note an error under a name and go on.
+        """Note an error under a name and suppress it.
 
-        A diverged run, a full disk, a device out of memory.
+        Examples are a diverged run, a full disk, or a device out of memory.
         """
         name = str(what)
         try:
@@ -221,9 +223,9 @@ class PlanTraining:
 
 
 def _hold(out: Path, name: str) -> AcquireReturnProxy | None:
-    """Take the lock of a run, or return None if another process has it.
+    """Return the acquired lock of a run, or None if another process holds it.
 
-    A killed process lets go.
+    The lock of a killed process is free.
     """
     try:
         return exclusive(out / name).acquire(blocking=False)
@@ -232,6 +234,6 @@ def _hold(out: Path, name: str) -> AcquireReturnProxy | None:
 
 
 def _waiting_teams(status: Status, planned: PlannedRun) -> list[TrainedTeam]:
-    """Return the teams of a finished run that the group wants and the release does not have."""
+    """Return the teams of a finished run that the group wants and the release lacks."""
     waiting = status.waiting(planned)
     return [team for team in read_run(planned.folder) if (team.disability, team.seed) in waiting]

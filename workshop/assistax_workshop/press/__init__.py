@@ -1,1 +1,1 @@
-"""From trained runs to a release."""
+"""Publication of trained runs in a release."""

@@ -1,4 +1,4 @@
-"""A trained team on its way into a release: its id, leaves, hashes, provenance and figures."""
+"""Team on its way into a release: its id, leaves, hashes, provenance and figures."""
 
 import dataclasses
 import json
@@ -17,13 +17,13 @@ from zoo.ids import EGO, TeamId
 from zoo.schema import Ego, PolicyRow, SelfPlay, Team, TrainedAgainst, Training
 
 Check = Callable[[PolicySpec, Leaves, str], None]
-# These stand in the id, or as the run's key.
+# Fields that are part of the id, or the run's key.
 _IDENTITY = ("run", "task", "algorithm", "disability", "seed", "release")
 
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """A team to publish, with what its registry entry needs."""
+    """Team to publish, with the data of its registry entry."""
 
     team: TeamId
     specs: Mapping[Role, PolicySpec]
@@ -35,7 +35,7 @@ class Candidate:
     trained_against: TrainedAgainst | None
 
     def entry(self, run: str, policies: dict[Role, PolicyRow]) -> Team | Ego:
-        """Return its registry entry."""
+        """Return the team's registry entry."""
         if self.trained_against is None:
             return Team(run=run, self_play=self.self_play, policies=policies)
         rows: dict[Literal["robot"], PolicyRow] = {"robot": policies["robot"]}
@@ -43,11 +43,11 @@ class Candidate:
 
 
 def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
-    """Return a team as it would be published.
+    """Return a team as a candidate for a release.
 
     Raises:
         PublishError: It has no id, or lacks provenance.
-        FormatError: Its parameters are not those of its spec.
+        FormatError: Its parameters do not fit its spec.
     """
     name = _name(team, release)
     if team.training.get("told"):
@@ -74,7 +74,7 @@ def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
 
 
 def _name(team: TrainedTeam, release: str) -> TeamId:
-    """Return the id under which a team, or the robot of a `train-ego` run, is published."""
+    """Return the id under which a team, or a robot trained with partners, is published."""
     if team.is_ego:
         if not team.trained_against:
             missing = "none: split.json is missing (resuming the training writes it)"
@@ -91,7 +91,7 @@ def _name(team: TrainedTeam, release: str) -> TeamId:
 
 
 def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the training record by the schema's fields; the rest goes to `notes`, flattened."""
+    """Return the training record by the schema's fields; others are flattened into `notes`."""
     fields = Training.model_fields
     known = {name: training[name] for name in fields if training.get(name) is not None}
     rest = {name: training[name] for name in training if name not in (*fields, *_IDENTITY)}
@@ -102,6 +102,7 @@ def _sorted_provenance(training: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scalars(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested table flattened to dotted names; lists become comma-separated text."""
     flat: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):

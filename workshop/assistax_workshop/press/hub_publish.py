@@ -1,4 +1,4 @@
-"""Publishing to a folder or a hub, where it is one commit and a tag: all is seen, or nothing."""
+"""Publication to a folder or a hub; on a hub it is one commit and a tag, seen wholly or not."""
 
 import contextlib
 import dataclasses
@@ -33,7 +33,7 @@ FILMS = (".gif", ".webp", ".mp4")
 
 @dataclasses.dataclass(frozen=True)
 class Publication:
-    """What was published where."""
+    """Result of a publication."""
 
     registry: str
     release: str
@@ -52,20 +52,20 @@ def publish_to(
     film: Path | None = None,
     **arguments: Any,
 ) -> Publication:
-    """Publish teams and egos to a folder or a hub repository: what everything published goes by.
+    """Publish teams and egos to a folder or a hub repository; return the result.
 
     Args:
         teams: Trained teams, or robots that `train-ego` trained.
         to: A folder, or `hf://org/name`, which is made if it does not exist; or a registry.json,
             beside which no card is written.
         release: Release that they join.
-        license: Of the policies, for the card; see `model_card`.
+        license: Licence of the policies, for the card; see `model_card`.
         film: .gif, .webp or .mp4 that the card shows; it is published beside it.
         **arguments: `date`, `description` and the others of
         `assistax_workshop.press.publish.publish`.
 
     Raises:
-        PublishError: The teams are refused, or somebody else published meanwhile.
+        PublishError: The teams are refused, or there was another publication meanwhile.
         RemoteError: The hub cannot be reached, or does not let this user write.
     """
     shown = _Shown(license, film)
@@ -91,7 +91,7 @@ def publish_to(
 
 
 class _Shown:
-    """What a card has that the registry does not: licence and film."""
+    """Licence and film of a card, which the registry lacks."""
 
     def __init__(self, license: str, film: Path | None) -> None:
         if film is not None and film.suffix.lower() not in FILMS:
@@ -106,7 +106,7 @@ class _Shown:
 def _publish_to_folder(
     teams: Sequence[TrainedTeam], to: Path, release: str, shown: _Shown, **arguments: Any
 ) -> Publication:
-    """Publish to a folder with the layout of a remote, its card last; or to a registry alone."""
+    """Publish to a folder with the layout of a remote, the card last; or to a registry alone."""
     path = to if to.suffix == ".json" else to / "registry.json"
     before = _ids(path)
     registry = publish(teams, path, release, **arguments)
@@ -127,6 +127,7 @@ def _publish_to_hub(
     shown: _Shown,
     **arguments: Any,
 ) -> Publication:
+    """Publish to a hub repository by one commit and a tag."""
     api = HfApi(endpoint=constants.ENDPOINT, library_name="assistax-zoo")
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as temporary:
         path = Path(temporary) / "registry.json"
@@ -145,7 +146,7 @@ def _publish_to_hub(
 
 
 def _create(api: Any, remote: HubRemote) -> None:
-    """Make the repository if there is none; `remote.revision` is then what is built on."""
+    """Create the repository if there is none; `remote.revision` is then the commit to build on."""
     try:
         remote.revision  # noqa: B018  asks the hub
     except MissingRepositoryError:
@@ -158,6 +159,7 @@ def _create(api: Any, remote: HubRemote) -> None:
 
 
 def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
+    """Return a remote's file, or None if there is none."""
     try:
         return read_file(remote, path, limit)
     except MissingFileError:
@@ -165,7 +167,7 @@ def _read_optional(remote: HubRemote, path: str, limit: int) -> bytes | None:
 
 
 def _files(remote: HubRemote, registry: Registry, shown: _Shown) -> dict[str, bytes]:
-    """Return what the commit adds: new shards, the registry, and the card if it is ours."""
+    """Return the files of the commit: new shards, the registry, and the card if it is ours."""
     root = registry.path.parent
     files = {
         shard: (root / shard).read_bytes()
@@ -181,7 +183,7 @@ def _files(remote: HubRemote, registry: Registry, shown: _Shown) -> dict[str, by
 
 
 def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, added: int) -> str:
-    """Make the commit, return its id; a lost answer is looked up, so that none is made twice."""
+    """Make the commit once, even after a lost answer; return its id."""
 
     def commit() -> str:
         try:
@@ -208,7 +210,7 @@ def _commit(api: Any, remote: HubRemote, files: dict[str, bytes], release: str, 
 
 
 def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
-    """Tag the commit with the release's name, `v1`; later states of it are `v1.1`, `v1.2`, ..."""
+    """Tag the commit `v1`, or later states of the release `v1.1`, ...; return the tag."""
 
     def tag() -> str:
         with _hub(remote, "tag"):
@@ -229,12 +231,12 @@ def _tag(api: Any, remote: HubRemote, release: str, commit: str) -> str:
 
 
 class _ConflictError(Exception):
-    """The repository has another newest commit than the one that the publication builds on."""
+    """The repository's newest commit is not the one that the publication builds on."""
 
 
 @contextlib.contextmanager
 def _hub(remote: HubRemote, deed: str) -> Generator[None]:
-    """Turn what a writing call raises into `PublishError`, `TransientError` or a conflict."""
+    """Convert errors of a writing call to `PublishError`, `TransientError` or a conflict."""
     try:
         with hub_errors(remote):
             try:
@@ -248,11 +250,12 @@ def _hub(remote: HubRemote, deed: str) -> Generator[None]:
                 raise (cause if isinstance(cause, Exception) else error) from None
     except (ZooError, TransientError, _ConflictError):
         raise
-    except ValueError as error:  # what the client or the hub refuses
+    except ValueError as error:  # the client or the hub refuses the call
         raise PublishError(
             remote.name, f"to {deed}", shorten(str(error)), "correct what it names"
         ) from None
 
 
 def _ids(path: Path) -> set[str]:
+    """Return the policy ids of a registry file; empty if there is none."""
     return {entry.id for entry in load_registry(path).policies} if path.exists() else set()

@@ -1,4 +1,4 @@
-"""A remote's card, its README.md: what is in it, how to fetch it, and its self-play results."""
+"""A remote's card, its README.md: content, instructions to fetch it, and self-play results."""
 
 import re
 import statistics
@@ -11,7 +11,7 @@ from zoo.ids import release_number
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
-MARK = "library_name: assistax-zoo"  # a README.md without it is somebody's own and stays
+MARK = "library_name: assistax-zoo"  # a README.md without it is not ours and stays
 
 
 def model_card(
@@ -20,10 +20,10 @@ def model_card(
     """Return the card's text for a remote of that name; the same registry gives the same text.
 
     Args:
-        registry: What is published.
-        name: Of the remote.
-        license: Of the policies, as hubs name it; that of `before`, or else Apache-2.0.
-        film: Name of a film beside the card; that of `before` if not given.
+        registry: The published registry.
+        name: Name of the remote.
+        license: Licence of the policies, as hubs name it; default that of `before`, or Apache-2.0.
+        film: Name of a film beside the card; default that of `before`.
         before: The card that this one replaces.
     """
     was_licensed = re.search(r"^license: ([\w.-]+)$", before, re.MULTILINE)
@@ -42,6 +42,7 @@ def model_card(
 
 
 def _metadata(registry: Registry, name: str) -> dict[str, object]:
+    """Return the card's metadata: library, tags, and self-play results if there are any."""
     results = [
         {
             "task": {"type": "reinforcement-learning", "name": f"{task}, {algorithm} with itself"},
@@ -68,7 +69,7 @@ def _metadata(registry: Registry, name: str) -> dict[str, object]:
 def _measured(registry: Registry) -> Iterator[tuple[str, str, str, int, float]]:
     """Yield task, algorithm, disability, teams and mean self-play return, in registry order.
 
-    Of each group those of the newest release: an older one may hold the same teams, or be of
+    Each group has the teams of its newest release: an older release may hold the same teams, or
     another environment.
     """
     groups: dict[tuple[str, str, str], dict[str, PolicyEntry]] = {}

@@ -1,8 +1,8 @@
-"""Publishing teams: shards first, the registry last, and published bytes never change.
+"""Publication of teams: shards first, the registry last; published bytes never change.
 
-Teams that a release does not hold yet go into new shards; the shards and ids that exist stay as
-they are. A shard left behind by a killed publication is in no registry, hence invisible, and the
-next publication replaces it.
+Teams that a release lacks go into new shards; existing shards and ids stay unchanged. A shard left
+behind by a killed publication is in no registry, hence invisible, and the next publication replaces
+it.
 """
 
 import datetime
@@ -60,13 +60,13 @@ def publish(
             folder.
         registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards`
             beside it.
-        release: Release they join, such as "v0"; it is created if it does not exist.
+        release: Release that they join, such as "v0"; it is created if it does not exist.
         environments: Environment version of each task; those of the installed `assistax_envs` if
             not given.
         date: ISO date of a new release; today if not given.
-        description: What a new release is, in one sentence.
-        citation: How the release is to be cited; a later one takes the place of an earlier one.
-        complete: Whether the release is whole with these teams.
+        description: Description of a new release, in one sentence.
+        citation: Citation of the release; a later one replaces an earlier one.
+        complete: Whether the release is complete with these teams.
         check: Called with spec, leaves and policy id; raises if the parameters are not those of the
             spec.
         key: Ed25519 private key, PEM, by which the release is signed.
@@ -98,6 +98,7 @@ def publish(
 
 
 def _day(date: str | None) -> str:
+    """Return an ISO date; today if `date` is empty."""
     try:
         return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
     except ValueError as error:
@@ -107,6 +108,7 @@ def _day(date: str | None) -> str:
 
 
 def _empty(release: str, created: Release) -> RegistryFile:
+    """Return the content of a registry with one empty release."""
     return RegistryFile(
         schema_version=SCHEMA_VERSION,
         release=release,
@@ -119,7 +121,7 @@ def _empty(release: str, created: Release) -> RegistryFile:
 
 
 def _fresh(data: RegistryFile, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates not published yet, in order; refuse what would change others."""
+    """Return the unpublished candidates, in order; refuse changes of published ones."""
     if not candidates:
         raise PublishError("publication", "at least one team", "none")
     owners = {
@@ -148,6 +150,7 @@ def _fresh(data: RegistryFile, candidates: Sequence[Candidate]) -> list[Candidat
 
 
 def _check_unchanged(name: str, published: Team | Ego, candidate: Candidate) -> None:
+    """Refuse a candidate whose hashes or figures differ from those published under its name."""
     hashes = {role: row.sha256 for role, row in published.policies.items()}
     if hashes != candidate.hashes:
         raise ImmutableError(
@@ -168,7 +171,7 @@ def _with_release(
     fresh: Sequence[Candidate],
     environments: Mapping[str, int],
 ) -> RegistryFile:
-    """Return the registry with the release, its new tasks' environment versions added."""
+    """Return the registry with the release and its new tasks' environment versions."""
     if data.disability_settings != installed_settings():
         installed = f"{installed_settings()} in the installed environments"
         raise ImmutableError(
@@ -202,7 +205,7 @@ def _with_release(
 
 
 def _check_sizes(data: RegistryFile, release: str, fresh: Sequence[Candidate]) -> None:
-    """Refuse policies that see or do other than the task's others in this environment."""
+    """Refuse policies whose sizes differ from those of the task's others in this environment."""
     versions = data.releases[release].environments
     known = {
         (shard.task, shard.role): (shard.spec.observation_size, shard.spec.action_size)
@@ -261,7 +264,7 @@ def _with_members(
 def _by_shard(
     fresh: Iterable[Candidate],
 ) -> list[tuple[tuple[str, str, Role, PolicySpec], list[Candidate]]]:
-    """Return the teams of each new shard, by task, algorithm, role and spec."""
+    """Return the teams of each new shard, by task, algorithm, role and spec, sorted."""
     groups: dict[tuple[str, str, Role, PolicySpec], list[Candidate]] = {}
     for candidate in fresh:
         for role, spec in candidate.specs.items():
@@ -272,6 +275,7 @@ def _by_shard(
 
 
 def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
+    """Return the first path of a shard, numbered if needed, that is not taken."""
     number = 1
     while (
         path := f"{stem}.safetensors" if number == 1 else f"{stem}-{number}.safetensors"
@@ -281,23 +285,23 @@ def _free_path(stem: str, taken: Mapping[str, Shard]) -> str:
 
 
 def _run_key(runs: Mapping[str, Training], candidate: Candidate) -> str:
-    """Return the run's name, with a digest where another provenance has that name already."""
+    """Return the run's name, with a digest if another provenance has that name."""
     if runs.get(candidate.run, candidate.training) == candidate.training:
         return candidate.run
     return f"{candidate.run}-{sha256(candidate.training.model_dump_json().encode())[:8]}"
 
 
 def _write(data: RegistryFile, files: Mapping[str, bytes], path: Path) -> Registry:
-    """Write the shards, then the registry; a failure takes the shards back."""
+    """Write the shards, then the registry; on failure delete the shards. Return the registry."""
     written: list[Path] = []
     try:
         for name, content in files.items():
             written.append(shard_root(path) / name)
             atomic_write(written[-1], content)
         return save_registry(data, path)
-    except (
-        Exception
-    ):  # the registry is not yet replaced; an interrupt may come later, then shards stay unlisted
+    # Before an Exception the registry is not replaced. An interrupt may come after, so it deletes
+    # nothing: unlisted shards are harmless.
+    except Exception:
         for file in written:
             file.unlink(missing_ok=True)
         raise

@@ -1,4 +1,4 @@
-"""A release as a whole: its default splits, those made by hand, and its signature."""
+"""Completion of a release: default splits and signature."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def complete_release(registry_path: Path | str, release: str, default: bool = Tr
 
     Args:
         registry_path: The registry.
-        release: The release, which is whole now.
+        release: The release, which is complete now.
         default: Whether it becomes the default release, unless it is older.
     """
     path = Path(registry_path)
@@ -35,7 +35,7 @@ def completed(data: RegistryFile, release: str, default: bool = True) -> Registr
 
 
 def signed(data: RegistryFile, release: str, key: Path) -> RegistryFile:
-    """Return the registry with the release signed as it is."""
+    """Return the registry with a signature of the release's present content."""
     root = release_root(data, release)
     fields = {"root": root, "signature": sign(release, root, key)}
     entry = data.releases[release].model_copy(update=fields)
@@ -43,7 +43,7 @@ def signed(data: RegistryFile, release: str, key: Path) -> RegistryFile:
 
 
 def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
-    """Return the registry with a default split, `half` of seed 0, where both halves have teams.
+    """Return the registry with a default split, `half` of seed 0, if both halves have teams.
 
     A split that no longer covers the release stays in the registry; the default moves on to the new
     one, unless it was chosen by hand.

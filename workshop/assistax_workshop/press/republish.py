@@ -1,4 +1,4 @@
-"""Teams of an earlier release, published again in a later one as they are: bytes and figures."""
+"""Republication of an earlier release's teams in a later one, with the same bytes and figures."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -14,7 +14,7 @@ from zoo.registry import Registry
 def republishable(
     registry: Registry, teams: Iterable[TeamId], release: str, steps: int
 ) -> list[TeamId]:
-    """Return the teams that another release has, trained long enough on today's environments.
+    """Return the teams that another release has, trained long enough in today's environments.
 
     Args:
         registry: The registry.
@@ -32,7 +32,7 @@ def republishable(
 
 
 def read_published(registry: Registry, teams: Iterable[TeamId]) -> list[TrainedTeam]:
-    """Return published teams, ready to be published in another release; their bytes are verified.
+    """Return published teams, verified, ready to be published in another release.
 
     Raises:
         UnknownIdError: The registry has no such team.
@@ -58,9 +58,10 @@ def read_published(registry: Registry, teams: Iterable[TeamId]) -> list[TrainedT
 
 
 def in_release(team: TeamId, release: str) -> TeamId:
-    """Return the same team of another release."""
+    """Return a team's id in another release."""
     return TeamId(team.task, team.algorithm, team.disability, team.seed, release)
 
 
 def _known(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields that are not None."""
     return {name: value for name, value in fields.items() if value is not None}

@@ -1,4 +1,4 @@
-"""Teams of a run folder, with what is published of their run.
+"""Teams of a run folder, with the run's name and the split of egos.
 
 The folder of a `train-ego` run also holds `split.json`, the split whose training side its partners
 were.
@@ -19,7 +19,7 @@ from zoo.splits import check_split
 
 
 def read_run(folder: Path | str) -> list[TrainedTeam]:
-    """Return the teams of a run folder, each with its run's name and an ego with its split.
+    """Return the teams of a run folder, each with its run's name; an ego also has its split.
 
     Raises:
         FormatError: `teams.json` or a file it names is missing or malformed.
@@ -43,7 +43,7 @@ def read_run(folder: Path | str) -> list[TrainedTeam]:
 
 
 def _trained_against(*places: Path) -> dict[str, str] | None:
-    """Return the split that a run names by id and sha256, if it names one."""
+    """Return id and sha256 of the first split file of `places`; None if there is none."""
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         return None
