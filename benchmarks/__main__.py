@@ -1,4 +1,4 @@
-"""The command line of the benchmarks: parse, call one function, print."""
+"""Command line of the benchmarks: parse, call one function, print."""
 
 import dataclasses
 import sys
@@ -229,6 +229,7 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
 
 
 def _tasks(task: str) -> tuple[str, ...]:
+    """Return the tasks of an option's value."""
     from assistax_envs.versions import TASKS
 
     if task != "all" and task not in TASKS:
@@ -237,6 +238,7 @@ def _tasks(task: str) -> tuple[str, ...]:
 
 
 def _words(text: str, name: str) -> list[str]:
+    """Return the non-empty words of a comma-separated option."""
     words = [word.strip() for word in text.split(",") if word.strip()]
     if not words:
         raise ValueError(f"{name} is {text!r}; give at least one value")
@@ -244,6 +246,7 @@ def _words(text: str, name: str) -> list[str]:
 
 
 def _sizes(text: str, name: str) -> list[int]:
+    """Return the positive whole numbers of a comma-separated option."""
     words = _words(text, name)
     if not all(word.isdecimal() and int(word) > 0 for word in words):
         raise ValueError(

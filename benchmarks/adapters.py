@@ -1,4 +1,4 @@
-"""Speed of the vector adapters, beside the bare environment and the adapter of one simulation."""
+"""Speed of the vector adapters, compared with the bare environment and a single simulation."""
 
 import dataclasses
 import os
@@ -11,19 +11,19 @@ import numpy as np
 from assistax_zoo.shell.console import print_json, stdout_is_data
 from benchmarks.timing import check_seconds
 
-WHO = ("split", "persons", "nobody")
+PARTNERS = ("split", "persons", "nobody")
 
 
 @dataclasses.dataclass(frozen=True)
 class AdapterSpeed:
-    """Gymnasium's vector form with NumPy arrays, random actions, in turns with what it is held to.
+    """Speed of Gymnasium's vector form with NumPy arrays and random actions, and two comparisons.
 
     Ratios are medians of neighbouring runs, so that they hold on a machine that others use too.
     """
 
     task: str
     backend: str
-    partners: str  # one of WHO
+    partners: str  # one of PARTNERS
     num_envs: int
     env_steps_per_second: float  # median of the repeats
     repeats: tuple[float, ...]
@@ -47,7 +47,7 @@ def adapters(
 
     Args:
         task: Task.
-        partners: Who sits in the human's seats: split, persons, nobody; several with commas.
+        partners: Partners in the human's seats: split, persons, nobody; several with commas.
         num_envs: Simulations.
         backend: fused, native, mjx, mjx-warp or auto.
         seconds: Measuring time of each vector form, about.
@@ -58,8 +58,8 @@ def adapters(
     """
     check_seconds(seconds)
     chosen = [word.strip() for word in partners.split(",")]
-    if unknown := set(chosen) - {*WHO}:
-        raise ValueError(f"partners is {min(unknown)!r}; allowed are {', '.join(WHO)}")
+    if unknown := set(chosen) - {*PARTNERS}:
+        raise ValueError(f"partners is {min(unknown)!r}; allowed are {', '.join(PARTNERS)}")
     with stdout_is_data():
         rows = [measure_adapter(task, who, num_envs, backend, seconds) for who in chosen]
     if json:
@@ -78,7 +78,7 @@ def adapters(
 def measure_adapter(
     task: str, partners: str, num_envs: int, backend: str, seconds: float
 ) -> AdapterSpeed:
-    """Measure one form; compilation is not counted."""
+    """Return the speed of one vector form; compilation is not counted."""
     import jax
 
     from assistax_envs import make
@@ -121,7 +121,7 @@ def measure_adapter(
 
 
 def _stepper(env: Any, rng: np.random.Generator) -> Callable[[int], None]:
-    """Return a function that takes steps of random actions, compiled."""
+    """Return a compiled function that takes steps of random actions."""
     actions = rng.uniform(-1.0, 1.0, (16, *env.action_space.shape)).astype(np.float32)
     env.reset(seed=0)
 

@@ -1,4 +1,4 @@
-"""Do teams earn the same on two engines? Self-play of published teams, paired by team and start.
+"""Comparison of returns on two engines: self-play of published teams, paired by team and start.
 
 python -m benchmarks.engines --task scratch --teams 30 --episodes 64
 python -m benchmarks.engines --task scratch --theirs fused --planted actuator_gear --factor 1.01
@@ -20,7 +20,7 @@ from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
 from zoo.registry import load_registry
 
-EQUIVALENT = 0.005  # of the mean return: engines that differ by less are taken for the same
+EQUIVALENT = 0.005  # share of the mean return below which engines are equivalent
 
 
 def compare(
@@ -31,11 +31,11 @@ def compare(
     theirs: str,
     planted: tuple[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Return how the mean return of `ours`, with a defect if one is planted, differs from `theirs`.
+    """Return the difference of mean returns of two engines, with its interval and the verdict.
 
-    Of the task's teams, `teams` are taken at even distances in the order of the registry, so that
-    all algorithms and impairments are among them. The interval of 95% is over teams; the engines
-    are equivalent where all of it is within `EQUIVALENT`.
+    `teams` of the task's teams are taken at even distances in the registry's order, so that all
+    algorithms and impairments are among them. The 95% interval is over teams; the engines are
+    equivalent if all of it is within `EQUIVALENT`. `planted` is a defect of `ours`.
     """
     played = _returns(task, teams, episodes, ours, planted), _returns(task, teams, episodes, theirs)
     means, means_theirs = (
@@ -61,6 +61,7 @@ def compare(
 def _returns(
     task: str, teams: int, episodes: int, backend: str, planted: tuple[str, float] | None = None
 ) -> pl.DataFrame:
+    """Return the episodes of teams on one engine, with a planted defect if one is given."""
     registry, env = load_registry(), make(task, backend)
     if planted:
         field, factor = planted

@@ -1,4 +1,4 @@
-"""Readers of a running server's pages, and the two commands that measure with them."""
+"""Readers of a running server's pages, and the commands that measure with them."""
 
 import asyncio
 import dataclasses
@@ -19,7 +19,7 @@ PAUSE = 5.0  # seconds that a reader looks at a page, on average
 
 @dataclasses.dataclass(frozen=True)
 class PageSpeed:
-    """How long one kind of page took."""
+    """Reading times of one kind of page."""
 
     page: str
     reads: int
@@ -29,7 +29,7 @@ class PageSpeed:
 
 
 def read_pages(url: str, readers: int, seconds: float) -> list[PageSpeed]:
-    """Let readers read for a while and return a row for each kind of page, and one for all."""
+    """Return the reading times of each kind of page and of all, for readers during some seconds."""
     try:
         reads = asyncio.run(_read_all(url, readers, seconds))
     except httpx2.HTTPError as error:
@@ -47,7 +47,7 @@ async def _read_all(url: str, readers: int, seconds: float) -> list[_Read]:
     limits = httpx2.Limits(max_connections=readers, keepalive_expiry=2.0)  # the server: 5
     async with httpx2.AsyncClient(base_url=url, limits=limits, timeout=30.0) as client:
         pages = await _pages(client)
-        for address in pages.values():  # what is computed once is computed before
+        for address in pages.values():  # computed pages are cached before the measurement
             await client.get(address, timeout=None)
         end = time.monotonic() + seconds
         readings = [_reader(client, pages, end, random.Random(i)) for i in range(readers)]
@@ -74,7 +74,7 @@ async def _pages(client: httpx2.AsyncClient) -> dict[str, str]:
 async def _reader(
     client: httpx2.AsyncClient, pages: dict[str, str], end: float, rng: random.Random
 ) -> list[_Read]:
-    """Open page after page; the first after a part of a pause, so that not all begin at once."""
+    """Return one reader's reads; the first waits for part of a pause, so that starts are spread."""
     reads: list[_Read] = []
     await asyncio.sleep(rng.uniform(0, PAUSE))
     while time.monotonic() < end:
@@ -90,6 +90,7 @@ async def _reader(
 
 
 def _row(kind: str, reads: list[_Read]) -> PageSpeed:
+    """Return the reading times of one kind of page."""
     times = np.array([seconds for _, seconds, _ in reads]) * 1000
     median, p95 = (float(np.quantile(times, at)) if reads else 0.0 for at in (0.5, 0.95))
     return PageSpeed(kind, len(reads), median, p95, sum(not came for _, _, came in reads))
@@ -106,8 +107,8 @@ def pages(
 
     Args:
         url: Address of the server, which `assistax-zoo serve` prints.
-        readers: How many read at once; each opens a page every five seconds or so.
-        seconds: How long they read.
+        readers: Number of simultaneous readers; each opens a page about every five seconds.
+        seconds: Measuring time.
         json: Print JSON.
 
     Example:
@@ -129,14 +130,14 @@ def service(
     seconds: float = 60.0,
     json: bool = False,
 ) -> None:
-    """Measure a new server while many read its pages, and others hand robots in and watch them.
+    """Measure a new server while many read its pages, and others submit robots and watch them.
 
     A worker brings made-up returns at once: the server is measured, not the physics.
 
     Args:
-        readers: How many read at once; each opens a page every five seconds or so.
-        submitters: How many hand in, watch to the end, and begin anew.
-        seconds: How long.
+        readers: Number of simultaneous readers; each opens a page about every five seconds.
+        submitters: Number of labs that submit, watch to the end, and begin anew.
+        seconds: Measuring time.
         json: Print JSON.
 
     Example:
@@ -170,13 +171,13 @@ def storm(
     readers: int = 200,
     seconds: float = 60.0,
 ) -> None:
-    """Let many attack a new server at once, and print as JSON what it did and who was lost.
+    """Attack a new server in many ways at once, and print its answers and losses as JSON.
 
     Args:
         files: Hostile ONNX files.
         bodies: Bodies of requests that come a byte a second.
-        readers: How many read pages at once.
-        seconds: How long.
+        readers: Number of simultaneous readers.
+        seconds: Measuring time.
 
     Example:
         python -m benchmarks storm

@@ -44,16 +44,16 @@ class ZooSpeed:
     list_terminal_seconds: float
     verify_seconds: float
     fetch_seconds: float  # of all shards, from another process on loopback
-    fetch_mb_per_second: float  # best of the repeats: what else the machine does only slows it down
+    fetch_mb_per_second: float  # best of the repeats, since other work only slows it down
     fetch_repeats: tuple[float, ...]
 
 
 def measure_zoo(folder: Path, policies: int, command: Sequence[str]) -> ZooSpeed:
-    """Measure the commands in an empty folder.
+    """Return the wall times of the commands, measured in an empty folder.
 
     Args:
         folder: Empty folder for the registry and the caches.
-        policies: How many policies the registry holds.
+        policies: Number of policies in the registry.
         command: Words that start the command line.
     """
     registry = synthetic_registry(folder / "zoo" / "registry.json", policies)
@@ -79,7 +79,7 @@ def measure_zoo(folder: Path, policies: int, command: Sequence[str]) -> ZooSpeed
 
 
 def synthetic_registry(path: Path, policies: int) -> Registry:
-    """Publish teams with random parameters, four algorithms and all disability settings in turn."""
+    """Return a registry of teams with random parameters, of all algorithms and settings in turn."""
     groups = list(itertools.product(DISABILITY_SETTINGS, ALGORITHMS))
     teams = [
         _team(number // len(groups), *groups[number % len(groups)])
@@ -89,6 +89,7 @@ def synthetic_registry(path: Path, policies: int) -> Registry:
 
 
 def _team(seed: int, disability: str, algorithm: str) -> TrainedTeam:
+    """Return a team with random parameters."""
     rng = np.random.default_rng([seed, int(disability[1:]), ALGORITHMS.index(algorithm)])
     return TrainedTeam(
         task="scratch",
@@ -119,6 +120,7 @@ def _params(spec: PolicySpec, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _median(words: Sequence[str]) -> float:
+    """Return the median wall time of a command."""
     return statistics.median(_seconds(words) for _ in range(REPEATS))
 
 
@@ -146,7 +148,7 @@ def _on_terminal(words: Sequence[str]) -> float:
 
 
 def _fetch_seconds(command: Sequence[str], url: str, cache: Path) -> float:
-    """Return what `fetch --json` says it took for all shards, with an empty cache."""
+    """Return the seconds that `fetch --json` reports for all shards, with an empty cache."""
     environment = {**os.environ, CACHE_VARIABLE: str(cache)}
     words = [*command, "fetch", "--from", url, "--json"]
     done = subprocess.run(
@@ -157,6 +159,7 @@ def _fetch_seconds(command: Sequence[str], url: str, cache: Path) -> float:
 
 @contextlib.contextmanager
 def _web_server(folder: Path) -> Generator[str]:
+    """Yield the address of a web server of a folder."""
     options = ["--bind", "127.0.0.1", "--directory", str(folder)]
     words = [sys.executable, "-u", "-m", "http.server", "0", *options]
     with subprocess.Popen(

@@ -1,8 +1,8 @@
-"""A server under load: readers of its pages, submitters who hand in and watch, and what is lost.
+"""A server under load: readers of its pages, labs that submit and watch, and losses.
 
-The server is the real one, in a process of its own; a worker beside it brings made-up returns at
-once, so that what is measured is the server and not the physics. Times are those of clients; on a
-machine that does other work too, the server's own work for a request is the steadier figure.
+The server is the real one, in its own process; a worker beside it returns made-up results at once,
+so that the server is measured and not the physics. Times are those of clients; on a machine that
+does other work too, the server's CPU time for a request is the steadier figure.
 """
 
 import dataclasses
@@ -24,26 +24,26 @@ from assistax_board.client import Client
 from benchmarks.pages import PageSpeed, read_pages
 
 TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
-LOST_SECONDS = 600.0  # for which a lab asks again
-FIRST = 5  # submissions that are on the board before the load begins
+LOST_SECONDS = 600.0  # for which a lab retries
+FIRST = 5  # submissions on the board before the load begins
 SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclasses.dataclass(frozen=True)
 class ServiceSpeed:
-    """What a server did while many wanted something of it."""
+    """Work of a server under load."""
 
     pages: list[PageSpeed]
     submitted: int
-    lost: int  # of them: not scored in the end
-    seconds_to_score: float  # mean, from handing in to being seen as scored
+    lost: int  # submissions that were not scored in the end
+    seconds_to_score: float  # mean, from submission until a client sees the score
     requests: int
-    server_cpu_ms: float  # of the server's process, for one request, anybody's
+    server_cpu_ms: float  # of the server's process, for one request of any kind
     load: tuple[float, float]  # of the machine, before and after
 
 
 def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpeed:
-    """Let readers and submitters use a new server for a while, and count."""
+    """Return the figures of a new server that readers and submitters use for a while."""
     from assistax_board.serve import open_service
 
     before = os.getloadavg()[0]
@@ -58,7 +58,7 @@ def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpe
             worker = SPAWN.Process(target=work_made_up, args=(address, work), daemon=True)
             worker.start()
             _submit_all(address, tokens[:FIRST], 0.0)
-            read_pages(address, 1, 1.0)  # what is computed once is computed before
+            read_pages(address, 1, 1.0)  # computed pages are cached before the measurement
             answers: Any = SPAWN.Queue()
             args = (address, tokens, seconds, answers)
             crowd = SPAWN.Process(target=_submit_all, args=args, daemon=True)
@@ -83,7 +83,7 @@ def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpe
 
 @contextmanager
 def serving(folder: Path) -> Generator[tuple[Any, str]]:
-    """Run the server of a folder, and yield its process and its address."""
+    """Run the server of a folder; yield its process and its address."""
     log = folder / ".log"  # `serve` takes no folder with other files, but for hidden ones
     words = ["serve", "--data", str(folder), "--port", "0", "--workers", "0", "--no-references"]
     with log.open("w") as file:
@@ -94,7 +94,7 @@ def serving(folder: Path) -> Generator[tuple[Any, str]]:
             time.sleep(0.1)
             line = log.read_text().split()
             address = line[1] if len(line) > 1 else ""
-        Client(address).call("GET", "/api/health")  # it asks again until there is an answer
+        Client(address).call("GET", "/api/health")  # retries until there is an answer
         yield process, address
     finally:
         process.terminate()
@@ -102,7 +102,7 @@ def serving(folder: Path) -> Generator[tuple[Any, str]]:
 
 
 def work_made_up(address: str, token: str) -> None:
-    """Bring made-up returns for every job."""
+    """Return made-up results for every job, without end."""
     import numpy as np
     import polars as pl
 
@@ -135,7 +135,7 @@ def work_made_up(address: str, token: str) -> None:
 def _submit_all(
     address: str, tokens: list[str], seconds: float, answers: Any = None
 ) -> tuple[int, list[float]]:
-    """Let every lab hand in a robot, watch it to its end, and begin anew while there is time."""
+    """Let labs submit robots and watch each to its end; return their number and seconds."""
     from assistax_board.submitting import POLL_SECONDS, read_file
     from assistax_board.vocabulary import FINAL_STATES
 
@@ -144,7 +144,7 @@ def _submit_all(
     def lab(number: int) -> None:
         count = 0
         client = Client(address, tokens[number], patience=LOST_SECONDS)
-        time.sleep(seconds * number / len(tokens) / 4)  # not all in one moment
+        time.sleep(seconds * number / len(tokens) / 4)  # starts are spread
         while count == 0 or time.monotonic() < end:
             began, fields = time.monotonic(), {"task": TASK, "method": f"robot {count}"}
             request = f"request-{seconds}-{count}"
@@ -166,17 +166,18 @@ def _submit_all(
 
 
 def _work_of(process: Any, address: str) -> tuple[float, int]:
-    """Return the seconds of processors that a server has used, and the requests it answered."""
+    """Return the CPU seconds that a server has used, and the requests that it answered."""
     return _cpu(process.pid), _requests(address)
 
 
 def _cpu(pid: int) -> float:
-    """Return the seconds of processors that a process has used."""
+    """Return the CPU seconds that a process has used."""
     ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
     return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 def _requests(address: str) -> int:
+    """Return the number of requests that a server answered."""
     text = httpx2.get(f"{address}/metrics", timeout=60).text
     lines = [line for line in text.splitlines() if line.startswith("assistax_service_requests_tot")]
     return round(sum(float(line.rpartition(" ")[2]) for line in lines))

@@ -1,4 +1,4 @@
-"""Speed of simulation: the raw environment, and the evaluator. Compilation is never counted."""
+"""Speed of simulation: the raw environment, and the evaluator. Compilation is not counted."""
 
 import dataclasses
 import functools
@@ -26,7 +26,7 @@ CALL = 10  # steps in one program
 
 @dataclasses.dataclass(frozen=True)
 class EnvSpeed:
-    """Random actions in one backend at one batch size."""
+    """Speed of random actions in one backend at one batch size."""
 
     task: str
     backend: str
@@ -40,7 +40,7 @@ class EnvSpeed:
 
 @dataclasses.dataclass(frozen=True)
 class EvaluatorSpeed:
-    """The evaluator beside the raw environment, in turns, at the same number of simulations."""
+    """Speed of the evaluator and of the raw environment, in turns, with as many simulations."""
 
     task: str
     backend: str
@@ -55,7 +55,7 @@ class EvaluatorSpeed:
 
 
 def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
-    """Measure env steps/s with uniform random actions, disability settings mixed."""
+    """Return the env steps/s of uniform random actions, with disability settings mixed."""
     began = time.perf_counter()
     run = open_loop(env, batch)
     jax.block_until_ready(run(1))
@@ -77,11 +77,10 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
 def measure_evaluator(
     env: Any, shape: tuple[int, int, int], seconds: float = 3.0
 ) -> EvaluatorSpeed:
-    """Measure the evaluator against the raw environment.
+    """Return the speed of the evaluator and of the raw environment.
 
-    Untrained policies, E x P pairs, K episodes.
-
-    The evaluator cuts the job as it would any other; the environment steps all simulations at once.
+    Policies are untrained: E x P pairs, K episodes. The evaluator cuts the job as it would any
+    other; the environment steps all simulations at once.
     """
     egos, partners, episodes = shape
     simulations = egos * partners * episodes
@@ -116,7 +115,7 @@ def measure_evaluator(
 
 
 def device_name(backend: str) -> str:
-    """Return what the backend computes on."""
+    """Return the name of the device that a backend computes on."""
     if backend == "native" or jax.default_backend() == "cpu":
         return f"{len(os.sched_getaffinity(0))} CPU cores"
     return jax.devices()[0].device_kind
@@ -156,12 +155,12 @@ def open_loop(env: Any, batch: int) -> Any:
 
 
 def _calls(env: Any, run: Any, seconds: float) -> int:
-    """Return how many calls of a repeat take its share of the time, within an episode."""
+    """Return the calls of a repeat that take its share of the time, within an episode."""
     return min(calls_within(run, seconds / REPEATS), max(env.episode_length // CALL, 1))
 
 
 def _untrained_job(env: Any, shape: tuple[int, int, int]) -> Job:
-    """Return a job of E robots with P humans for K episodes, whose networks are untrained."""
+    """Return a job of E robots with P humans for K episodes, with untrained networks."""
     seats = []
     for role, count in zip(("robot", "human"), shape, strict=False):
         spec = PolicySpec(role, env.observation_size[role], env.action_size[role])

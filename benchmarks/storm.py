@@ -25,32 +25,32 @@ from assistax_board.robots.limited import resident_bytes
 from benchmarks.pages import PageSpeed, read_pages
 from benchmarks.service import ROBOT, SPAWN, TASK, serving, work_made_up
 
-LABS = 20  # that attack, each with a token of its own
-HONEST = 5
-CALM_SECONDS = 10.0  # before memory is looked at the first time
-LAST_SECONDS = 90.0  # for memory to come back
+LABS = 20  # attacking labs, each with its own token
+HONEST = 5  # honest labs
+CALM_SECONDS = 10.0  # before memory is first measured
+LAST_SECONDS = 90.0  # for memory to fall again
 WIDE = 65_536
-ELSEWHERE_NICE = 5  # of who attacks, reads and works, for which others have machines of their own
-ELSEWHERE = "127.0.0.2"  # where slow bodies come from: rates are by address
+ELSEWHERE_NICE = 5  # niceness of clients and workers, which elsewhere run on other machines
+ELSEWHERE = "127.0.0.2"  # address of slow bodies, since rates are by address
 
 
 @dataclasses.dataclass(frozen=True)
 class Storm:
-    """What a server did in a storm."""
+    """Figures of a server in a storm."""
 
     seconds: float
     health: dict[str, float]  # milliseconds: median, p99, most; and how many failed of how many
     pages: PageSpeed
     files: dict[str, int]  # how hostile files ended
     bodies: dict[str, int]  # how slow bodies ended
-    honest: dict[str, int]  # in which states submissions of honest labs ended
+    honest: dict[str, int]  # final states of honest labs' submissions
     memory: tuple[float, float, float]  # MB of the server and its children: before, most, after
     calm_after: float  # seconds until memory was within a fifth of what it had been
     load: tuple[float, float]
 
 
 def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Storm:
-    """Let all of them strike a new server for a while, and look at what is left."""
+    """Return the figures of a new server that all attacks strike for a while."""
     from assistax_board.serve import open_service
     from assistax_board.submitting import read_file
 
@@ -97,12 +97,12 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
 
 
 def names(kind: str, count: int) -> list[str]:
-    """Return the names of labs."""
+    """Return the names of `count` labs of a kind."""
     return [f"{kind} {number}" for number in range(count)]
 
 
 class Peak:
-    """The most memory that a process and its children have had."""
+    """Peak memory of a process and its children, watched by a thread."""
 
     def __init__(self, pid: int) -> None:
         self._pid, self._over = pid, threading.Event()
@@ -115,7 +115,7 @@ class Peak:
             self.most = max(self.most, self.last)
 
     def wait_for(self, bytes_: float) -> float:
-        """Return after how many seconds no more than this is held."""
+        """Return the seconds until at most `bytes_` are in use; stops the watch."""
         began = time.monotonic()
         while self.last > bytes_ and time.monotonic() - began < LAST_SECONDS:
             time.sleep(0.5)
@@ -135,7 +135,7 @@ def memory_of(pid: int) -> float:
 
 @contextlib.contextmanager
 def _alongside(function: Callable[..., Any], *args: Any) -> Any:
-    """Run a function in a process of its own; yield the queue into which its answer comes."""
+    """Run a function in its own process; yield the queue of its answer."""
     answers: Any = SPAWN.Queue()
     process = SPAWN.Process(target=_answering, args=(answers, function, args), daemon=True)
     process.start()
@@ -151,7 +151,7 @@ def _answering(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]
 
 
 def hand_in_hostile(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
-    """Hand in files that would take hours or gigabytes, all at once."""
+    """Submit files that would take hours or gigabytes, all at once; return counts of outcomes."""
     ended: Counter[str] = Counter()
 
     def hand(number: int) -> None:
@@ -205,7 +205,7 @@ def hostile_file(number: int) -> bytes:
 
 
 def send_slowly(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
-    """Send bodies of a megabyte, a byte each second."""
+    """Send bodies of a megabyte at a byte a second; return counts of outcomes."""
     ended: Counter[str] = Counter()
     host, port = address.rpartition("/")[2].split(":")
     to = host, int(port)
@@ -228,6 +228,7 @@ def send_slowly(address: str, tokens: list[str], count: int, end: float) -> dict
 
 
 def _drip(line: socket.socket, end: float) -> str:
+    """Send a byte a second until an answer or the end; return the outcome."""
     while time.time() < end:
         line.sendall(b"x")
         with contextlib.suppress(TimeoutError):
@@ -237,7 +238,7 @@ def _drip(line: socket.socket, end: float) -> str:
 
 
 def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:
-    """Hand in robots one after another and wait for each."""
+    """Submit robots one after another and wait for each; return counts of final states."""
     from assistax_board.submitting import read_file
 
     robot, ended = read_file(Path(ROBOT)), Counter[str]()
@@ -255,7 +256,7 @@ def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:
 
 
 def hand_in(address: str, token: str, data: bytes, name: str) -> str:
-    """Hand a robot in and wait for its end, as a submitter would; a worker may come later."""
+    """Submit a robot and return its final state; a worker may come later."""
     client = Client(address, token, patience=600.0)
     id = client.submit(data, request_id=f"honest-{name}", task=TASK, method=name)["id"]
     state = client.submission(id)["state"]
@@ -267,9 +268,9 @@ def hand_in(address: str, token: str, data: bytes, name: str) -> str:
 
 
 def probe(address: str, end: float) -> dict[str, float]:
-    """Ask for the server's health ten times a second, each time as somebody new.
+    """Return latencies (ms) and failures of the health check, ten a second on new connections.
 
-    A plain socket: a client of `httpx2` takes longer to make than the answer to come.
+    It uses plain connections: a client of `httpx2` takes longer to make than the answer to come.
     """
     times, failed = [], 0
     host, port = address.rpartition("/")[2].split(":")
@@ -290,6 +291,7 @@ def probe(address: str, end: float) -> dict[str, float]:
 
 
 def _all_at_once(function: Callable[[int], None], count: int) -> None:
+    """Call a function for each number in its own thread, and wait for all."""
     threads = [threading.Thread(target=function, args=(number,)) for number in range(count)]
     for thread in threads:
         thread.start()

@@ -1,4 +1,4 @@
-"""What every measurement shares: repeats, and calls that are as many as fit a time."""
+"""Timing that every measurement shares: repeats, and the number of calls that fits a time."""
 
 import time
 from collections.abc import Callable
@@ -10,22 +10,22 @@ REPEATS = 3  # of each measurement; the median is the figure
 
 
 def timed(function: Callable[[int], Any], calls: int) -> float:
-    """Return the seconds that `function(calls)` takes, until its arrays are there."""
+    """Return the seconds of `function(calls)`, until its arrays are ready."""
     began = time.perf_counter()
     jax.block_until_ready(function(calls))
     return time.perf_counter() - began
 
 
 def calls_within(function: Callable[[int], Any], seconds: float) -> int:
-    """Return how many calls take about `seconds`, and at least one."""
+    """Return the number of calls that take about `seconds`, at least 1."""
     return max(1, int(seconds / timed(function, 1)))
 
 
 def check_seconds(seconds: float) -> None:
-    """Refuse a measuring time that is none.
+    """Refuse a measuring time that is not above 0 and below an hour.
 
     Raises:
-        ValueError: It is not above 0 and below an hour.
+        ValueError: It is not.
     """
     if not 0 < seconds < 3600:
         raise ValueError(f"seconds is {seconds}; allowed is more than 0 and less than 3600")

@@ -1,4 +1,4 @@
-"""Speed of training, and where its time goes. Compilation is never counted."""
+"""Speed of training, and shares of its parts. Compilation is not counted."""
 
 import dataclasses
 import statistics
@@ -19,7 +19,7 @@ from population.trainers.trainer import Trainer
 
 @dataclasses.dataclass(frozen=True)
 class TrainSpeed:
-    """Training of several members; the shares are of a whole update's time."""
+    """Speed of several members' training; the shares are of a whole update's time."""
 
     task: str
     backend: str
@@ -30,7 +30,7 @@ class TrainSpeed:
     env_steps_per_second: float  # of training, all members together, median
     repeats: tuple[float, ...]
     physics_share: float  # stepping the environment alone
-    networks_share: float  # what acting, and keeping what was seen, add to that
+    networks_share: float  # acting and recording, beside the physics
     updates_share: float  # the rest: learning
     device: str
 

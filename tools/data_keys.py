@@ -1,9 +1,9 @@
-"""The keys of the tables under docs/data: which files there are, and of which job.
+"""Keys of the tables under docs/data: their files, and the jobs that made them.
 
-    python -m tools.data_keys          # hold the tables against docs/data/keys.json
+    python -m tools.data_keys          # compare the tables with docs/data/keys.json
     python -m tools.data_keys write    # after tables were made anew
 
-A folder's key has the digest of its files. Where a summary lies beside them it also has the task,
+A folder's key has the digest of its files. If there is a summary, it also has the task,
 the release, the split, and the digest of the published policies' parameters, so that
 no table can stand for other partners of the same ids. Exit code 1 if a table has no key or another.
 """
@@ -37,7 +37,7 @@ def keys_of(data: Path, registry: Registry) -> dict[str, Any]:
 
 
 def check_keys(data: Path, registry: Registry) -> list[str]:
-    """Return the folders whose tables differ from `keys.json`, with the differing fields."""
+    """Return messages for the folders whose tables differ from `keys.json`, with their fields."""
     known, found = tables.read_json(data / FILE), keys_of(data, registry)
     problems = []
     for name in sorted(known | found):
@@ -48,10 +48,12 @@ def check_keys(data: Path, registry: Registry) -> list[str]:
 
 
 def _is_table(path: Path) -> bool:
+    """Return whether a path is a generated file; Markdown is written by hand."""
     return path.is_file() and path.suffix != ".md"  # written by hand
 
 
 def _key(folder: Path, registry: Registry) -> dict[str, Any]:
+    """Return the key of one folder."""
     files = {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if _is_table(path)}
     key: dict[str, Any] = {"files": json_sha256(files)}
     if tables.SUMMARY_FILE not in files or tables.PAIRS_FILE not in files:

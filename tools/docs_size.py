@@ -1,4 +1,4 @@
-"""Counts the words of the documentation by page and group: `python -m tools.docs_size`.
+"""Word count of the documentation by page and group: `python -m tools.docs_size`.
 
 Groups are the sections of `nav` in zensical.toml. Guides and concepts are for reading through, so
 their words are bounded; reference and log are for looking things up.
@@ -16,7 +16,7 @@ READ = ("Guides", "Concepts")
 
 
 def count_words(root: Path = ROOT) -> dict[str, dict[str, int]]:
-    """Return the number of words of each page, by group; pages that are generated are left out."""
+    """Return the number of words of each page, by group, without generated pages."""
     nav = tomllib.loads((root / "zensical.toml").read_text(encoding="utf-8"))["project"]["nav"]
     groups = {group: pages for entry in nav for group, pages in entry.items()}
     return {
@@ -30,7 +30,7 @@ def count_words(root: Path = ROOT) -> dict[str, dict[str, int]]:
 
 
 def find_problems(words: Mapping[str, Mapping[str, int]]) -> list[str]:
-    """Return which pages are too long, and by how much."""
+    """Return messages for pages and groups that are too long."""
     bounded = {**words["Home"], **words["Guides"]}
     problems = [
         f"{page} has {count:,} words; a guide has at most {MAX_GUIDE:,}: move details to a "
@@ -45,7 +45,7 @@ def find_problems(words: Mapping[str, Mapping[str, int]]) -> list[str]:
 
 
 def _names(pages: Any) -> list[str]:
-    """Return the pages of an entry of `nav`: a name, a list, or names with titles."""
+    """Return the pages of a `nav` entry: a name, a list, or names with titles."""
     if isinstance(pages, str):
         return [pages]
     if isinstance(pages, Mapping):
@@ -54,7 +54,7 @@ def _names(pages: Any) -> list[str]:
 
 
 def main() -> int:
-    """Print the words of each page and group; return 1 where a bar does not hold."""
+    """Print the words of each page and group; return 1 if there is a problem."""
     words = count_words()
     for group, pages in words.items():
         if pages:

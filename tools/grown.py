@@ -1,4 +1,4 @@
-"""Hold registry.json against all earlier states in Git: what was published never changes.
+"""Check of registry.json against all earlier states in Git: published entries never change.
 
     python -m tools.grown
 
@@ -28,7 +28,7 @@ REWRITTEN = {
 
 
 def earlier_states(folder: Path) -> dict[str, RegistryFile]:
-    """Return the registries that Git has of commits before HEAD, by commit, newest first."""
+    """Return the registries of Git's commits before HEAD, by commit, newest first."""
     # The newest commit that changed it is HEAD itself, or has what the parent has.
     commits = _git(folder, "rev-list", "HEAD", "--skip=1", "--", FILE).split()
     parent = _git(folder, "rev-parse", "--verify", "--quiet", "HEAD^").split()
@@ -41,7 +41,7 @@ def earlier_states(folder: Path) -> dict[str, RegistryFile]:
 
 
 def parse_state(text: str, source: str) -> RegistryFile:
-    """Return an earlier state's registry, one of schema 1 in today's schema.
+    """Return an earlier state's registry; schema 1 is converted to today's.
 
     Schema 1 had no roots, and called the interval of self-play's mean `ci`.
     """
@@ -55,7 +55,7 @@ def parse_state(text: str, source: str) -> RegistryFile:
 
 
 def check(new: RegistryFile, states: dict[str, RegistryFile]) -> list[str]:
-    """Return what each earlier state lost, as far as that is not the known rewriting of v2."""
+    """Return messages for entries that earlier states lost, without the known rewriting of v2."""
     problems = []
     for commit, old in states.items():
         kept = {
@@ -82,7 +82,7 @@ def main(folder: Path = Path(__file__).parents[1]) -> int:
 
 
 def _git(folder: Path, *words: str) -> str:
-    """Return what git prints; nothing where it has no such commit, or no repository is here."""
+    """Return git's output; "" if the command fails, as for an unknown commit."""
     done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True)
     return done.stdout if done.returncode == 0 else ""
 

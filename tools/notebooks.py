@@ -1,4 +1,4 @@
-"""Runs the notebooks of docs/ and keeps what they show: `python -m tools.notebooks NAME...`."""
+"""Runner of the notebooks in docs/, whose outputs it stores: `python -m tools.notebooks`."""
 
 import importlib.util
 import os
@@ -21,7 +21,7 @@ def names() -> list[str]:
 
 
 def run(name: str, folder: Path, preface: str = "") -> Any:
-    """Return the notebook with the outputs of a run in `folder`, as `keep` leaves them."""
+    """Return the notebook with the outputs of a run in `folder`, reduced by `keep`."""
     content = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     if preface:
         content.cells.insert(0, nbformat.v4.new_code_cell(preface))
@@ -39,7 +39,7 @@ def run(name: str, folder: Path, preface: str = "") -> Any:
 
 
 def keep(content: Any) -> Any:
-    """Drop what says more of a machine than of the result: messages, counters, times, versions."""
+    """Return a notebook without machine-specific data: messages, counters, times, versions."""
     for cell in content.cells:
         if cell.cell_type == "code":
             cell.execution_count = None

@@ -1,8 +1,8 @@
-"""Measure how far episodes of published teams lie apart on two kinds of processor.
+"""Measure the differences of published teams' episodes between two kinds of processor.
 
-The same episodes are played in two processes: as this processor computes, and without fused
-multiply-adds, as processors without them or with other vectors round. What `replay` needs of it is
-written to `evaluation/replay_noise.json`: `python -m tools.replay_noise scratch bed_bath`.
+The same episodes are played in two processes: one computes as this processor does, the other
+without fused multiply-adds, which rounds as other processors do. The figures that `replay` needs
+are written to `evaluation/replay_noise.json`: `python -m tools.replay_noise scratch bed_bath`.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ OTHER = "--xla_cpu_max_isa=AVX"  # an x86 without fused multiply-adds and with h
 def measure(
     tasks: tuple[str, ...], /, *, backends: tuple[str, ...] = ("fused", "native"), teams: int = 16
 ) -> None:
-    """Measure tasks; where a backend's figure is larger than another's, it is taken.
+    """Measure tasks, and write the largest figure of all backends.
 
     Args:
         tasks: Tasks, such as scratch.
@@ -48,9 +48,9 @@ def measure(
 def measure_noise(
     first: pl.DataFrame, second: pl.DataFrame, by: str = "ego"
 ) -> dict[str, dict[str, Any]]:
-    """Measure how far two plays of the same episodes lie apart, column by column.
+    """Return the differences of two plays of the same episodes, by column.
 
-    Each figure is that of the robot with the largest, or of the partner where there is one robot.
+    Each figure is that of the robot with the largest, or of the partner if there is one robot.
     """
     measured = {}
     for name in measured_columns(first):
@@ -65,7 +65,7 @@ def measure_noise(
 
 
 def add(key: str, measured: list[dict[str, Any]]) -> None:
-    """Write what was measured on some backends, the larger of each figure."""
+    """Write the larger of each figure measured on some backends, under a key."""
     noise = json.loads(FILE.read_text()) if FILE.is_file() else {}
     write(
         {**noise, key: {name: largest([scale[name] for scale in measured]) for name in measured[0]}}
@@ -73,7 +73,7 @@ def add(key: str, measured: list[dict[str, Any]]) -> None:
 
 
 def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the larger of several measurements of a column, figure by figure."""
+    """Return the larger of each figure of several measurements of a column."""
     return {
         "quantiles": [
             max(row) for row in zip(*(scale["quantiles"] for scale in scales), strict=True)
@@ -84,7 +84,7 @@ def largest(scales: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write(noise: dict[str, Any]) -> None:
-    """Write all tasks' figures, a line a column."""
+    """Write the figures of all tasks, one line for each column."""
     lines = ",\n".join(
         f"  {json.dumps(task)}: {{\n"
         + ",\n".join(f"    {json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items())
@@ -95,7 +95,7 @@ def write(noise: dict[str, Any]) -> None:
 
 
 def play(task: str, backend: str, teams: int, out: Path) -> None:
-    """Play, in a process of its own, and write the episodes.
+    """Play published teams and random actions, and write the episodes to a file.
 
     Args:
         task: Task.
@@ -128,7 +128,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
 
 
 def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
-    """Play in two processes, which round differently."""
+    """Return the episodes of two processes, which round differently."""
     with tempfile.TemporaryDirectory() as folder:
         tables = []
         for place, flags in enumerate(("", OTHER)):
@@ -140,7 +140,7 @@ def _play_twice(task: str, backend: str, teams: int) -> list[pl.DataFrame]:
 
 
 def _upper(value: float) -> float:
-    """Return a value with two digits, not smaller than it is."""
+    """Return a value rounded up to two digits."""
     if value == 0:
         return 0.0
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)

@@ -1,8 +1,8 @@
 """The documentation site: `python -m tools.site`, or `make site`, writes build/site.
 
-Pages are the Markdown and the notebooks under docs/, and README as the first one; those read well
-by themselves, so what the site needs on top is made here: notebooks as pages, links between the
-two places, and a reference of all commands.
+Pages are the Markdown and the notebooks under docs/, and README as the first one. This module adds
+the site's own parts: notebooks as pages, links between the two places, and a reference of all
+commands.
 """
 
 import base64
@@ -27,7 +27,7 @@ _FETCHED = {"script": "src", "img": "src", "source": "src", "video": "src", "ifr
 
 
 def build(out: Path = ROOT / "build") -> Path:
-    """Write the pages to `out`/docs and the site to `out`/site, which is returned.
+    """Write the pages to `out`/docs and the site to `out`/site; return the site's folder.
 
     Raises:
         ValueError: A link leads nowhere, or a page would fetch something from elsewhere.
@@ -48,7 +48,7 @@ def build(out: Path = ROOT / "build") -> Path:
 
 
 def notebook_page(notebook: dict[str, Any], name: str, folder: Path) -> str:
-    """Return a notebook as Markdown; its pictures go to `folder`/images/`name`-N.png."""
+    """Return a notebook as Markdown; its pictures are written to `folder`/images/`name`-N.png."""
     parts, pictures = [], 0
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
@@ -74,7 +74,7 @@ def notebook_page(notebook: dict[str, Any], name: str, folder: Path) -> str:
 
 
 def find_problems(site: Path) -> list[str]:
-    """Return what is wrong with built pages: links that lead nowhere, and what is not local."""
+    """Return messages for dead links, and for content fetched from elsewhere, in built pages."""
     pages = {path: _Page(path) for path in sorted(site.rglob("*.html"))}
     problems = []
     for path, page in pages.items():
@@ -93,7 +93,7 @@ def find_problems(site: Path) -> list[str]:
 
 
 class _Page(HTMLParser):
-    """What a page links to, what it fetches, and its places."""
+    """Links, fetched addresses and anchors of a page."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -117,6 +117,7 @@ class _Page(HTMLParser):
 
 
 def _write_pages(folder: Path) -> None:
+    """Write all pages of the site as Markdown to a folder."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("data"))
     for path in sorted(folder.glob("*.ipynb")):
@@ -133,7 +134,7 @@ def _write_pages(folder: Path) -> None:
 
 
 def _relink(text: str, up: str = "") -> str:
-    """Return a page whose links lead to where things are in the site, pictures to themselves.
+    """Return a page's text with links that fit the site, and with pictures that link to themselves.
 
     The site has docs/ and the pages beside it in one folder; `up` leads to it from the page's.
     """
@@ -147,7 +148,7 @@ def _relink(text: str, up: str = "") -> str:
 
 
 def _commands() -> str:
-    """Return the reference of the command line: each command's help, and its example."""
+    """Return the reference of the command line: each command's help and example."""
     from assistax_zoo.shell.main import _add_subcommands, _complete_help, all_commands, build_app
 
     app = build_app()

@@ -1,1 +1,1 @@
-"""The league: any of its rows from nothing, and the page's tables and figures."""
+"""The league: making of its rows, and the tables and figures of its page."""

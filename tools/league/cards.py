@@ -1,4 +1,4 @@
-"""Cards of published robots: what each earns with strangers, a film of it, and its commands."""
+"""Cards of published robots: returns with strangers, a film, and commands."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ def write_cards(pattern: str, out: Path, persons: int, steps: int) -> list[Path]
     """Write a card with its film for each robot, and a page of all; return their paths.
 
     Each plays with the test side of the split that it learned with, and is filmed with the first
-    partner of that side. What is there already is not made again.
+    partner of that side. Existing results are not made again.
 
     Args:
         pattern: Glob over robots of the installed registry that learned with a split's partners.
         out: Folder.
         persons: Most persons that play with a robot.
-        steps: Of the film.
+        steps: Steps of the film.
 
     Raises:
         ValueError: No robot matches, or a command failed; its error has been printed.

@@ -1,4 +1,4 @@
-"""Parts of a row's seeds, which may be trained on other cards or machines."""
+"""Parts of a row's seeds, which may be trained on different cards or machines."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ TRAINED, RECORD = "training", "row.json"  # the folder of a row's training, and 
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """A part of a row's seeds that is trained apart, or all parts put together."""
+    """Part of a row's seeds that is trained separately, or all parts joined."""
 
     number: int | None  # from 1; None for all of them
     count: int
 
     @classmethod
     def parse(cls, text: str) -> "Part":
-        """Return the part that a text such as "2/4" or "all/4" means.
+        """Return the part of a text such as "2/4" or "all/4".
 
         Raises:
-            ValueError: It means none.
+            ValueError: The text is not of that form.
         """
         number, _, count = text.partition("/")
         if count.isdecimal() and (number == "all" or number.isdecimal()):
@@ -43,16 +43,16 @@ class Part:
 
     @property
     def joins(self) -> bool:
-        """Whether it is all parts put together."""
+        """Whether it is all parts joined."""
         return self.number is None
 
     @property
     def name(self) -> str:
-        """Its folder beside those of the other parts."""
+        """Name of its folder."""
         return TRAINED if self.number is None else f"part-{self.number}-of-{self.count}"
 
     def seeds(self, of: Sequence[int]) -> tuple[int, ...]:
-        """Return its seeds: the same count for all parts, and for the last one what is left."""
+        """Return the part's seeds: equally many for each part, and the rest for the last."""
         if self.number is None:
             return tuple(of)
         size = -(-len(of) // self.count)
@@ -61,7 +61,7 @@ class Part:
     def join(
         self, folder: Path, split: str, seeds: Sequence[int], best_of: int
     ) -> tuple[Choices, list[dict[str, Any]]]:
-        """Write what was chosen of all parts beside them; return that, and the parts' records.
+        """Write the joined choices of all parts beside them; return these and the parts' records.
 
         Args:
             folder: Has the parts.

@@ -1,4 +1,4 @@
-"""Many rows of a league on the GPUs of one host, several side by side on each card."""
+"""Queue of a league's rows on the GPUs of one host, several rows side by side on each card."""
 
 import dataclasses
 import itertools
@@ -15,47 +15,47 @@ from tools.league.parts import Part
 from tools.league.rows import named
 
 ROW = (sys.executable, "-m", "tools.league", "row")
-BESIDE = 8.0  # GB that a process takes beside JAX's pool: its kernels, and CUDA itself
+BESIDE = 8.0  # GB of a process beside JAX's pool: its kernels, and CUDA
 TRIES = 2
 LOGS = "logs"
 
 
 @dataclasses.dataclass(frozen=True)
 class Queued:
-    """A row that waits: the words of `row`, and how many GB JAX takes for it."""
+    """Row that waits: the words of `row`, and the GB that JAX takes for it."""
 
     gigabytes: float
     words: tuple[str, ...]
 
     @property
     def row(self) -> str:
-        """Its name."""
+        """Name of the row."""
         return self.words[0]
 
     @property
     def task(self) -> str:
-        """Its task."""
+        """Task of the row."""
         return self.words[1]
 
     @property
     def of_training_side(self) -> bool:
-        """Whether it plays with the training side, as all other rows of its task then do too."""
+        """Whether it plays with the training side, together with all other rows of its task."""
         return "--side train" in " ".join(self.words)
 
     @property
     def part(self) -> Part | None:
-        """Which part of its seeds it trains."""
+        """Part of its seeds that it trains; None for all."""
         asked = dict(itertools.pairwise(self.words)).get("--part")
         return Part.parse(asked) if asked else None
 
     @property
     def name(self) -> str:
-        """What its log is called."""
+        """Name of its log."""
         side = "-training-side" * self.of_training_side
         return f"{self.task}-{self.row}{side}" + (f"-{self.part.name}" if self.part else "")
 
     def needs(self, other: "Queued") -> bool:
-        """Whether another row has to be finished before."""
+        """Return whether another row must be finished first."""
         if self.task != other.task:
             return False
         if self.of_training_side:
@@ -70,6 +70,8 @@ class Queued:
 
 @dataclasses.dataclass
 class _Running:
+    """Row that is being made, with its process and log."""
+
     queued: Queued
     card: str
     process: subprocess.Popen[bytes]
@@ -77,7 +79,7 @@ class _Running:
 
 
 def read_queue(path: Path) -> list[Queued]:
-    """Return the rows of a queue: on each line the GB that JAX takes, and the words of `row`.
+    """Return the rows of a queue file; a line has the GB that JAX takes, and the words of `row`.
 
     Raises:
         ValueError: A line is none; says which.
@@ -108,17 +110,17 @@ def run_queue(
     program: Sequence[str] = ROW,
     seconds: float = 1.0,
 ) -> Iterator[str]:
-    """Run rows, the first that fits on the card with most room, and yield a line for each event.
+    """Run rows, each on the card with most room, and yield a line for each event.
 
     A row that fails is tried once more, since a card may have been full. Finished rows are found
     finished by `row` itself, so an interrupted queue goes on by the same command.
 
     Args:
         waiting: The rows.
-        out: Folder of the league; `logs` in it has what each row says.
-        cards: By the name that CUDA knows it by, the GB of each card.
-        program: What makes a row of its words.
-        seconds: Between two looks.
+        out: Folder of the league; the rows' logs are in `logs`.
+        cards: GB of each card, by its CUDA name.
+        program: Words of the program that makes a row.
+        seconds: Seconds between two checks.
 
     Raises:
         ValueError: A row fits on no card, or rows failed; says which.
@@ -157,7 +159,7 @@ def run_queue(
 def _next(
     left: Sequence[Queued], running: Sequence[_Running], cards: Mapping[str, float]
 ) -> tuple[Queued, str] | None:
-    """Return which row starts on which card now, if any."""
+    """Return the next row and its card, or None if there is no room or none is ready."""
     room = {
         card: size - sum(one.queued.gigabytes + BESIDE for one in running if one.card == card)
         for card, size in cards.items()
@@ -172,6 +174,7 @@ def _next(
 
 
 def _start(queued: Queued, card: str, size: float, out: Path, program: Sequence[str]) -> _Running:
+    """Start a row on a card."""
     share = f"{queued.gigabytes / size:.3f}"
     own = {"CUDA_VISIBLE_DEVICES": card, "XLA_PYTHON_CLIENT_MEM_FRACTION": share}
     log = (out / LOGS / f"{queued.name}.log").open("ab")
@@ -181,15 +184,15 @@ def _start(queued: Queued, card: str, size: float, out: Path, program: Sequence[
 
 
 def cards_here() -> dict[str, float]:
-    """Return the GB of each GPU of this host, as NVIDIA's driver says.
+    """Return the GB of each GPU of this host, from NVIDIA's driver.
 
     Raises:
         ValueError: There is no driver.
     """
     asked = ["nvidia-smi", "--query-gpu=index,memory.total", "--format=csv,noheader,nounits"]
     try:
-        said = subprocess.run(asked, capture_output=True, text=True, check=True).stdout
+        output = subprocess.run(asked, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
         raise ValueError(f"no NVIDIA GPU was found ({error}); make rows one by one: row") from None
-    lines = [line.split(",") for line in said.splitlines()]
+    lines = [line.split(",") for line in output.splitlines()]
     return {index.strip(): int(mebibytes) * 2**20 / 1e9 for index, mebibytes in lines}

@@ -1,4 +1,4 @@
-"""The results' page: figures of the rows for the prose in `templates`."""
+"""The results' page: figures of the rows, for the prose in `templates`."""
 
 import dataclasses
 import functools
@@ -31,7 +31,7 @@ Shown = TypeVar("Shown", "ShownRow", "ShownContrast")
 
 @dataclasses.dataclass(frozen=True)
 class ShownRow:
-    """What the page says of a row."""
+    """Row of the page's table."""
 
     row: str
     partners: int
@@ -45,7 +45,7 @@ class ShownRow:
 
 @dataclasses.dataclass(frozen=True)
 class Played:
-    """What the page says of a task."""
+    """Results of a task on the page."""
 
     task: str
     rows: tuple[ShownRow, ...]
@@ -62,9 +62,9 @@ class Played:
 
     @property
     def best(self) -> ShownRow:
-        """The method that the validation side chooses; without one for each, that of most return.
+        """The method that the validation side chooses, or the one of largest return.
 
-        What is best with the test side is no choice: its return would be too high.
+        A choice by the test side would overstate the return.
         """
         if all(row.row in self.validated for row in self.methods):
             return max(self.methods, key=lambda row: self.validated[row.row])
@@ -72,7 +72,7 @@ class Played:
 
     @property
     def told(self) -> ShownRow | None:
-        """The better of the robots that are told the preference, with a memory or without."""
+        """The better robot that is told the preference, with a memory or without, or None."""
         found = [row for name in (TOLD, TOLD_MEMORY) if (row := self.row(name))]
         return max(found, key=lambda row: row.mean, default=None)
 
@@ -82,15 +82,15 @@ class Played:
 
     @property
     def fails(self) -> list[bool]:
-        """Return whether the best method fails with each partner."""
+        """Return for each partner whether the best method fails with it."""
         assert self.by_partner is not None
         return failures(self.by_partner).filter(row=self.best.row)["fails"].to_list()
 
     @property
     def gap(self) -> "Gap | None":
-        """Return which share of what the better told robot earns more than PPO the method wins.
+        """Return the share of the told robot's advantage over PPO that the best method wins.
 
-        Of less than a tenth of PPO's return there is none.
+        None if the advantage is below a tenth of PPO's return, or a row is missing.
         """
         plain, best, told = self.row(PPO), self.best, self.told
         if not plain or best.row == PPO or not told or told.mean < 1.1 * plain.mean:
@@ -100,7 +100,7 @@ class Played:
 
     @property
     def response(self) -> "Response | None":
-        """Return what best responses and the best method earn with the responses' persons."""
+        """Return the returns of best responses and of the best method with the same persons."""
         if (row := self.row(RESPONSE)) is None:
             return None
         best, earned, bound = self.best.row, self.best.mean, row.mean
@@ -129,7 +129,7 @@ class Played:
 
 @dataclasses.dataclass(frozen=True)
 class ShownContrast:
-    """What the page says of a contrast."""
+    """Contrast of the page's table."""
 
     task: str
     method: str
@@ -146,13 +146,13 @@ class ShownContrast:
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What it is of, as a file of contrasts names it."""
+        """Task, method, baseline and metric, as a file of contrasts names it."""
         return contrast_key(self)
 
 
 @dataclasses.dataclass(frozen=True)
 class Gap:
-    """Which share of the points of a told robot above PPO a method wins."""
+    """Share of a told robot's points above PPO that a method wins."""
 
     task: str
     method: str
@@ -163,7 +163,7 @@ class Gap:
 
 @dataclasses.dataclass(frozen=True)
 class Response:
-    """What a method earns with persons for whom best responses earn the bound."""
+    """Return of a method with persons, and the best responses' return as its bound."""
 
     task: str
     method: str
@@ -181,7 +181,7 @@ class Winners:
 
 @dataclasses.dataclass(frozen=True)
 class InTasks:
-    """A method and the tasks that it is said of."""
+    """Method and the tasks of a statement about it."""
 
     method: str
     tasks: Sequence[str]
@@ -200,8 +200,8 @@ def results_page(
         shown: The tables.
         named: The file of contrasts.
         places: Links: "images" and "tables", relative to the page.
-        figures: What they show, by name.
-        registry: Where published robots are.
+        figures: Captions of the figures, by name.
+        registry: Registry of published robots.
     """
     validated = {task: _validated(table) for task, table in shown.validation.items()}
     tasks = [
@@ -217,7 +217,7 @@ def results_page(
     if named and shown.contrasts is not None:
         contrasts, asked = _of_table(ShownContrast, shown.contrasts), named.contrasts
     missing = {task.task: [name for name in rows() if task.row(name) is None] for task in tasks}
-    # The best of each four seeds are another row's robots: its training is not counted twice.
+    # The best of each four seeds are another row's robots, whose training is counted there.
     made = shown.records.filter(pl.col("row") != BEST_OF_FOUR)
     return _template("results").render(
         **places,
@@ -272,7 +272,7 @@ def sentences(
 
 
 def contrast_key(contrast: Contrast | ShownContrast) -> tuple[str, str, str, str]:
-    """Return what a contrast is of: task, method, baseline and metric."""
+    """Return task, method, baseline and metric of a contrast."""
     return contrast.task, contrast.method, contrast.baseline, contrast.metric
 
 
@@ -295,7 +295,7 @@ def _template(name: str) -> jinja2.Template:
 def _published(
     tasks: Sequence[Played], splits: Mapping[str, str], registry: Registry
 ) -> Iterator[str]:
-    """Yield the published robots that learned by the chosen methods with the league's split."""
+    """Yield the published robots of the chosen methods, trained with the league's split."""
     wanted = {(task.task, task.best.row, splits.get(task.task)) for task in tasks if task.methods}
     for robot in registry.policies:
         met = robot.trained_against
@@ -304,6 +304,7 @@ def _published(
 
 
 def _of_table(kind: type[Shown], table: pl.DataFrame) -> list[Shown]:
+    """Return a dataclass object for each line of a table."""
     names = [field.name for field in dataclasses.fields(kind)]
     return [kind(**line) for line in table.select(names).iter_rows(named=True)]
 
@@ -311,11 +312,12 @@ def _of_table(kind: type[Shown], table: pl.DataFrame) -> list[Shown]:
 def _played(
     task: str, table: pl.DataFrame, partners: pl.DataFrame | None, validated: Mapping[str, float]
 ) -> Played:
+    """Return the results of one task."""
     return Played(task, tuple(_of_table(ShownRow, table)), partners, validated)
 
 
 def _validated(curves: pl.DataFrame) -> dict[str, float]:
-    """Return what each row's robots earn with the validation side, each at its best checkpoint."""
+    """Return the mean return of each row's robots with the validation side, at best checkpoints."""
     best = curves.group_by("row", "seed").agg(pl.col("return").max())
     return dict(best.group_by("row").agg(pl.col("return").mean()).iter_rows())
 

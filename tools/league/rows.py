@@ -1,4 +1,4 @@
-"""The rows of a league, as a table: how the robots of each come to be."""
+"""Rows of a league, as a table of how their robots are made."""
 
 import dataclasses
 from typing import Literal
@@ -18,14 +18,14 @@ from evaluation.figures.league import (
 )
 from population.hyperparameters import METHODS
 
-# With whom robots train: the training side; the test side; one partner of the test side each; or
-# nobody, because the best published robot is taken, or the best of each four of another row.
+# Partners of the training: the training side; the test side; one partner of the test side each. The
+# last two have no training: the best published robot, or the best of each four of another row.
 Source = Literal["train", "test", "each", "published", "best-of"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """How the robots of a row come to be."""
+    """Row of a league, and how its robots are made."""
 
     name: str
     source: Source
@@ -34,18 +34,18 @@ class Row:
 
     @property
     def of(self) -> str:
-        """The row whose training this one needs."""
+        """The row whose training this one uses."""
         return PPO if self.source == "best-of" else self.name
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """What is done for it, in this order."""
+        """Names of its stages, in order."""
         training = () if self.source == "published" else ("training",)
         validation = () if self.source in ("test", "each") else ("validation",)
         return (*training, *validation, "evaluation")
 
     def stage(self, name: str) -> str:
-        """Return a stage with its place, such as "stage 2 of 3, validation of gru"."""
+        """Return a stage with its number, such as "stage 2 of 3, validation of gru"."""
         place = self.stages.index(name) + 1
         return f"stage {place} of {len(self.stages)}, {name} of {self.name}"
 
@@ -53,7 +53,7 @@ class Row:
 def rows() -> dict[str, Row]:
     """Return all rows that can be made, by name, in the league's order.
 
-    Zero, random and script stand in every row's folder as references.
+    Zero, random and script are in every row's folder as references.
     """
     methods = [Row(name, "train", name) for name in (PPO, "sac", *METHODS)]
     others = [
@@ -74,7 +74,7 @@ def named(name: str) -> Row:
     """Return the row of a name.
 
     Raises:
-        ValueError: There is none; says which there are.
+        ValueError: There is no such row; the message lists the allowed ones.
     """
     known = rows()
     if name not in known:

@@ -1,4 +1,4 @@
-"""The tables of a league's page: of folders of rows, and those of an earlier page beside them."""
+"""Tables of a league's page, from folders of rows and from an earlier page."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _KEY = ("task", "method", "baseline", "metric")
 
 @dataclasses.dataclass(frozen=True)
 class Tables:
-    """What a page shows. The first four are by task, and have a column `row`."""
+    """Tables of a page. The first four are by task, and have a column `row`."""
 
     league: dict[str, pl.DataFrame]  # of `league_table`
     partners: dict[str, pl.DataFrame]  # each row's mean with each partner, and the partner's family
@@ -40,12 +40,12 @@ class Tables:
 
     @property
     def by_task(self) -> dict[str, dict[str, pl.DataFrame]]:
-        """The tables of each task by what they hold."""
+        """Tables of each task, by kind."""
         known = (self.league, self.partners, self.training, self.validation)
         return dict(zip((LEAGUE, PARTNERS, TRAINING, VALIDATION), known, strict=True))
 
     def write(self, out: Path) -> list[Path]:
-        """Write them as CSV, and return their paths."""
+        """Write the tables as CSV; return their paths."""
         written = []
         for what, of_task in self.by_task.items():
             for task, table in of_task.items():
@@ -58,7 +58,7 @@ class Tables:
 
 
 def of_folders(folder: Path, contrasts: Path | None) -> Tables:
-    """Return the tables of the rows in a folder, a folder for each task.
+    """Return the tables of the rows in a folder, which has a folder for each task.
 
     Raises:
         FileNotFoundError: The folder has no row of any task.
@@ -89,7 +89,7 @@ def of_folders(folder: Path, contrasts: Path | None) -> Tables:
 
 
 def read_tables(folder: Path) -> Tables:
-    """Return the tables that a page wrote.
+    """Return the tables that an earlier page wrote.
 
     Raises:
         FileNotFoundError: There are none.
@@ -108,9 +108,9 @@ def read_tables(folder: Path) -> Tables:
 
 
 def beside(new: Tables, old: Tables) -> Tables:
-    """Return new tables with the rows that only older ones have.
+    """Return new tables, with the older rows that they lack.
 
-    A task that was played on another split since has its new rows alone.
+    A task that was since played on another split has its new rows alone.
     """
     before = splits_of(old.records)
     moved = {
@@ -132,9 +132,10 @@ def beside(new: Tables, old: Tables) -> Tables:
 
 
 def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
-    """Return contrasts in the file's order, with p by Holm over all that the file names.
+    """Return contrasts in the file's order, with Holm's p over all contrasts of the file.
 
-    Those that were not played, on another split, or with fewer seeds than named, count as p = 1.
+    Contrasts that were not played, or on another split, or with fewer seeds than named, count as p
+    = 1.
     """
     if shown.contrasts is None:
         return None
@@ -159,20 +160,22 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
 
 
 def splits_of(records: pl.DataFrame) -> dict[str, str]:
-    """Return on which split each task was played, where a row of it says so."""
+    """Return the split of each task, if one of its rows names it."""
     return dict(records.select("task", "split").drop_nulls().iter_rows())
 
 
 def _of(line: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the key of a contrast's line."""
     return tuple(line[name] for name in _KEY)
 
 
 def _trained(place: Path) -> bool:
+    """Return whether a folder has rows with the training side."""
     return bool(row_folders(place / TRAINING_SIDE))
 
 
 def _with_families(league: League, place: Path) -> pl.DataFrame:
-    """Return each row's mean with each partner, and the partner's algorithm: a person's family."""
+    """Return each row's mean with each partner, and the partner's family (its algorithm)."""
     folders = row_folders(place).values()
     known = [Record.read(folder).table.select("partner", "partner_algorithm") for folder in folders]
     families = pl.concat(known).unique().rename({"partner_algorithm": "family"})
@@ -180,7 +183,7 @@ def _with_families(league: League, place: Path) -> pl.DataFrame:
 
 
 def _curves(task: Path) -> pl.DataFrame | None:
-    """Return the learning curves of a task's rows, one below the other."""
+    """Return the learning curves of a task's rows, concatenated; None if there are none."""
     found = [
         tables.read_parquet(path).select(pl.lit(row).alias("row"), pl.all())
         for row in ordered(place.name for place in (task / RUNS).glob("*"))
@@ -190,7 +193,7 @@ def _curves(task: Path) -> pl.DataFrame | None:
 
 
 def _records(leagues: Mapping[Path, League]) -> list[dict[str, Any]]:
-    """Return what rows say of their making, those of `row` alone."""
+    """Return the records of how rows were made."""
     shown = ("task", "row", "robots", "steps", "total_steps", "device", "device_minutes_in_all")
     found = []
     for place, league in leagues.items():
@@ -204,6 +207,7 @@ def _records(leagues: Mapping[Path, League]) -> list[dict[str, Any]]:
 
 
 def _contrast_table(figures: tuple[Any, ...]) -> pl.DataFrame:
+    """Return the table of compared contrasts."""
     lines = []
     for figure in figures:
         low, high = figure.difference.mean_ci or (None, None)
@@ -235,7 +239,7 @@ def _joined(
     old: pl.DataFrame | None,
     keys: list[str],
 ) -> pl.DataFrame:
-    """Return the lines of a new table, and an old one's lines of other keys, with new columns."""
+    """Return a new table's lines, and an old one's lines of other keys, with the new columns."""
     if new is None or old is None:
         table = new if old is None else old
         assert table is not None
@@ -255,10 +259,12 @@ def _in_order(table: pl.DataFrame, *first: str) -> pl.DataFrame:
 
 
 def _read(path: Path) -> pl.DataFrame:
+    """Return a CSV file's table."""
     return pl.read_csv(path.read_bytes(), infer_schema_length=None)
 
 
 def _csv(table: pl.DataFrame, path: Path, digits: int = 3) -> Path:
+    """Write a table as CSV; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(path, table.write_csv(float_precision=digits).encode())
     return path

@@ -1,1 +1,1 @@
-"""Make the page of a release's results from small tables; a folder for each kind of release."""
+"""Pages of a release's results, made from small tables; a folder for each kind of release."""

@@ -46,14 +46,14 @@ def page(
 ) -> None:
     """Write the page of a release's results beside the paper's, with its figures.
 
-    Whatever is not measured yet is named in the page, and counted on standard error.
+    Results that are not measured yet are named in the page, and counted on standard error.
 
     Args:
         release: Release, such as v1.
         data: Folder of the release's tables, which `collect` fills.
         out: Page to write, .md.
         images: Folder for the figures; default images/RELEASE beside the page.
-        check: Write nothing; fail if the page is not what would be written, or lacks a figure.
+        check: Write nothing; fail if the page is out of date, or lacks a figure.
         registry: Registry to read instead of the installed one.
 
     Example:

@@ -1,4 +1,4 @@
-"""Condense what GPU runs wrote into small tables that a repository can hold.
+"""Condense results of GPU runs into small tables that a repository can hold.
 
 | folder of | becomes |
 |---|---|
@@ -20,8 +20,8 @@ def collect(folder: Path, data: Path) -> Path:
     """Condense one finished folder into the data of a release; return the folder that was written.
 
     Args:
-        folder: Of evaluate, train-ego or crossplay.
-        data: Of the release.
+        folder: Folder of evaluate, train-ego or crossplay.
+        data: Folder of the release's data.
 
     Raises:
         ValueError: The folder is none that can be condensed, is unfinished or changed, or names no
@@ -48,6 +48,7 @@ def collect(folder: Path, data: Path) -> Path:
 
 
 def _collect_training(folder: Path, data: Path) -> Path:
+    """Condense a finished training of egos; return the folder that was written."""
     first, content = read_training(folder)
     out = data / EGOS / f"{first['task']}-{first['algorithm']}"
     tables.write_json(content, out / TRAINING_FILE)
@@ -55,7 +56,7 @@ def _collect_training(folder: Path, data: Path) -> Path:
 
 
 def _collect_crossplay(folder: Path, summary: dict[str, Any], data: Path) -> Path:
-    """Condense a finished cross-play of published teams."""
+    """Condense a finished cross-play of published teams; return the folder that was written."""
     out = data / CROSSPLAY / known_task(summary, folder)
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     if pairs["ego_team"].null_count() or pairs["partner_team"].null_count():

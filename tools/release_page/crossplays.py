@@ -1,4 +1,4 @@
-"""Cross-plays of a release: a row a task, and the clustered matrices."""
+"""Cross-plays of a release: a table with a row for each task, and the clustered matrices."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +21,7 @@ _HEADINGS = (
 
 
 def matrix_table(crossplays: Mapping[str, CrossPlayed], tasks: Sequence[str]) -> str:
-    """Return self-play beside cross-play, a row a task."""
+    """Return a Markdown table of self-play and cross-play, a row for each task."""
     rows = [
         [
             spoken(task),
@@ -33,12 +33,12 @@ def matrix_table(crossplays: Mapping[str, CrossPlayed], tasks: Sequence[str]) ->
 
 
 def heatmap(played: CrossPlayed) -> Figure:
-    """Draw a cross-play's clustered matrix."""
+    """Return the figure of a cross-play's clustered matrix."""
     return crossplay_heatmap(arrange(played.pairs), played.summary)
 
 
 def _figures(played: CrossPlayed) -> list[object]:
-    """Return a task's cells below the headings but the first."""
+    """Return a task's cells, without the first."""
     summary, order = played.summary, played.order["teams"]
     gap = summary["relative_gap"]
     lost = "–" if gap is None else figure(gap, key="value", percent=True)

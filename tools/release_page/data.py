@@ -1,4 +1,4 @@
-"""What every release's page is made from: cross-plays and their checks."""
+"""Data of every release's page: cross-plays and their checks."""
 
 import dataclasses
 import functools
@@ -19,7 +19,7 @@ TRAINING_FILE = "training.json"
 
 
 class Played(Protocol):
-    """What was played: its table of pairs, what is said of it, and how it ran."""
+    """Protocol of played results: pairs, summary and run."""
 
     @property
     def pairs(self) -> pl.DataFrame: ...
@@ -31,7 +31,7 @@ class Played(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class CrossPlayed:
-    """The condensed cross-play of a task."""
+    """Condensed cross-play of a task."""
 
     pairs: pl.DataFrame
     order: Mapping[str, Any]
@@ -73,7 +73,7 @@ def read_humans(registry: Registry, release: str, tasks: Sequence[str]) -> list[
 
 
 def read_crossplays(data: Path, tasks: Sequence[str]) -> dict[str, CrossPlayed]:
-    """Return the condensed cross-plays that there are, by task."""
+    """Return the existing condensed cross-plays, by task."""
     folders = {task: data / CROSSPLAY / task for task in tasks}
     return {task: read_crossplay(folder) for task, folder in folders.items() if folder.is_dir()}
 
@@ -96,7 +96,7 @@ def check_release(table: Played, release: str, teams: set[str], data: Path) -> N
 
 
 def read_crossplay(folder: Path) -> CrossPlayed:
-    """Read a condensed cross-play; the same teams are on both of its axes."""
+    """Return a condensed cross-play, whose axes have the same teams."""
     order, strategies, summary, run = (
         tables.read_json(folder / name)
         for name in (
@@ -114,5 +114,5 @@ def read_crossplay(folder: Path) -> CrossPlayed:
 
 
 def read_pairs(folder: Path) -> pl.DataFrame:
-    """Read a folder's table of pairs, its floats in 64 bits again."""
+    """Return a folder's table of pairs, with floats of 64 bits."""
     return tables.read_parquet(folder / tables.PAIRS_FILE).with_columns(cs.float().cast(pl.Float64))

@@ -1,7 +1,7 @@
-"""What is kept of a finished folder; nothing that it says names a place.
+"""Data taken from a finished folder, without paths.
 
-Folders may have been received from anybody: what they say names a folder only where it is one of
-the paper's tasks, or fits a strict pattern.
+Folders may come from anybody: a name that they contain becomes a folder name only if it is a task
+of the paper, or fits a strict pattern.
 """
 
 import re
@@ -25,7 +25,7 @@ _KEPT_OF_TRAINING = ("steps", "device", "seconds", "backend", "date", "commit")
 
 
 def check_unchanged(folder: Path) -> None:
-    """Refuse a folder that is not what its manifest says, before a release's data take it in.
+    """Refuse a folder that differs from its manifest.
 
     Raises:
         ValueError: A file was changed, damaged or lost, or the folder has no manifest.
@@ -35,7 +35,7 @@ def check_unchanged(folder: Path) -> None:
 
 
 def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what the first ego of a train-ego run says of itself, and what is kept of the run.
+    """Return the first ego's metadata of a train-ego run, and the facts of the run.
 
     Raises:
         ValueError: no finished egos, another task, or an algorithm that is no plain name.
@@ -64,7 +64,7 @@ def read_training(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def known_task(metadata: Mapping[str, Any], folder: Path) -> str:
-    """Return the task that a received folder names: one of the paper's, as a folder is named so."""
+    """Return the task that a received folder names; it must be one of the paper's."""
     if metadata.get("task") not in PAPER_TASKS:  # it may be no text
         raise ValueError(
             f"{folder} names the task {metadata.get('task')!r}; allowed are "
@@ -74,7 +74,7 @@ def known_task(metadata: Mapping[str, Any], folder: Path) -> str:
 
 
 def how_it_ran(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how the folder came about: without paths, with the seconds of simulation."""
+    """Return the facts of a folder's run: without paths, with the seconds of simulation."""
     steps = int(tables.read_parquet(folder / tables.EPISODES_FILE)["steps"].sum())
     rate = summary["env_steps_per_second"]
     return {
@@ -85,7 +85,7 @@ def how_it_ran(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run_of(folder: Path) -> dict[str, Any]:
-    """Return what a folder says of its run, its command with names in place of absolute paths."""
+    """Return a folder's record of its run, whose command has names in place of absolute paths."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
     command = _ABSOLUTE.sub(lambda match: PurePath(match[0]).name, str(run.get("command", "")))

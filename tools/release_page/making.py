@@ -1,4 +1,4 @@
-"""Which commands made a page's tables, on what device, in how many minutes."""
+"""Commands that made a page's tables, their devices and minutes."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -23,9 +23,9 @@ def cost_rows(
     """Return a row of `HEADINGS` for every part.
 
     Args:
-        humans: Of the release's teams, whose training is told.
-        trained: Trainings of egos, by what is said of each.
-        played: Cross-plays and evaluations, by what is said of each.
+        humans: Humans of the release's teams, whose training is listed.
+        trained: Trainings of egos, by label.
+        played: Cross-plays and evaluations, by label.
     """
     return [
         *_team_rows(humans),
@@ -35,7 +35,7 @@ def cost_rows(
 
 
 def commands(trained: Mapping[str, Mapping[str, Any]], played: Mapping[str, Played]) -> list[str]:
-    """Return the commands that are known, each once; arguments are those of `cost_rows`."""
+    """Return the known commands, each once; the arguments are those of `cost_rows`."""
     runs = (*trained.values(), *(result.run for result in played.values()))
     every = dict.fromkeys([*(run.get("command", "") for run in runs)])
     return [_shortened(command) for command in every if command]
@@ -56,12 +56,14 @@ def _team_rows(everyone: Sequence[PolicyEntry]) -> list[list[object]]:
 
 
 def _ego_cells(run: Mapping[str, Any]) -> list[object]:
+    """Return the cells of an ego training."""
     much = f"{counted(run['egos'], 'ego')}, {run['steps'] / 1e6:.3g} M steps each"
     place = [run.get("device") or "–", run.get("backend") or "–"]
     return [much, *place, _minutes([run.get("seconds")])]
 
 
 def _played_cells(played: Played) -> list[object]:
+    """Return the cells of a cross-play or an evaluation."""
     run, summary = played.run, played.summary
     much = (
         f"{summary['episodes']:,} episodes, {summary['episodes_per_pair']} a pair, "
@@ -82,6 +84,7 @@ def _where(runs: Sequence[Training]) -> list[str]:
 
 
 def _minutes(seconds: Sequence[float | None]) -> str:
+    """Return the sum of known seconds in minutes, and the number of unknown ones."""
     known = [value for value in seconds if value is not None]
     if not known:
         return "–"
@@ -91,7 +94,7 @@ def _minutes(seconds: Sequence[float | None]) -> str:
 
 
 def _shortened(command: str) -> str:
-    """Write the policies of many seeds as their first one and a number."""
+    """Return a command in which the policies of many seeds are the first and a number."""
     policies = _POLICY.findall(command)
     if len(policies) < 3:
         return command

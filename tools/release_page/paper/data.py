@@ -1,4 +1,4 @@
-"""What the page is made from: registry entries, committed tables, the paper's figures, notes."""
+"""Data of the page: registry entries, committed tables, the paper's figures, and notes."""
 
 import dataclasses
 import functools
@@ -46,7 +46,7 @@ _CURVE_COLUMNS = {
 
 @dataclasses.dataclass(frozen=True)
 class Egos:
-    """The condensed evaluation of one method's egos on a task."""
+    """Condensed evaluation of one method's egos on a task."""
 
     pairs: pl.DataFrame
     summary: Mapping[str, Any]
@@ -55,7 +55,7 @@ class Egos:
 
     @functools.cached_property
     def partners(self) -> pl.DataFrame:
-        """Partner and side, in the order of the scores' columns."""
+        """Partner and side, in the order of the columns of `scores`."""
         return self.pairs.select("partner", "side").unique().sort("partner")
 
     @functools.cached_property
@@ -67,7 +67,7 @@ class Egos:
 
 @dataclasses.dataclass(frozen=True, eq=False)  # claims are kept for each
 class Results:
-    """Everything that the page shows; what is absent is not measured yet."""
+    """All data of the page; absent results are not measured yet."""
 
     release: str
     humans: list[PolicyEntry]  # one for each team of the release
@@ -91,12 +91,12 @@ class Results:
 
     @property
     def has_curves(self) -> bool:
-        """Whether any curve is of the unimpaired setting, which is drawn."""
+        """Whether there is a curve of the unimpaired setting, which is the one drawn."""
         return self.curves is not None and not self.curves.filter(disability="d1").is_empty()
 
     @property
     def missing(self) -> list[str]:
-        """Name what is not measured yet."""
+        """Names of the results that are not measured yet."""
         planned_teams = sum(planned(kinds) for kinds in self.paper["population"].values())
         lacks = (
             []
@@ -133,7 +133,7 @@ class Results:
         ]
 
     def _unplayed(self, task: str) -> str:
-        """Say what of a task's cross-play is missing; nothing if it holds every team."""
+        """Return the missing part of a task's cross-play; "" if it holds every team."""
         if task not in self.crossplay:
             return task
         teams = {human.team for human in self.humans if human.task == task}
@@ -142,12 +142,12 @@ class Results:
 
 
 def planned(kinds: Mapping[str, Mapping[str, int]]) -> int:
-    """Return the number of teams that the paper has of these algorithms of a task."""
+    """Return the number of the paper's teams of these algorithms of a task."""
     return sum(kind["settings"] * kind["seeds"] for kind in kinds.values())
 
 
 def read_results(registry: Registry, release: str, data: Path) -> Results:
-    """Read what there is of a release.
+    """Return the existing results of a release.
 
     Raises:
         ValueError: a table is malformed, or is of another release.
@@ -181,7 +181,7 @@ def read_paper() -> dict[str, Any]:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """Return the hand-written reasons: what follows each heading `## SECTION` in Markdown."""
+    """Return the hand-written notes by section, from headings `## SECTION` in Markdown."""
     if not path.is_file():
         return {}
     parts = re.split(r"^## +(.+?) *$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -192,6 +192,7 @@ def read_notes(path: Path) -> dict[str, str]:
 
 
 def _read_egos(folder: Path) -> Egos:
+    """Return the condensed evaluation of a folder."""
     training = folder / TRAINING_FILE
     return Egos(
         read_pairs(folder),
@@ -202,6 +203,7 @@ def _read_egos(folder: Path) -> Egos:
 
 
 def _read_curves(folder: Path) -> pl.DataFrame | None:
+    """Return the learning curves of a folder in one table; None if there are none."""
     files = sorted(folder.glob("*.parquet"))
     tables_read = [tables.read_parquet(path) for path in files]
     for path, table in zip(files, tables_read, strict=True):

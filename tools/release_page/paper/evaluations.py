@@ -1,4 +1,4 @@
-"""Condense an evaluation on a task of the paper: a row a pair, egos named by their files."""
+"""Condensed evaluations of the paper's tasks: a row for each pair, egos named by their files."""
 
 from pathlib import Path, PurePath
 from typing import Any
@@ -43,7 +43,7 @@ def collect_evaluation(folder: Path, summary: dict[str, Any], data: Path) -> Pat
 
 
 def _egos(references: list[str], folder: Path) -> tuple[str, dict[str, tuple[str, int]]]:
-    """Return the one method of the egos, and each one's file name and seed."""
+    """Return the egos' one method, and each one's file name and seed."""
     matches = {reference: EGO_FILE.fullmatch(PurePath(reference).name) for reference in references}
     methods = {match["method"] for match in matches.values() if match}
     if None in matches.values() or len(methods) != 1:

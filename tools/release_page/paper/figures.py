@@ -18,7 +18,7 @@ PAGE = 7.0  # inches: letters are read at a page's width
 
 
 def figures(results: Results) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each figure that the data allow, by the name of its file."""
+    """Return the drawing function of each figure that the data allow, by file name."""
     drawn: dict[str, Callable[[], Figure]] = {}
     if results.humans:
         drawn["population.png"] = lambda: _population(results)

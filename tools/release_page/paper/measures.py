@@ -1,4 +1,4 @@
-"""What the paper's claims are checked by: of returns [robots, humans], and of scores [S, P].
+"""Measures for the paper's claims, of returns [robots, humans] and of scores [S, P].
 
 In a matrix the same team stands in row i and column i, so that self-play is the diagonal.
 """
@@ -22,7 +22,7 @@ _SETTLED = 30  # rounds after which the filled diagonal no longer moves
 
 @dataclasses.dataclass(frozen=True)
 class Exchange:
-    """The two branches of the tree that lose the most with each other; whether chance does so."""
+    """The two branches of the tree that lose the most with each other, and their significance."""
 
     loss: float  # share of the return; 0 if no two branches lose
     groups: tuple[
@@ -42,7 +42,7 @@ class VarianceShares:
 
 
 def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
-    """Share of pairs of different teams, [T, T], that earn less than a fraction of self-play.
+    """Return the share of pairs of different teams that earn less than a fraction of self-play.
 
     The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of
     incompatibility. Where it is not positive, a pair is counted as compatible.
@@ -56,7 +56,7 @@ def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
 def largest_exchange_loss(
     matrix: np.ndarray, *, permutations: int = PERMUTATIONS, seed: int = 0
 ) -> Exchange:
-    """Find the two branches of Figure 4's tree, of 5% of the teams or more, that lose the most.
+    """Return the two branches of Figure 4's tree, of at least 5% of the teams, that lose the most.
 
     Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`,
     of mean cross-play
@@ -87,7 +87,7 @@ def largest_exchange_loss(
 def variance_shares(
     matrix: np.ndarray, *, resamples: int = _RESAMPLED_MATRICES, seed: int = 0
 ) -> VarianceShares:
-    """Split the variance of cross-play returns into robots, humans and the rest, with intervals.
+    """Return the shares of robots, humans and the rest in the variance of cross-play returns.
 
     Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means
     predict. Resampling adds about 1 / T of the rest to either mean's share, so that one near 0 may
@@ -108,7 +108,7 @@ def variance_shares(
 
 
 def probability_of_improvement(x: np.ndarray, y: np.ndarray) -> float:
-    """Mean over partners of P(a seed of x beats a seed of y with it), ties counting one half.
+    """Return the mean over partners of P(seed of x beats seed of y), ties counting one half.
 
     Args:
         x: scores [S, P] of one method.
