@@ -173,7 +173,7 @@ QUIET = ("evaluation/cast", "evaluation/play", "evaluation/film.py", "evaluation
 QUIET += ("evaluation/crossplay.py",)
 
 
-def test_errors_of_these_rooms_name_no_option_of_a_command() -> None:
+def test_library_errors_name_no_option() -> None:
     paths = [path for room in QUIET for path in ((ROOT / room).rglob("*.py"), [ROOT / room])]
     files = [path for some in paths for path in some if path.suffix == ".py"]
     assert len(files) > 20

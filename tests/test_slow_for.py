@@ -31,9 +31,7 @@ def collected(folder: Path, word: str, chosen: str, *options: str) -> int:
         ("::test_it[one]", pytest.ExitCode.USAGE_ERROR),
     ],
 )
-def test_a_word_that_fits_no_case_ends_the_collection(
-    tmp_path: Path, capsys, chosen: str, code: int
-) -> None:
+def test_unmatched_word_ends_the_collection(tmp_path: Path, capsys, chosen: str, code: int) -> None:
     assert collected(tmp_path, "four", chosen) == code
     assert (
         "test_four.py::test_it: slow_for has 'four', which is in no case's id; "

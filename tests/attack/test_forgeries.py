@@ -127,7 +127,7 @@ def test_no_false_figure_passes(honest: Path, zoo: Registry, tmp_path: Path, of:
                 assert not (tmp_path / forging.MARKER).exists(), "a command ran"
 
 
-def test_a_replay_that_draws_no_figure_again_would_be_caught(
+def test_replay_without_redrawn_figures_is_caught(
     honest: Path, zoo: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Planted: the derivation is off, and a changed summary passes."""

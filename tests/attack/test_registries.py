@@ -141,9 +141,7 @@ def test_altered_registries_are_not_opened(registry_path: Path, tmp_path: Path) 
                     assert used(read.data) == used(true.data), "an altered registry is opened"
 
 
-def test_a_lock_takes_nothing_else_of_a_registry_made_anew(
-    registry_path: Path, tmp_path: Path
-) -> None:
+def test_lock_refuses_a_remade_registry(registry_path: Path, tmp_path: Path) -> None:
     true, path = load_registry(registry_path), tmp_path / "registry.json"
     lock = make_lock(true, true.policies)
     expected = used(apply_lock(true, lock, task="scratch").data)
@@ -188,11 +186,11 @@ def test_a_second_add_takes_no_other_default_unasked(
                     assert now["defaults"] == before["defaults"], "another default, unasked"
 
 
-def test_the_harness_finds_a_lock_that_looks_at_names_alone(
+def test_harness_finds_a_lock_of_names_alone(
     registry_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The planted defect of this family."""
     # The check is taken away: nothing public can.
     monkeypatch.setattr("zoo.lock._check", lambda registry, lock: None)
     with pytest.raises(AssertionError):
-        test_a_lock_takes_nothing_else_of_a_registry_made_anew(registry_path, tmp_path)
+        test_lock_refuses_a_remade_registry(registry_path, tmp_path)

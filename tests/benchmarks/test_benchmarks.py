@@ -12,7 +12,7 @@ from benchmarks.__main__ import run
 
 
 @pytest.mark.slow
-def test_env_prints_steps_per_second_of_each_batch_size(capfd: pytest.CaptureFixture[str]):
+def test_env_prints_speed_by_batch_size(capfd: pytest.CaptureFixture[str]):
     words = ["--task", "scratch", "--backend", "native", "--batch", "1,3", "--seconds", "0.03"]
     assert run(["env", *words, "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)

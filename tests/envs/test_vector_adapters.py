@@ -61,7 +61,7 @@ def test_humans_who_do_nothing_sit_in_every_task():
     assert obs.shape == start.shape == (2, 48)
 
 
-def test_gymnasium_resets_in_the_same_step_and_keeps_the_last_observation(vector):
+def test_gymnasium_resets_in_the_same_step(vector):
     assert vector.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
     start, _ = vector.reset(seed=4)
     for step in range(1, 2 * LENGTH + 1):

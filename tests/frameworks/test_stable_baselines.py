@@ -30,7 +30,7 @@ def test_check_env_passes():
     check_env(AssistaxEnv(TASK, lambda obs: np.full(3, 0.1)), skip_render_check=True)
 
 
-def test_check_env_passes_on_a_row_of_the_vector_form():
+def test_check_env_passes_on_a_vector_row():
     from stable_baselines3.common.env_checker import check_env
 
     from tests.envs.test_vector_adapters import Row
@@ -98,7 +98,7 @@ def test_tensors_and_arrays_share_memory():
     np.testing.assert_array_equal(stepped, env.step(mean)[0])
 
 
-def test_the_loop_in_pytorch_runs_as_it_is_printed(
+def test_printed_pytorch_loop_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):
     out = tmp_path / "agent.pt"

@@ -75,7 +75,7 @@ def test_a_default_export_plays_as_its_network(name: str, tmp_path: Path) -> Non
     np.testing.assert_allclose(actions, expected.numpy(), atol=1e-5)
 
 
-def test_an_export_of_a_fixed_batch_says_how_to_free_it(tmp_path: Path) -> None:
+def test_fixed_batch_export_says_how_to_free_it(tmp_path: Path) -> None:
     export(layers(nn.Tanh()).eval(), tmp_path / "robot.onnx")
     with pytest.raises(EgoError, match=r"dynamic_shapes=\(\{0: 'batch'\},\)"):
         read_egos([str(tmp_path / "robot.onnx")], EMPTY, "scratch")

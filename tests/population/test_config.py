@@ -76,7 +76,7 @@ def test_steps_are_rounded_up_to_whole_updates():
     assert config.updates == 2
 
 
-def test_a_member_appears_once_and_overrides_what_is_traced():
+def test_members_are_unique_and_override_traced_values():
     with pytest.raises(ValueError, match="two members of a run are identical"):
         TrainConfig("scratch", "ippo", make_members([0, 0], ["d1"]), 1000)
     with pytest.raises(

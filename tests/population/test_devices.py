@@ -265,7 +265,7 @@ def test_members_end_on_several_devices_as_on_one(case, tmp_path):
 
 
 @pytest.mark.slow
-def test_persons_are_shared_out_with_the_simulations_that_they_are_in(tmp_path):
+def test_persons_are_split_with_their_simulations(tmp_path):
     for devices in (1, 2):
         on_several_devices(train_with_persons, str(tmp_path / str(devices)), devices)
     assert devices_of(tmp_path / "2") == 2
@@ -274,13 +274,13 @@ def test_persons_are_shared_out_with_the_simulations_that_they_are_in(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", TRAINERS)
-def test_a_checkpoint_of_two_devices_is_read_on_any_number(case, tmp_path):
+def test_checkpoint_of_two_devices_loads_on_any_number(case, tmp_path):
     restored = on_several_devices(save_and_restore, case, str(tmp_path / "state"))
     assert restored == {"1": [32], "2": [16, 16], "4": [8, 8, 8, 8]}
 
 
 @pytest.mark.slow
-def test_as_many_devices_are_used_as_divide_the_members():
+def test_devices_in_use_divide_the_members():
     cases = {(8, 4): 4, (6, 4): 3, (7, 4): 1, (5, 3): 1, (2, 4): 2, (1, 4): 1, (4, 1): 1}
     assert on_several_devices(count_shares, list(cases)) == list(cases.values())
 

@@ -53,7 +53,7 @@ def usual(ppo, state, batch, peers):
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
-def test_the_mean_density_is_that_of_a_population_whoever_trains_beside_it(platform, monkeypatch):
+def test_mean_density_ignores_other_populations(platform, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     members = (Member(0, "d1"), Member(0, "d9"), Member(1, "d1"), Member(1, "d9"))
     ppo, state, batch, hyper = rollout(members)
@@ -79,7 +79,7 @@ def test_the_mean_density_is_that_of_a_population_whoever_trains_beside_it(platf
     )  # a planted neighbour of another setting shows
 
 
-def test_densities_too_small_for_a_float_are_still_told_apart():
+def test_tiny_densities_stay_distinct():
     """A mean of densities, and not of their logarithms, would be log 0 where nobody goes."""
     ppo, state, batch, hyper = rollout(PAIR)
     far = dataclasses.replace(batch, raw={**batch.raw, "human": batch.raw["human"] + 100.0})
@@ -92,7 +92,7 @@ def with_bonus(ppo, members, batch, hyper):
     return diversity.with_bonus(ppo.policies["human"], params, batch, hyper)
 
 
-def test_humans_who_act_alike_get_their_own_entropy_and_no_more():
+def test_bonus_of_equal_humans_is_their_entropy():
     ppo, state, batch, hyper = rollout(PAIR)
     alike, first = jax.tree.map(lambda leaf: jnp.stack([leaf[0]] * 2), (state.members, batch))
     # The bonus by itself, before training mixes it with the rest.
@@ -113,7 +113,7 @@ def networks(state):
 
 
 @pytest.mark.slow
-def test_without_the_bonus_it_is_ippo_bit_for_bit():
+def test_without_bonus_mep_equals_ippo():
     _, ippo, _ = run(ToyEnv(match), preset("ippo", **SMALL), PAIR, updates=3)
     _, mep, metrics = run(ToyEnv(match), preset("mep", **SMALL, population_coef=0), PAIR, updates=3)
     assert_same(networks(mep), networks(ippo))
@@ -123,7 +123,7 @@ def test_without_the_bonus_it_is_ippo_bit_for_bit():
         assert_same(networks(mep), networks(ippo))
 
 
-def test_the_bonus_ends_with_the_run_and_never_enters_the_return():
+def test_bonus_is_annealed_and_not_in_the_return():
     config = dataclasses.replace(MEP, population_coef=10.0, anneal_entropy=True)
     ppo, state, hyper = start(ToyEnv(match), config, PAIR, updates=4)
     update = jax.jit(ppo.update, compiler_options=FAST_COMPILE)
@@ -139,7 +139,7 @@ def test_the_bonus_ends_with_the_run_and_never_enters_the_return():
 
 
 @pytest.mark.slow
-def test_the_bonus_makes_humans_differ_where_the_task_does_not_care():
+def test_bonus_makes_humans_differ_in_free_actions():
     """The human's second action has no effect; without the bonus no two differ in it."""
     spread = {}
     for weight in (1e-9, 0.1):
@@ -149,7 +149,7 @@ def test_the_bonus_makes_humans_differ_where_the_task_does_not_care():
     assert spread[0.1] > 2.0 * spread[1e-9]
 
 
-def test_members_that_differ_in_their_seed_alone_are_a_population():
+def test_population_differs_in_seed_alone():
     members = (*make_members([0, 1], ["d1", "d3"]), Member(5, "d1", {"gamma": 0.9}))
     assert populations(members) == [[0, 1], [2, 3], [4]]
     assert diversity.peers(members[:4]).tolist() == [[0, 1], [0, 1], [2, 3], [2, 3]]
@@ -194,7 +194,7 @@ def test_a_plan_never_cuts_a_population(tmp_path):
         Group(**GROUP, max_members=2)
 
 
-def test_a_plan_adds_settings_to_populations_but_no_seeds(tmp_path):
+def test_plan_adds_settings_but_no_seeds_to_populations(tmp_path):
     group = Group(**GROUP)
     begin(group, tmp_path / "scratch-mep", group.members)
     wider = Group(**{**GROUP, "disabilities": ["d1", "d3", "d5"]})

@@ -29,7 +29,7 @@ def partners() -> DrawnPersons:
     return DrawnPersons(PersonPlayer(TASK), jnp.asarray(ROWS), "everybody")
 
 
-def test_each_episode_brings_the_body_and_wishes_of_whom_its_key_draws(
+def test_episode_has_drawn_persons_body_and_wishes(
     partners: DrawnPersons,
 ) -> None:
     keys = jax.random.split(jax.random.key(3), 40)
@@ -63,7 +63,7 @@ def test_who_is_there_is_who_acts(partners: DrawnPersons) -> None:
 
 
 @pytest.mark.slow
-def test_persons_of_two_families_act_as_their_own_does() -> None:
+def test_persons_act_as_their_family_does() -> None:
     players = [PersonPlayer(TASK, family) for family in ("spring", "muscle")]
     rows = FamiliesPlayer.rows([ROWS[:3], ROWS[3:5]])
     both = OnePersonEach(FamiliesPlayer(players), rows, "both")
@@ -83,7 +83,7 @@ def test_persons_of_two_families_act_as_their_own_does() -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_may_be_told_the_numbers_of_whom_it_meets(partners: DrawnPersons) -> None:
+def test_told_robot_observes_its_persons_numbers(partners: DrawnPersons) -> None:
     env = assistax_envs.make(TASK, "native", told=("human", "robot"))
     telling = ToldNumbers(env, partners.numbers)
     keys = jax.random.split(jax.random.key(6), 3)
@@ -111,7 +111,7 @@ def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
-def test_who_is_met_changes_where_an_episode_ends_and_a_run_goes_on(
+def test_person_changes_at_episode_end_and_survives_resume(
     partners: DrawnPersons, torso: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     env = assistax_envs.make(TASK, "native")

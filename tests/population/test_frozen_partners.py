@@ -56,7 +56,7 @@ def config(kind, members=2, **changes):
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
-def test_every_partner_acts_in_its_share_and_nowhere_else(platform, monkeypatch):
+def test_partner_acts_in_its_share_alone(platform, monkeypatch):
     """Simulations are [member, partner, simulation]; the oracle asks each partner simulation by
     simulation.
     """
@@ -91,7 +91,7 @@ def test_every_partner_plays_under_its_own_disability():
         )
 
 
-def test_partners_take_turns_in_the_preferences_that_are_named_and_in_no_others():
+def test_partners_rotate_through_the_named_preferences():
     run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
     state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
     likes = state.simulations.env.params.preference_code.reshape(
@@ -121,7 +121,7 @@ def test_preferences_that_nobody_can_have_are_refused(task, names, partners, mes
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
-def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
+def test_ego_learns_while_partners_stay_frozen(kind):
     run, env, partners = config(kind, members=1), ToyEnv(match), population()
     updates = 100 if kind is PPO else 250
     trainer = kind(run.trainer, env, updates, partners)
@@ -149,9 +149,7 @@ def test_an_ego_learns_its_role_and_partners_stay_as_they_are(kind):
         (8, 99, 4, 396),
     ],
 )
-def test_simulations_are_as_near_to_the_preset_as_equal_shares_allow(
-    preset, partners, minibatches, fitting
-):
+def test_fitting_envs_is_nearest_to_the_preset(preset, partners, minibatches, fitting):
     assert fitting_envs(preset, partners, minibatches) == fitting
 
 
@@ -178,7 +176,7 @@ def test_with_more_partners_than_simulations_each_has_one():
 
 
 @pytest.mark.slow
-def test_a_run_of_egos_is_written_without_self_play(tmp_path):
+def test_run_of_egos_has_no_self_play(tmp_path):
     run = dataclasses.replace(config(PPO), steps=240, checkpoint_every=1)
     folder = train(run, ToyEnv(match), tmp_path / "run", partners=population())
     egos = json.loads((folder / "teams.json").read_text())

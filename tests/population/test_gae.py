@@ -35,7 +35,7 @@ def test_a_missing_bootstrap_differs(chunk):
     assert np.abs(defective - numpy_gae(*chunk, 0.97, 0.9)).max() > 0.1
 
 
-def test_a_value_that_is_not_finite_after_termination_does_no_harm():
+def test_nonfinite_value_after_termination_is_ignored():
     ones = jnp.ones((1, 1))
     result = gae.advantages(ones, ones, jnp.full((1, 1), jnp.nan), ones > 0, ones < 0, 0.97, 0.9)
     np.testing.assert_allclose(result, 0.0)

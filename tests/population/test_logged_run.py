@@ -47,7 +47,7 @@ def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
     assert action.shape == (5, 2)
 
 
-def test_without_a_folder_a_run_gets_a_temporary_one(toy, tmp_path, monkeypatch):
+def test_run_without_folder_gets_a_temporary_one(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     run = train("scratch", steps=80, hyperparameters=SMALL, self_play_episodes=0, progress=False)
     assert run.folder.parent == tmp_path and run.self_play == (None,)

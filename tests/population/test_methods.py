@@ -68,7 +68,7 @@ def last(metrics, name):
 
 
 @pytest.mark.slow
-def test_a_critic_that_knows_the_partner_is_not_confused_by_what_it_brings():
+def test_asymmetric_critic_explains_partner_rewards():
     """A partner brings up to 80 times what the robot's own act is worth, whatever it does."""
     env = ToyEnv(noisy, episode_length=LENGTH)
     earned = {
@@ -81,7 +81,7 @@ def test_a_critic_that_knows_the_partner_is_not_confused_by_what_it_brings():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["liam", "palm"])
-def test_a_memory_that_predicts_the_partner_remembers_its_bit(name):
+def test_predicting_memory_remembers_the_partners_bit(name):
     metrics = learn(HiddenBit(), name, 60)[3]
     assert last(metrics, "return") > 0.6 * LENGTH  # without memory 1 at most: its only sight
     assert last(metrics, "model_loss_robot") < 0.3 < 0.8 < metrics["model_loss_robot"][0, 0]
@@ -116,7 +116,7 @@ def test_who_learns_no_more_reads_observations_as_before(name, seen):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("series", "earns"), [(3, True), (1, False)])
-def test_what_an_episode_shows_is_of_use_in_the_next_one(series, earns):
+def test_memory_carries_into_the_next_episode(series, earns):
     """With series of 1, the ablation, a robot forgets the bit as soon as it has seen it."""
     metrics = learn(LateSight(), "rl2", 120, series=series)[3]
     assert (last(metrics, "return") > 0.4 * LENGTH) == earns
@@ -141,7 +141,7 @@ def test_nothing_but_its_own_loss_trains_a_memory(weight, learns):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_killed_run_goes_on_to_the_same_bits_and_writes_what_acts(name, tmp_path):
+def test_killed_run_resumes_exactly_and_writes_the_actor(name, tmp_path):
     run = dataclasses.replace(run_of(name, 6, members=2, **TINY), checkpoint_every=2)
     whole = train(run, HiddenBit(), tmp_path / "whole", partners=partners())
     with pytest.raises(Killed):
@@ -158,7 +158,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_writes_what_acts(name, tmp_pa
     assert {name.split("/")[0] for name in leaves} <= {*params}
 
 
-def test_series_keep_partner_wish_and_memory_and_end_together():
+def test_series_keeps_partner_wish_and_memory():
     """Within a series an episode's end is none for the robot, and its partner starts anew."""
     run, others = run_of("rl2", 1, series=3, num_envs=12, rollout_steps=12), partners()
     env = ToyEnv(match, episode_length=4)
@@ -183,7 +183,7 @@ def test_series_keep_partner_wish_and_memory_and_end_together():
         assert kept[more].all() and not kept[~more].all()
 
 
-def test_what_is_hidden_is_shown_of_networks_and_of_persons():
+def test_hidden_observation_of_networks_and_persons():
     env = WithHidden(Settings(), partners(), 8)
     humans = partners().humans(8)
     state = env.reset(jax.random.split(jax.random.key(0), 8), humans)
@@ -202,7 +202,7 @@ def test_what_is_hidden_is_shown_of_networks_and_of_persons():
     np.testing.assert_allclose(state.obs[HIDDEN][:, 3:], spread[met.person], atol=1e-4)
 
 
-def test_specs_of_before_are_as_they_were_and_latents_are_kept():
+def test_old_specs_are_unchanged_and_latents_stored():
     old, new = PolicySpec("robot", 5, 2), PolicySpec("robot", 5, 2, latent=4)
     assert "latent" not in old.to_json() and old.digest == "56842c16"
     assert spec_from_json(new.to_json()) == new and new.digest != old.digest
@@ -234,7 +234,7 @@ def test_teams_have_no_method(name):
         PPO(config, ToyEnv(match), 1)
 
 
-def test_a_method_of_one_s_own_has_a_preset():
+def test_registered_method_has_a_preset():
     class Nothing(Method):
         """Adds nothing."""
 

@@ -19,6 +19,6 @@ def test_merged_batches_have_the_statistics_of_all():
     )
 
 
-def test_a_feature_that_never_moves_is_not_blown_up():
+def test_constant_feature_stays_finite():
     statistics = normaliser.update(normaliser.empty(1), jnp.ones((10, 1)))
     assert normaliser.to_params(statistics)["std"][0] >= 1e-3

@@ -51,7 +51,7 @@ def test_initial_weights_are_orthogonal_with_their_gains():
         np.testing.assert_allclose(singular, gain, rtol=1e-4)
 
 
-def test_an_untrained_policy_acts_around_zero_within_the_limits():
+def test_untrained_policy_acts_around_zero():
     policy = Policy(PolicySpec("robot", 5, 2))
     obs = 3.0 * jax.random.normal(jax.random.key(1), (1000, 5))
     first = jnp.ones(1000, bool)
@@ -78,7 +78,7 @@ def test_normalising_equals_scaled_observations_and_is_clipped():
 
 
 @pytest.mark.parametrize("spec", SPECS[2:], ids=["clip", "tanh"])
-def test_first_resets_the_carry_and_a_misaligned_flag_does_not(spec):
+def test_carry_resets_at_first_alone(spec):
     policy = Policy(spec)
     params = policy.init(jax.random.key(0))
     obs = jax.random.normal(jax.random.key(1), (6, 2, 5))
@@ -125,7 +125,7 @@ def test_squashed_density_integrates_to_one():
 
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 @pytest.mark.parametrize("std", ["parameter", "state"])
-def test_a_policy_begins_with_the_standard_deviation_it_is_given(std, torso):
+def test_policy_starts_with_given_standard_deviation(std, torso):
     policy = Policy(PolicySpec("robot", 5, 2, torso=torso, std=std, hidden=(8, 8)))
     obs, first = jnp.ones((3, 5)), jnp.ones(3, bool)
     for params, log_std in (

@@ -72,7 +72,7 @@ def deterministic_return(env, ppo, state, count=1):
         pytest.param(True, id="planted-termination", marks=pytest.mark.slow),
     ],
 )
-def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
+def test_constant_reward_value_bootstraps_at_time_limit(terminates):
     """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
     down.
     """
@@ -94,7 +94,7 @@ def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates
 
 
 @pytest.mark.parametrize(("paid", "share"), [(1.0, 1.0), (0.5, 0.0)])
-def test_an_episode_succeeds_whose_goal_held_at_any_step(paid, share):
+def test_success_at_any_step_counts(paid, share):
     """The toy's goal holds above a reward of 0.9: here in the third step of thirteen, or never."""
     env = ToyEnv(lambda state, action: {"once": paid * (state.step == 2)}, episode_length=13)
     _, _, metrics = run(env, PPOConfig(**SMALL), updates=3)
@@ -118,7 +118,7 @@ def test_an_episode_succeeds_whose_goal_held_at_any_step(paid, share):
     ],
     ids=["ippo-match", "ippo-match-tanh", "mappo-together"],
 )
-def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward, changes):
+def test_both_roles_learn_from_their_observations(algorithm, reward, changes):
     env = ToyEnv(reward)
     # Not 100 updates: at the optimum, advantages are noise, which large steps follow anywhere.
     config = preset(algorithm, **{**SMALL, "rollout_steps": 20, **changes})
@@ -129,7 +129,7 @@ def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward, changes):
 
 
 @pytest.mark.slow
-def test_a_recurrent_team_remembers_what_a_feed_forward_one_cannot():
+def test_recurrent_team_beats_feed_forward_at_memory():
     env = ToyEnv(match, episode_length=12, memory=True)
     ppo, state, _ = run(
         env, PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru"), updates=150
@@ -173,7 +173,7 @@ class Coupled(PPO):
 
 
 @pytest.mark.parametrize("kind", [PPO, Coupled])
-def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
+def test_role_ignores_the_other_roles_gradients(kind):
     ppo, state, hyper = start(ToyEnv(match), PPOConfig(**SMALL), kind=kind)
     robot = state.members.learners["robot"]
     critic = jax.tree.map(lambda leaf: 1000.0 * leaf, robot.networks["critic"])
@@ -197,7 +197,7 @@ def test_a_role_learns_the_same_whatever_the_others_gradients_are(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
-def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
+def test_member_ignores_other_members(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = PPOConfig(**SMALL)
     members = (

@@ -70,7 +70,7 @@ def values(sac, state, role, action):
     [False, pytest.param(True, marks=pytest.mark.slow)],
     ids=["time-limit", "planted-termination"],
 )
-def test_value_of_a_constant_reward_bootstraps_through_the_time_limit(terminates):
+def test_constant_reward_value_bootstraps_at_time_limit(terminates):
     """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
     down.
     """
@@ -91,7 +91,7 @@ def unsquashed(raw):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("planted", [False, True], ids=["squashed", "planted-unsquashed"])
-def test_without_a_task_the_policy_becomes_uniform_over_its_actions(planted, monkeypatch):
+def test_policy_without_reward_becomes_uniform(planted, monkeypatch):
     """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a
     dimension.
     """
@@ -125,7 +125,7 @@ def test_the_temperature_drives_the_entropy_to_its_target():
     ids=["isac-match", "masac-together"],
 )
 @pytest.mark.slow
-def test_both_roles_learn_to_act_on_what_they_see(algorithm, reward):
+def test_both_roles_learn_from_their_observations(algorithm, reward):
     env = ToyEnv(reward)
     sac, state, _ = run(
         env, preset(algorithm, **{**SMALL, "target_entropy_scale": 2.0}), updates=250
@@ -148,7 +148,7 @@ def test_soft_targets_are_those_of_the_formula():
     np.testing.assert_allclose(target, expected, rtol=1e-5)
 
 
-def test_log_density_of_a_squashed_action_is_that_of_the_change_of_variables():
+def test_squashed_log_density_follows_change_of_variables():
     mean, std, raw = np.array([0.3, -1.2]), np.array([0.4, 0.9]), np.array([0.8, -2.0])
     normal = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi))
     expected = np.log(normal / (1.0 - np.tanh(raw) ** 2)).sum()
@@ -166,7 +166,7 @@ class Misplaced(SAC):
 
 @pytest.mark.parametrize("kind", [SAC, Misplaced])
 @pytest.mark.slow
-def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
+def test_replayed_successor_is_the_reached_observation(kind):
     """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is
     written over twice.
     """
@@ -186,7 +186,7 @@ def test_a_replayed_successor_is_the_observation_that_was_reached(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
-def test_a_member_learns_the_same_whoever_trains_beside_it(platform, monkeypatch):
+def test_member_ignores_other_members(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = SACConfig(**SMALL)
     _, alone, _ = run(

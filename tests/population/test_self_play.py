@@ -30,7 +30,7 @@ def play(reward, episodes=16, **changes):
 
 
 @pytest.mark.parametrize("terminates", [False, True])
-def test_a_constant_reward_gives_the_length_of_the_episode(terminates):
+def test_constant_reward_returns_the_episode_length(terminates):
     figures = {"mean": 20.0, "iqm": 20.0, "mean_ci": [20.0, 20.0], "n": 16, "success": 1.0}
     assert play(constant, terminates=terminates) == [figures] * TEAMS
 

@@ -34,7 +34,7 @@ def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("role", ["robot", "human"])
-def test_an_exported_policy_acts_as_the_shared_network_does(role, variant):
+def test_exported_policy_equals_the_shared_network(role, variant):
     """The shared network reads [obs, 0, one-hot]; the role's ordinary policy reads obs."""
     observation, action = SIZES[role]
     width = shared_network.padded_size({role: sizes[0] for role, sizes in SIZES.items()})

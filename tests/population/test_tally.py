@@ -40,7 +40,7 @@ def _state(values: dict[str, np.ndarray], time: int, stops: np.ndarray) -> Any:
     )
 
 
-def test_how_people_are_touched_is_that_of_a_second_pass() -> None:
+def test_touch_measures_equal_a_second_pass() -> None:
     values, stops = _episode(3), np.array([STEPS, STEPS, 70, STEPS])
     state = _state(values, 0, stops)
     tally, window = begin(state, {}), begin_window(state)

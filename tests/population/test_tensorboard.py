@@ -80,7 +80,7 @@ def test_event_files_hold_what_the_metrics_hold(whole):
 
 
 @pytest.mark.slow
-def test_a_run_that_goes_on_shows_no_step_twice_and_leaves_none_out(tmp_path, monkeypatch):
+def test_resumed_run_shows_each_step_once(tmp_path, monkeypatch):
     """Killed before its first checkpoint, which is of update 2; just after it; and an update later.
 
     What was written last is torn each time.
@@ -117,7 +117,7 @@ def test_files_of_another_run_are_refused(whole, tmp_path):
     EventFiles(CONFIG, whole / "run", whole / "tb").close()  # the run itself
 
 
-def test_a_loss_that_is_not_finite_is_written_as_it_is(tmp_path):
+def test_nonfinite_loss_is_written(tmp_path):
     from population.runs.train import Progress
 
     files = EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")

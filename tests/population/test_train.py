@@ -107,9 +107,7 @@ def test_exported_rows_are_distinct_and_act(finished):
 
 
 @pytest.mark.slow
-def test_half_precision_is_written_and_what_is_written_is_evaluated(
-    finished, tmp_path, monkeypatch
-):
+def test_half_precision_teams_are_evaluated_as_written(finished, tmp_path, monkeypatch):
     evaluated = {}
 
     def spied(env, policies, params, *rest):
@@ -131,7 +129,7 @@ def test_half_precision_is_written_and_what_is_written_is_evaluated(
     assert "precision" not in (finished / "config.json").read_text()
 
 
-def test_metrics_have_a_row_for_each_update_and_member(finished):
+def test_metrics_have_rows_by_update_and_member(finished):
     metrics = pl.read_parquet(finished / "metrics.parquet")
     assert metrics.shape[0] == 6 * 4
     assert metrics["update"].to_list() == [update for update in range(1, 7) for _ in range(4)]
@@ -178,7 +176,7 @@ def assert_same_policies(folder, other):
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
+def test_killed_run_resumes_exactly(finished, copy_of_killed):
     folder, updates = copy_of_killed, []
     assert not (folder / "teams.json").exists()
     train(CONFIG, ToyEnv(match), folder, progress=lambda report: updates.append(report.update))
@@ -191,7 +189,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(finished, copy_of_killed):
 
 
 @pytest.mark.slow
-def test_a_run_stopped_by_ctrl_c_goes_on_from_where_it_was(finished, tmp_path):
+def test_run_resumes_after_ctrl_c(finished, tmp_path):
     folder, updates = tmp_path / "run", []
 
     def stop(report):
@@ -225,7 +223,7 @@ def cut_off(folder):
 
 @pytest.mark.slow_for("cut_off")
 @pytest.mark.parametrize("damage", [flip_a_bit, cut_off])
-def test_a_damaged_checkpoint_is_told_and_the_one_before_is_taken(finished, copy_of_killed, damage):
+def test_damaged_checkpoint_falls_back_with_a_warning(finished, copy_of_killed, damage):
     folder, updates = copy_of_killed, []
     damage(folder / "checkpoints" / "4")
     with pytest.warns(UserWarning, match="the checkpoint of update 4 .* is damaged .* update 2"):
@@ -254,12 +252,12 @@ def test_too_little_memory_removes_no_checkpoint(error, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of bytes are Linux's")
-def test_a_folder_that_is_no_utf8_keeps_no_checkpoints(tmp_path):
+def test_folder_name_must_be_utf8(tmp_path):
     with pytest.raises(ValueError, match="not UTF-8, under which no checkpoint can be written"):
         Checkpoints(tmp_path / os.fsdecode(b"run \xff"))
 
 
-def test_a_run_whose_checkpoints_are_all_damaged_is_refused(copy_of_killed):
+def test_run_with_all_checkpoints_damaged_is_refused(copy_of_killed):
     cut_off(copy_of_killed / "checkpoints")
     with pytest.raises(
         ValueError, match=r"cannot read the checkpoint of update 4 .* another folder"
@@ -276,7 +274,7 @@ def test_no_thread_outlives_a_run_that_is_stopped(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
+def test_killed_sac_run_resumes_exactly(tmp_path):
     """The replay is part of the checkpoint: what is drawn after resuming is what would have been
     drawn.
     """
@@ -309,7 +307,7 @@ def test_a_killed_run_of_sac_goes_on_to_the_same_bits(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_finished_run_is_left_alone_and_can_be_extended(finished, tmp_path):
+def test_finished_run_stays_and_can_be_extended(finished, tmp_path):
     before = (finished / "teams.json").stat().st_mtime_ns
     train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))
     assert (finished / "teams.json").stat().st_mtime_ns == before
@@ -345,7 +343,7 @@ def test_a_folder_with_other_things_is_refused(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_path):
+def test_nonfinite_loss_stops_at_the_last_checkpoint(tmp_path):
     members = (Member(0, "d1"), Member(1, "d1", {"learning_rate": 1e38}))
     config = TrainConfig("toy", "ippo", members, 480, PPO, checkpoint_every=1)
     with pytest.raises(
@@ -359,9 +357,7 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_
 
 
 @pytest.mark.slow
-def test_a_full_disk_stops_with_a_message_and_the_run_goes_on_later(
-    finished, tmp_path, monkeypatch
-):
+def test_full_disk_stops_and_run_resumes_later(finished, tmp_path, monkeypatch):
     save = Checkpoints.save
 
     def full(self, update, state):
@@ -392,7 +388,7 @@ def test_the_environment_must_be_the_runs(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_process_killed_by_the_system_goes_on_to_the_same_bits(finished, tmp_path):
+def test_sigkilled_process_resumes_exactly(finished, tmp_path):
     script = textwrap.dedent(
         f"""
         import time

@@ -76,9 +76,7 @@ def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["[{", "{}", "[]", '[{"team": 0, "team": 1}]'])
-def test_whoever_looks_at_the_teams_alone_reads_them_with_the_same_care(
-    tmp_path: Path, damage: str
-) -> None:
+def test_team_items_are_checked_like_teams(tmp_path: Path, damage: str) -> None:
     write(tmp_path / "run")
     run = RunFolder(tmp_path / "run")
     assert [item["team"]["seed"] for item in run.team_items()] == [0, 1]

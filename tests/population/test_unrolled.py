@@ -84,7 +84,7 @@ def test_policy_and_critic_together_are_those_apart(policy: Policy, width: int) 
         assert jnp.linalg.norm(a - b) <= 2e-6 * jnp.linalg.norm(a) + 1e-9
 
 
-def test_nothing_is_remembered_over_an_episode_s_start_even_if_it_diverged(policy: Policy) -> None:
+def test_carry_resets_at_episode_start_after_divergence(policy: Policy) -> None:
     params, _ = params_and_first(policy)
     first = jnp.zeros((T, N), bool).at[0].set(True)
 

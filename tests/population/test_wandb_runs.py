@@ -95,7 +95,7 @@ def test_every_member_has_a_run_with_its_metrics(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_goes_on_is_the_same_there(tmp_path: Path) -> None:
+def test_resumed_run_continues_its_wandb_run(tmp_path: Path) -> None:
     def stopped(progress) -> None:
         log(progress)
         kill_after(4)(progress)
@@ -112,7 +112,7 @@ def test_a_run_that_goes_on_is_the_same_there(tmp_path: Path) -> None:
     assert set(kept(tmp_path / "run")) == before
 
 
-def test_a_folder_of_another_run_gets_no_run_there(tmp_path: Path) -> None:
+def test_other_folder_gets_no_wandb_run(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")
     log = _log(TWO, tmp_path / "run", "wandb:study")
@@ -123,9 +123,7 @@ def test_a_folder_of_another_run_gets_no_run_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_key_it_says_how_to_log_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_key_says_how_to_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WANDB_MODE")
     log = _log(TWO, tmp_path / "run", "wandb:study")
     with pytest.raises(ValueError, match=r"`wandb login`.*WANDB_MODE=offline"):

@@ -33,7 +33,7 @@ TINY += ["--set", "hidden=(8, 8)", "--steps", "480", "--episodes", "2", "--backe
 TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
 
 
-def test_rows_are_those_of_train_ego_and_the_bounds(capsys) -> None:
+def test_rows_are_methods_and_bounds(capsys) -> None:
     known = list(rows())
     assert {"ppo", "sac", *METHODS, "told-gru", "told-partner"} <= set(known)
     assert known[:3] == ["best-fixed", "ppo", "ppo-best-of-4"]
@@ -42,7 +42,7 @@ def test_rows_are_those_of_train_ego_and_the_bounds(capsys) -> None:
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == known
 
 
-def test_a_method_that_is_made_known_later_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registered_method_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(METHODS, "new", ("", {}))
     made = named("new")
     assert (made.algorithm, made.source, made.told) == ("new", "train", False)
@@ -248,7 +248,7 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
 
 
-def test_the_page_names_published_robots_of_the_methods_to_choose() -> None:
+def test_page_names_published_robots_of_chosen_methods() -> None:
     shown = read_tables(REPOSITORY / "docs/data/league")
     page = results_page(shown, None, {"images": "images", "tables": "data"}, {}, load_registry())
     [line] = [line for line in page.splitlines() if line.startswith("Robots of these methods")]
@@ -267,9 +267,7 @@ def test_the_committed_page_is_what_the_tables_give() -> None:
     assert page == (REPOSITORY / "docs/results.md").read_text(encoding="utf-8")
 
 
-def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
-    tmp_path: Path, capsys
-) -> None:
+def test_validation_chooses_methods_and_contrasts_name_ppo(tmp_path: Path, capsys) -> None:
     """What is best with the test side is said, and no choice."""
     place = tmp_path / "league/scratch"
     for name, test, validated in (
@@ -296,7 +294,7 @@ def test_a_method_is_chosen_by_validation_and_contrasts_are_with_ppo(
     assert "Above PPO" not in page and "Not shown" not in page
 
 
-def test_rows_of_an_earlier_page_stand_beside_new_ones(tmp_path: Path, capsys) -> None:
+def test_earlier_rows_join_new_ones(tmp_path: Path, capsys) -> None:
     """Rows that are made anew take the place of older ones, and p is corrected over both."""
     contrasts = tmp_path / "contrasts.toml"
     contrasts.write_text(NAMED.replace('"sac"', '"liam"'))
@@ -356,7 +354,7 @@ def test_rows_of_an_earlier_page_stand_beside_new_ones(tmp_path: Path, capsys) -
     assert "has no tables of a league's page" in capsys.readouterr().err
 
 
-def test_a_contrast_without_an_interval_is_shown_without_one() -> None:
+def test_contrast_may_lack_an_interval() -> None:
     """One episode of one pair gives none."""
     known = {"named": True, "p": 1.0, "p_holm": 1.0, "found": False, "detectable_holm": 9.0}
     alone = ShownContrast(
@@ -371,7 +369,7 @@ def test_a_contrast_without_an_interval_is_shown_without_one() -> None:
 
 
 @pytest.mark.slow
-def test_cards_of_published_robots_have_a_film_and_their_m_test(tmp_path: Path, capsys) -> None:
+def test_cards_have_film_and_m_test(tmp_path: Path, capsys) -> None:
     robot, out = "gentle_brushing/gru-ego-s1-v4", tmp_path / "cards"
     words = ["cards", f"{robot}/robot", "--out", str(out), "--persons", "2", "--steps", "5"]
     assert run(words) == 0, capsys.readouterr().err
@@ -400,7 +398,7 @@ place.write_text(json.dumps({"before": before, **own}))
 """
 
 
-def test_a_queue_puts_parts_together_when_all_are_made(tmp_path: Path) -> None:
+def test_queue_joins_parts_when_all_are_made(tmp_path: Path) -> None:
     file, out = tmp_path / "queue.txt", tmp_path / "league"
     rows_of = ("ppo-best-of-4", "ppo")
     lines = [f"2 {row} scratch --part all/2" for row in rows_of]
@@ -415,7 +413,7 @@ def test_a_queue_puts_parts_together_when_all_are_made(tmp_path: Path) -> None:
     assert set(ends[:2]) == set(names) and len(ends) == 4
 
 
-def test_a_queue_shares_cards_and_waits_for_what_a_row_needs(tmp_path: Path) -> None:
+def test_queue_shares_cards_and_waits_for_needs(tmp_path: Path) -> None:
     file, out = tmp_path / "queue.txt", tmp_path / "league"
     file.write_text(
         """# best responses, and the best of four, come last whatever the order
@@ -463,9 +461,7 @@ def test_a_queue_shares_cards_and_waits_for_what_a_row_needs(tmp_path: Path) -> 
         ("9 gru scratch\n9 gru scratch --split half", "has scratch-gru twice"),
     ],
 )
-def test_a_queue_that_cannot_be_made_gets_one_error(
-    text: str, message: str, tmp_path: Path
-) -> None:
+def test_impossible_queue_gets_one_error(text: str, message: str, tmp_path: Path) -> None:
     file, program = tmp_path / "queue.txt", (sys.executable, "-c", MAKER)
     file.write_text(text)
     with pytest.raises(ValueError, match=message):

@@ -95,7 +95,7 @@ def test_poor_teams_are_not_taken_for_incompatible_ones():
         assert measures.largest_exchange_loss(matrix, permutations=1).loss < 0.1
 
 
-def test_two_groups_that_lose_with_each_other_are_found():
+def test_incompatible_groups_are_found():
     loss = measures.largest_exchange_loss(blocks(120), permutations=39)
     assert loss.loss == pytest.approx(0.6, abs=0.02)
     assert [set(group % 2) for group in sorted(loss.groups, key=lambda group: group[0] % 2)] == [
@@ -504,7 +504,7 @@ def test_training_of_egos_is_condensed(tmp_path: Path):
         (lambda folder: (folder / "manifest.json").unlink(), "has no manifest.json"),
     ],
 )
-def test_a_folder_that_is_no_finished_one_is_refused(
+def test_unfinished_folder_is_refused(
     crossplay_folder: Path, tmp_path: Path, spoil: Any, message: str
 ):
     spoil(crossplay_folder)
@@ -621,7 +621,7 @@ def test_trainings_stand_with_their_minutes_and_commands():
     assert files["commands.txt"] == "assistax-zoo train-ego\nassistax-zoo evaluate\n"
 
 
-def test_every_table_has_as_many_cells_in_each_row():
+def test_table_rows_have_equal_cells():
     everything = results(
         humans=humans({"ippo": [930.0, 940], "masac": [700.0, 800]}),
         crossplay={task: played(blocks()) for task in ("scratch", "bed_bath", "arm_assist")},
@@ -650,7 +650,7 @@ def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
     assert first == second
 
 
-def test_check_finds_a_page_that_is_out_of_date(
+def test_check_finds_an_outdated_page(
     words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     assert run([*words, "--check"]) == 1
@@ -676,7 +676,7 @@ def test_tables_of_another_release_are_refused(words: list[str], capfd: pytest.C
     assert "is of v1; give the data of v1" in capfd.readouterr().err
 
 
-def test_partners_from_outside_the_release_are_refused_and_absent_ones_named(
+def test_foreign_partners_are_refused_and_absent_ones_named(
     words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     registry = tmp_path / "registry.json"
@@ -702,7 +702,7 @@ def test_a_note_on_an_unknown_section_is_refused(tmp_path: Path):
         read_notes(path)
 
 
-def test_the_paper_s_population_is_complete_only_with_every_team():
+def test_population_is_complete_with_every_team_alone():
     paper = read_paper()
     whole = [
         human
@@ -739,7 +739,7 @@ def test_pictures_are_those_that_the_data_allow():
     assert not figures(results())
 
 
-def test_the_committed_page_is_what_the_committed_tables_give(
+def test_committed_page_follows_from_its_tables(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(ROOT)

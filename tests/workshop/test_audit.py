@@ -101,7 +101,7 @@ def test_other_conditions_are_shares_of_what_teams_earn(
     assert gate_found.ci == pytest.approx((value, value))  # nobody differs
 
 
-def test_what_egos_earn_among_strangers_says_what_knowing_and_remembering_are_worth() -> None:
+def test_ego_gates_value_knowledge_and_memory() -> None:
     def earned(*returns: float) -> pl.DataFrame:
         return played([[[value] * 4] * 2 for value in returns], ["one", "other"], TWO)
 
@@ -115,7 +115,7 @@ def test_what_egos_earn_among_strangers_says_what_knowing_and_remembering_are_wo
     assert "not measured: needs recurrent egos" in [gate.told for gate in gates(**some).values()]
 
 
-def test_a_script_that_does_the_task_fails_its_gate_and_so_do_teams_that_hurt() -> None:
+def test_capable_script_and_violent_teams_fail_their_gates() -> None:
     """Planted: the two things that an audit is for."""
     able = played([[[90.0] * 4]], ["script"], TWO[:1])
     assert not gates(**{"script, passive human": able})["script with a passive human"].holds
@@ -124,7 +124,7 @@ def test_a_script_that_does_the_task_fails_its_gate_and_so_do_teams_that_hurt() 
     assert not by_name["teams hurt nobody"].holds and not by_name["teams reach the goal"].holds
 
 
-def test_the_best_posture_is_chosen_on_the_other_half_of_the_episodes() -> None:
+def test_best_posture_is_chosen_on_other_episodes() -> None:
     """Planted: one posture is lucky in the even episodes, and no good in the odd ones."""
     held = played([[[99.0, 0.0, 99.0, 0.0], [50.0] * 4]], ["script"], TWO)
     lucky = held.with_columns(success=pl.col("return") > 40.0)
@@ -156,7 +156,7 @@ def test_intervals_widen_with_the_teams() -> None:
 
 @pytest.mark.slow
 @one_gentle_task
-def test_a_mistaken_human_sees_the_next_preference_and_the_reward_does_not(task: str) -> None:
+def test_mistaken_human_observes_the_next_preference(task: str) -> None:
     env = make(task, "native")
     wrong, keys = WrongBeliefEnv(env), jax.random.split(jax.random.key(0), 9)
     params = disability_params(["d1"] * 9, list(PREFERENCES))
@@ -204,7 +204,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("torques", "count"), [(3, 27), (5, 243)])
-def test_a_human_is_held_in_every_posture_of_its_seat(torques: int, count: int) -> None:
+def test_held_roster_has_every_posture(torques: int, count: int) -> None:
     """Whatever it observes, it gives its own torques, and no two give the same."""
     roster = audits.held_roster(4, torques)
     assert len(roster.ids) == count

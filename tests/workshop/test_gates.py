@@ -20,7 +20,7 @@ TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 1, "epochs": 1, "hidde
 
 
 @pytest.mark.slow
-def test_teams_the_passive_robot_and_best_responses_are_what_an_audit_takes(tmp_path: Path) -> None:
+def test_audit_reads_the_trained_conditions(tmp_path: Path) -> None:
     train_conditions(
         "gentle_lift",
         tmp_path,

@@ -98,9 +98,7 @@ def test_the_card_has_results_as_evaluation_entries(hub: Hub, cache: Path, teams
     assert "| scratch | ippo | d9 | 4 | 950.5 |" in card.text
 
 
-def test_licence_and_film_stand_in_the_card_and_stay(
-    hub: Hub, cache: Path, teams, tmp_path: Path
-) -> None:
+def test_card_keeps_licence_and_film(hub: Hub, cache: Path, teams, tmp_path: Path) -> None:
     from huggingface_hub import ModelCard
 
     (tmp_path / "lift.webp").write_bytes(b"film")
@@ -215,7 +213,7 @@ def test_a_hub_that_stays_busy_shows_nothing_new(hub: Hub, cache: Path, teams) -
     assert files(hub) == before
 
 
-def test_a_tag_that_fails_is_added_the_next_time(hub: Hub, cache: Path, teams) -> None:
+def test_failed_tag_is_added_next_time(hub: Hub, cache: Path, teams) -> None:
     hub.faults = [Fault("POST .*/tag/", status=503)]
     with pytest.raises(RemoteError, match="is published, publishing again adds the tag"):
         put(teams())

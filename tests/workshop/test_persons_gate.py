@@ -16,7 +16,7 @@ TASK = "gentle_scratch"
 
 
 @pytest.mark.slow
-def test_stages_write_what_each_robot_earns_with_each_person(
+def test_stages_write_returns_by_robot_and_person(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(persons, "SIDE", 3)
@@ -138,7 +138,7 @@ def test_nothing_measured_is_nothing_met() -> None:
     assert all(gate.holds is None for gate in found.values() if gate.gate not in measured)
 
 
-def test_a_wish_is_read_where_the_interval_is_above_chance() -> None:
+def test_wish_is_read_if_interval_exceeds_chance() -> None:
     def shares(share: float) -> dict[str, Any]:
         found = {"share": share, "of": 300, "shuffled": 0.33}
         return {"2": found, "5": found}

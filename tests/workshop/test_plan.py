@@ -48,7 +48,7 @@ def test_the_first_release_is_the_papers_table_6():
     assert tasks == {"scratch": 198, "bed_bath": 118, "arm_assist": 118} and counts.total() == 434
 
 
-def test_a_plan_with_one_team_less_is_not_the_papers(tmp_path):
+def test_plan_without_one_team_differs_from_paper(tmp_path):
     content = json.loads(V1.read_text())
     content["groups"][2]["seeds"] = 7
     (tmp_path / "plan.json").write_text(json.dumps(content))
@@ -178,7 +178,7 @@ def test_a_group_is_cut_into_blocks(tmp_path):
     }
 
 
-def test_what_a_folder_holds_does_not_depend_on_what_is_published(tmp_path):
+def test_run_folders_do_not_depend_on_publication(tmp_path):
     group = Group(**{**GROUP, "max_members": 2})
     first, second, third = planned_runs(group, tmp_path)
     begin(group, second.folder, second.members)
@@ -206,7 +206,7 @@ def test_a_folder_of_another_task_is_refused(tmp_path):
         planned_runs(Group(**GROUP), tmp_path)
 
 
-def test_groups_with_names_that_begin_alike_keep_their_folders(tmp_path):
+def test_groups_with_common_prefix_keep_their_folders(tmp_path):
     finish(tmp_path / "scratch-ippo-gru", make_members([0], ["d1"]))
     assert labels(planned_runs(Group(**GROUP), tmp_path)).keys() == {"scratch-ippo"}
 
@@ -236,7 +236,7 @@ def metrics(config, returns, episodes):
     return pl.DataFrame(rows)
 
 
-def test_curves_are_means_over_the_episodes_of_a_stretch():
+def test_curves_are_means_over_a_stretchs_episodes():
     config = curves_config(6)
     table = thin(
         metrics(config, [None, None, 10.0, 40.0, 7.0, 7.0], [0, 0, 1, 3, 2, 2]), config, points=3
@@ -247,7 +247,7 @@ def test_curves_are_means_over_the_episodes_of_a_stretch():
     assert own["return"].to_list() == [None, (10 + 3 * 40) / 4, 7.0]
 
 
-def test_curves_keep_success_and_harm_where_metrics_have_them(tmp_path):
+def test_curves_have_success_and_harm_if_measured(tmp_path):
     config, path = curves_config(2), tmp_path / "scratch-ippo.parquet"
     plain = metrics(config, [1.0, 2.0], [1, 3])
     write_curves(path, [(plain.filter(pl.col("seed") == 0), config)])
@@ -260,7 +260,7 @@ def test_curves_keep_success_and_harm_where_metrics_have_them(tmp_path):
     assert paths.filter(pl.col("seed") == 4)["violated"].to_list() == [0.5, 0.5]
 
 
-def test_a_long_run_keeps_a_hundred_points_for_each_member(tmp_path):
+def test_long_run_has_hundred_points_a_member(tmp_path):
     config = curves_config(1234)
     table = metrics(config, [1.0] * 1234, [1] * 1234)
     write_curves(tmp_path / "curves" / "scratch-ippo.parquet", [(table, config)])

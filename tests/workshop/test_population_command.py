@@ -107,7 +107,7 @@ def test_a_plan_is_trained_and_published_once(place, capsys):
 
 
 @pytest.mark.slow
-def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, monkeypatch, capsys):
+def test_finished_run_is_published_without_checkpoints(place, monkeypatch, capsys):
     write_plan(place, OTHER)
     assert run(words(place, "--no-publish")) == 0
     assert not (place / "registry.json").exists()
@@ -128,7 +128,7 @@ def test_a_finished_run_is_only_published_even_without_its_checkpoints(place, mo
 
 
 @pytest.mark.slow
-def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
+def test_release_becomes_default_when_plan_is_complete(place):
     assert run(words(place, "--groups", "toy-one")) == 0
     part = load_registry(place / "registry.json")
     assert len(part.policies) == 4 and not part.splits
@@ -139,7 +139,7 @@ def test_a_release_becomes_the_default_once_its_plan_is_whole(place):
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_as_it_was_begun(place, monkeypatch, capsys):
+def test_interrupted_run_resumes_with_its_own_config(place, monkeypatch, capsys):
     """The folder holds two members of four; its configuration stands, whatever the plan says
     meanwhile.
     """
@@ -235,7 +235,7 @@ def test_one_failure_leaves_the_other_groups_alone(place, capsys):
 
 
 @pytest.mark.slow
-def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, capsys):
+def test_locked_run_is_left_to_its_process(place, monkeypatch, capsys):
     """A real process holds the lock, as on another GPU; once it is killed, the run is free."""
     script = (
         "import pathlib, time; from assistax_base.files import exclusive\n"
@@ -258,7 +258,7 @@ def test_a_run_that_another_process_holds_is_left_to_it(place, monkeypatch, caps
 
 
 @pytest.mark.slow
-def test_what_another_process_wrote_of_its_runs_stays_in_the_file(place):
+def test_progress_file_keeps_other_processes_runs(place):
     write_plan(place, OTHER)
     assert run(words(place, "--no-publish", out="here")) == 0
     write_plan(place, ONE, OTHER)

@@ -64,7 +64,7 @@ def test_publication_is_complete_and_verified(registry: Registry) -> None:
     assert [entry.row for entry in registry.select(role="robot")] == list(range(8))
 
 
-def test_bytes_do_not_depend_on_the_order_of_the_teams(
+def test_bytes_do_not_depend_on_team_order(
     registry: Registry, teams, publish_to, tmp_path: Path
 ) -> None:
     publish_to(list(reversed(teams())), tmp_path / "other" / "registry.json")
@@ -100,9 +100,7 @@ def test_a_growing_release_leaves_what_is_published(
     assert np.array_equal(load_stacks(grown, [entry])[0].params["log_std"][0], expected)
 
 
-def test_a_release_in_the_making_is_not_the_default(
-    registry: Registry, teams, team, publish_to
-) -> None:
+def test_incomplete_release_is_not_the_default(registry: Registry, teams, team, publish_to) -> None:
     nine = [
         team(seed=seed, params=with_log_std(team(), 0.25 + seed, ("robot", "human")))
         for seed in range(2)
@@ -123,9 +121,7 @@ def test_a_release_in_the_making_is_not_the_default(
     assert contents(registry.path.parent) == before
 
 
-def test_who_earns_too_little_is_no_partner_of_a_split_from_v3_on(
-    registry: Registry, team, publish_to
-) -> None:
+def test_split_from_v3_leaves_out_weak_partners(registry: Registry, team, publish_to) -> None:
     found = {}
     for release, last in (("v2", 1.0), ("v3", 24.0), ("v4", 23.0)):  # the bar is 23.75
         teams = [
@@ -226,7 +222,7 @@ def test_parameters_of_another_network_are_refused(tmp_path: Path, team) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_team_needs_specs_and_params_of_the_same_roles(team) -> None:
+def test_team_needs_matching_specs_and_params(team) -> None:
     with pytest.raises(ValueError, match="give both by role"):
         team(params={"robot": team().params["robot"]})
     with pytest.raises(ValueError, match="is of role 'human'"):
@@ -245,7 +241,7 @@ def test_unknown_provenance_is_kept_as_notes(tmp_path: Path, team, publish_to) -
     assert entry.training.seconds == 60.0 and entry.run == "scratch-ippo"
 
 
-def test_a_failure_between_shards_and_registry_leaves_the_old_registry(
+def test_failure_before_registry_keeps_the_old_one(
     registry: Registry, team, publish_to, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = contents(registry.path.parent)
@@ -262,9 +258,7 @@ def test_a_failure_between_shards_and_registry_leaves_the_old_registry(
     assert contents(registry.path.parent) == before
 
 
-def test_a_kill_between_shards_and_registry_leaves_the_old_registry(
-    registry: Registry, team, publish_to
-) -> None:
+def test_kill_before_registry_keeps_the_old_one(registry: Registry, team, publish_to) -> None:
     text = registry.path.read_bytes()
     code = """
 import os, runpy, sys
@@ -349,7 +343,7 @@ def write_run(folder: Path, teams: list[TrainedTeam], change=lambda items: None)
     return folder
 
 
-def test_a_run_folder_is_read_as_it_was_written(tmp_path: Path, teams, publish_to) -> None:
+def test_run_folder_is_read_as_written(tmp_path: Path, teams, publish_to) -> None:
     for place in ("run-a", "run-b/final"):
         run = tmp_path / place.partition("/")[0]
         write_run(tmp_path / place, teams())

@@ -22,7 +22,7 @@ def plan(**changes):
     return Sweep("toy", "ippo", SPACE, **fields)
 
 
-def test_points_are_random_in_ranges_and_a_grid_over_values():
+def test_points_are_random_in_ranges_and_grid_values():
     points = plan(configurations=40).points()
     assert [point["minibatches"] for point in points[:4]] == [1, 2, 1, 2]
     rates = [point["learning_rate"] for point in points]
@@ -42,7 +42,7 @@ def test_blocks_hold_whole_configurations_of_one_program():
 
 
 @pytest.mark.slow
-def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
+def test_sweep_writes_table_and_preset(tmp_path):
     space = {"learning_rate": Range(1e-3, 1e-2), "minibatches": (2,)}
     sweep = Sweep("toy", "ippo", space, configurations=2, seeds=2, steps=480, block=4, fixed=FIXED)
     reports = []
@@ -61,7 +61,7 @@ def test_a_sweep_ends_with_a_table_and_a_preset(tmp_path):
     )  # finished blocks are not trained again
 
 
-def test_scores_are_of_the_last_tenth_and_of_all_and_divergence_is_told():
+def test_scores_cover_last_tenth_all_and_divergence():
     rows = [
         {"member": m, "steps": 10 * u, "return": float(u), "episodes": u, "policy_loss_robot": 0.0}
         for u in range(1, 21)
@@ -111,7 +111,7 @@ def test_a_space_is_read_from_its_file(tmp_path):
         make_sweep("scratch", "ippo", disability="d10")
 
 
-def test_a_sweep_that_cannot_run_is_refused_before_it_starts():
+def test_impossible_sweep_is_refused_before_it_starts():
     with pytest.raises(ValueError, match="epochs has a range; ranges are for learning_rate"):
         Sweep("toy", "ippo", {"epochs": Range(1, 4)})
     with pytest.raises(ValueError, match="multiple of minibatches"):

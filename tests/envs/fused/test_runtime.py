@@ -110,7 +110,7 @@ def test_inside_jit_and_scan(call: str) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_calls_from_more_threads_than_there_are_cores_end(call: str) -> None:
+def test_calls_from_many_threads_end(call: str) -> None:
     inputs = states(5000)
     step = jax.jit(lambda *args: run(call, *args))
     expected = step(*inputs)
@@ -130,7 +130,7 @@ def test_calls_from_more_threads_than_there_are_cores_end(call: str) -> None:
     assert not wrong
 
 
-def test_what_could_not_be_solved_is_not_a_number_and_its_neighbours_are(call: str) -> None:
+def test_unsolved_simulation_is_nan_without_its_neighbours(call: str) -> None:
     q, qd, u = states(16)
     results = run(call, q.at[5].set(200.0), qd, u)
     expected = run(call, q, qd, u)
@@ -156,7 +156,7 @@ def test_every_width_and_processor_gives_the_same_bits(call: str, lanes: int, fe
         np.testing.assert_array_equal(a, b)
 
 
-def test_simulations_that_were_as_hard_share_a_vector_and_no_number_depends_on_it(
+def test_simulations_of_equal_effort_share_vectors_exactly(
     call: str,
 ) -> None:
     n = 4 * cpu.LANES
@@ -185,7 +185,7 @@ def test_no_text_has_assembly() -> None:
     assert [name for name, text in texts.items() if re.search(r"\basm( volatile)?\(", text)] == []
 
 
-def test_a_kernel_is_compiled_for_a_gpu_that_is_not_here(own_cache: Path) -> None:
+def test_kernel_compiles_for_an_absent_gpu(own_cache: Path) -> None:
     path = gpu.build_cubin("toy", lambda: TOY, 90)
     assert path.read_bytes()[:4] == b"\x7fELF"
 
@@ -276,7 +276,7 @@ def test_a_gpus_threads_share_out_the_simulations(tmp_path: Path) -> None:
     assert (np.diff(block_of // 132) >= 0).all()  # of the largest: the hardest in the first wave
 
 
-def test_a_gpu_is_given_every_simulation_once_the_hardest_first() -> None:
+def test_gpu_order_is_hardest_first() -> None:
     effort = jnp.array([0.0, 5.0, jnp.nan, 2.0, 5.0, -jnp.inf])
     order = gpu.hardest_first(effort)
     assert order.dtype == jnp.int32
@@ -306,7 +306,7 @@ def test_a_file_of_another_key_is_not_taken(own_cache: Path) -> None:
     assert built.read_bytes() == b"two"
 
 
-def test_a_folder_that_others_may_write_to_is_refused(own_cache: Path) -> None:
+def test_folder_writable_by_others_is_refused(own_cache: Path) -> None:
     own_cache.mkdir(parents=True)
     own_cache.chmod(0o777)
     with pytest.raises(ValueError, match="may be written by others"):
@@ -327,7 +327,7 @@ def test_another_release_of_warp_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.slow
-def test_processes_that_build_at_once_are_quiet_and_import_no_warp(own_cache: Path) -> None:
+def test_parallel_builds_are_quiet_without_warp(own_cache: Path) -> None:
     code = (
         "import sys; from tests.envs.fused.test_runtime import TOY, cpu;"
         "cpu.register('toy', 'toy', lambda: TOY); assert 'warp' not in sys.modules"
