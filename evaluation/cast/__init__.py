@@ -1,1 +1,1 @@
-"""Who plays: names, stacks, robots from outside, baseline policies."""
+"""Robots and partners of a study: names, stacks, robots from outside, baseline policies."""

@@ -1,4 +1,4 @@
-"""Policies without training: the zero action, uniformly random ones, a task's script."""
+"""Policies without training: the zero action, uniformly random actions, a task's script."""
 
 import dataclasses
 from typing import Any
@@ -16,10 +16,10 @@ from population.networks.seat import SeatSizes
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceSpec(SeatSizes):
-    """Policies that look at nothing."""
+    """Seat of the zero and the random policy, whose actions ignore the observation's meaning."""
 
     def player(self) -> "ReferencePolicy":
-        """Return what draws their actions."""
+        """Return the policy that draws the actions."""
         return ReferencePolicy(self)
 
 
@@ -30,14 +30,14 @@ class ScriptSpec(SeatSizes):
     task: str
 
     def player(self) -> "ScriptedPolicy":
-        """Return what plays the script."""
+        """Return the policy that plays the script."""
         return ScriptedPolicy(self)
 
 
 class ReferencePolicy:
-    """Plays actions drawn uniformly from [-amplitude, amplitude].
+    """Policy with actions drawn uniformly from [-amplitude, amplitude].
 
-    The draw is a hash of the observation's bits: random to look at, and the same however a job is
+    The random key is a hash of the observation's bits, so the actions do not depend on how a job is
     cut into chunks.
     """
 
@@ -62,9 +62,8 @@ class ReferencePolicy:
         `params` holds a scalar "amplitude".
         """
         rows = jax.lax.bitcast_convert_type(obs, jnp.uint32).reshape(-1, self.spec.observation_size)
-        words = jnp.sum(
-            rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32
-        )  # modulo 2**32: exact
+        # Integer sums modulo 2**32 are exact in any order.
+        words = jnp.sum(rows[:, None, :] * self._weights[None], axis=-1, dtype=jnp.uint32)
         keys = jax.random.wrap_key_data(words, impl=GENERATOR)
         draw = jax.vmap(lambda key: jax.random.uniform(key, (self.spec.action_size,), minval=-1.0))
         actions = draw(keys).reshape(*obs.shape[:-1], self.spec.action_size)
@@ -72,7 +71,7 @@ class ReferencePolicy:
 
 
 class ScriptedPolicy:
-    """Plays a task's script, which has no memory and no parameters."""
+    """Policy that plays a task's script, without memory or parameters."""
 
     def __init__(self, spec: ScriptSpec) -> None:
         self._robot = script_of(spec.task, build_model(spec.task))

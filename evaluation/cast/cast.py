@@ -1,6 +1,6 @@
-"""Who plays in a study: chosen from a registry, loaded, and all that is published of them.
+"""The cast of a study: its robots and partners, loaded from a registry with their metadata.
 
-After a cast is made no registry is asked anything.
+A study asks its registry for nothing after its cast is made.
 """
 
 import dataclasses
@@ -23,22 +23,23 @@ from zoo.splitting.sides import SIDES, parse_split
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cast:
-    """Robots and the humans that they meet."""
+    """The robots of a study, the humans that they meet, and their published metadata."""
 
     task: str
-    version: int  # of the task's environment, in which all that are published were trained
+    version: int  # of the task's environment that all policies play
     robots: Roster
     humans: Roster
     split: Split | None  # of the humans; None of a population without one
     sides: Mapping[str, str]  # human's id -> "train", "validation" or "test"
-    releases: tuple[str, ...]  # of all of them that are published
+    releases: tuple[str, ...]  # of the published robots and humans, sorted
     lock: str | None  # sha256 of the lock that the registry was narrowed down to
     met: MetPartners  # which humans the robots met in training
-    # Robots beside the humans that they were trained with, for baselines; None where none is
-    # published.
+    # Each human's training partner, beside the human, for baselines. None if no such robot is
+    # published or no baseline is asked for.
     own_robots: tuple[Roster, Roster] | None
     baselines: bool  # whether baselines may be played
-    record: Mapping[str, Any]  # what a manifest says: the releases' roots, whom robots met, sources
+    # Fields of the manifest: the releases' roots, the robots' training partners, the sources.
+    record: Mapping[str, Any]
 
     @classmethod
     def of(
@@ -52,20 +53,21 @@ class Cast:
         trained_with: str | Sequence[str] | None = None,
         baselines: bool = False,
     ) -> "Cast":
-        """Ask a registry all that a study of these robots and humans needs.
+        """Return the cast of these robots and humans, with all that a study needs of a registry.
 
         Args:
             registry: The published partners.
-            task: What they play.
+            task: The task that they play.
             robots: The robots, see `evaluation.cast.egos.read_egos`.
             humans: The partners.
-            split: Has the partners' sides.
-            trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
-            baselines: Load what baselines need too: each partner's own robot.
+            split: The split that gives each partner its side.
+            trained_with: The robots' training partners, see `zoo.met.claims.declared_met`.
+            baselines: Whether to load each partner's own robot too, which baselines need.
 
         Raises:
-            ValueError: `trained_with` is malformed, or contradicts what is known.
-            ZooError: The registry cannot give them, or they are of another environment version.
+            ValueError: `trained_with` is malformed, or contradicts the robots' records.
+            ZooError: The registry lacks a policy, or policies are of different environment
+                versions.
         """
         published = [entry for entry in registry.policies if entry.id in robots.members]
         version = version_of_all(registry, task, [*published, *humans], claimed_versions(robots))
@@ -100,9 +102,12 @@ def choose_partners(
 ) -> tuple[Split, list[PolicyEntry]]:
     """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
-    The default split is that of the release that the matching partners are of, if they are of one,
-    else the task's own. Persons, at most `persons` of them, are chosen by
-    `zoo.splitting.persons.choose_persons`.
+    If `split` names no split, it is that of the release of the matching partners, or the task's
+    default one if the partners are of several releases. Persons, at most `persons` of them, are
+    chosen by `zoo.splitting.persons.choose_persons`.
+
+    Raises:
+        ValueError: There is no such split, or its sides have no partner that matches.
     """
     by_default = not patterns and split in (None, *SIDES)
     if asks_for_persons(split, patterns) or (by_default and registry.split(task).rule == PERSONS):
@@ -132,10 +137,11 @@ def choose_partners(
 def in_release(
     registry: Registry, patterns: str | Sequence[str], release: str | None, *, task: str, role: str
 ) -> list[PolicyEntry]:
-    """Return the policies of a release that match, by default the task's of the pattern's zoo.
+    """Return the policies of a task and role in a release that match, in registry order.
 
-    A pattern that names a release is looked up in all. One that matches teams means them alone:
-    egos, which have no human, are taken where nothing else matches, as in "scratch/*-ego-*".
+    The default release is the task's, in the zoo of each pattern. A pattern that names a release is
+    looked up in all releases. Robots trained without a human of their own (egos) are included only
+    if a pattern matches no team, as "scratch/*-ego-*" does.
     """
     matching: set[str] = set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
@@ -151,20 +157,18 @@ def in_release(
 
 
 def release_in(registry: Registry, task: str, release: str | None, namespace: str) -> str:
-    """Return the release that is meant in one zoo; the task's default one if none was named."""
+    """Return the release's full id in the zoo `namespace`; the task's default if it is None."""
     if release is None:
         return registry.release_of(task, namespace)
     return f"{namespace}:{release}" if namespace and ":" not in release else release
 
 
 def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -> int:
-    """Return the version of a task's environment that policies of a registry play together.
-
-    It is that in which all of them were trained; the newest where there are none.
+    """Return the environment version in which all policies were trained; the newest without any.
 
     Raises:
-        RegistryVersionError: They were trained in several versions, or in one that cannot be played
-            here.
+        RegistryVersionError: The policies were trained in several versions, or in one that is not
+            playable here.
     """
     if not entries:
         return VERSIONS[task]
@@ -178,19 +182,24 @@ def env_version(registry: Registry, task: str, entries: Sequence[PolicyEntry]) -
 
 
 def claimed_versions(robots: Roster) -> dict[str, int]:
-    """Return in which version each robot was trained whose file says it, by id."""
-    members = (robots.members[name] for name in robots.ids)
-    return {who.id: who.env_version for who in members if who.env_version is not None}
+    """Return the environment versions that robots' files claim, by the robot's id."""
+    members = robots.describe(robots.ids)
+    return {robot.id: robot.env_version for robot in members if robot.env_version is not None}
 
 
 def version_of_all(
     registry: Registry, task: str, entries: Sequence[PolicyEntry], claimed: Mapping[str, int]
 ) -> int:
-    """Return the version that policies of a registry and robots from files play together.
+    """Return the environment version of policies of a registry and robots from files.
+
+    Args:
+        registry: The registry of `entries`.
+        task: The task whose environment is meant.
+        entries: The policies of the registry.
+        claimed: The versions that files of robots claim, by robot.
 
     Raises:
-        RegistryVersionError: They were trained in several versions, or in one that cannot be played
-            here.
+        RegistryVersionError: The versions differ, or the version is not playable here.
     """
     version = env_version(registry, task, entries)
     if claimed and not entries:
@@ -211,7 +220,7 @@ def version_of_all(
 
 
 def _unfit(registry: Registry, entry: PolicyEntry, version: int, why: str) -> RegistryVersionError:
-    """Return the error of a policy that was trained in another version than `version`."""
+    """Return the error of a policy that was trained in none of `versions`; `why` explains them."""
     fitting = []
     for release in registry.data.releases.values():
         if release.environments.get(entry.task) == version:
@@ -233,37 +242,40 @@ def _unfit(registry: Registry, entry: PolicyEntry, version: int, why: str) -> Re
 def entries_of(
     registry: Registry, robots: Roster, humans: Sequence[PolicyEntry], baselines: bool
 ) -> list[PolicyEntry]:
-    """Return all that is published of a study, in the registry's order.
+    """Return the published policies of a study, in registry order.
 
-    With baselines these are also the robots of the humans' teams.
+    With `baselines` these include the robots of the humans' teams.
     """
     teams = {human.team for human in humans} if baselines else set()
-    own = [e.id for e in registry.policies if e.role == "robot" and e.team in teams]
-    return registry.known([*robots.members, *(human.id for human in humans), *own])
+    teammates = [e.id for e in registry.policies if e.role == "robot" and e.team in teams]
+    return registry.known([*robots.members, *(human.id for human in humans), *teammates])
 
 
 def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, str]:
-    """Return the root of each release that the entries are of."""
+    """Return the root hash of each release of the entries, by release."""
     return {release: registry.root(release) for release in sorted({e.release for e in entries})}
 
 
 def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:
-    """Return the side of each human that is on one, by id."""
+    """Return the split's side of each human, by id, without humans on no side."""
     if split is None:
         return {}
-    dealt = {team: side for side, teams in split.sides.items() for team in teams}
-    return {human.id: dealt[human.team] for human in humans if human.team in dealt}
+    side_of = {team: side for side, teams in split.sides.items() for team in teams}
+    return {human.id: side_of[human.team] for human in humans if human.team in side_of}
 
 
 def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Roster, Roster] | None:
-    """Return robots beside the partners that were trained with them; None if none is published."""
+    """Return the published robots of the partners' teams and, row by row, those partners.
+
+    If no team has a published robot, return None.
+    """
     robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
     pairs = [(robots[human.team], human) for human in partners if human.team in robots]
     return paired_rosters(registry, pairs) if pairs else None
 
 
 def _unknown_split(registry: Registry, task: str, name: str) -> str:
-    """Say that neither a side nor a split has this name, and which are near."""
+    """Return the message for a split that does not exist, with the nearest names."""
     ids = [split.id for split in registry.data.splits if split.task == task]
     near = nearest(name, [*SIDES, PERSONS, *ids])
     return (

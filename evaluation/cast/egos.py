@@ -1,4 +1,4 @@
-"""Find the robots that a job is about: in the registry, in files, in anybody's Python code."""
+"""Find the robots of a job: in the registry, in files, in Python code."""
 
 import dataclasses
 import glob
@@ -30,22 +30,22 @@ from zoo.schema import PolicyEntry
 
 
 class EgoError(ValueError):
-    """A robot from outside failed: names the partner, the step and what was wrong."""
+    """A robot from outside failed; the message names the partner, the step and the fault."""
 
 
 def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
-    """Resolve references and Python objects to egos; those of one spec are stacked, in order.
+    """Return the roster of references and Python objects; policies of one spec share a stack.
 
     Args:
         robots: Texts of the forms of `evaluation.cast.robot_names`, paths, globs of policy files,
-            and objects of those of `evaluation.cast.robot_forms`.
-        registry: Where ids are looked up.
-        task: Whose robots are meant by a glob.
+            and objects of the forms of `evaluation.cast.robot_forms`.
+        registry: The registry in which ids are looked up.
+        task: The task of the robots that a glob matches.
 
     Raises:
-        ValueError: A reference has none of the known forms, or cannot play the robot.
-        TypeError: An object has none of the known forms.
-        ZooError: An id or a file that is not there or not what it says.
+        ValueError: A reference has an unknown form, or cannot play the robot.
+        TypeError: An object has an unknown form.
+        ZooError: An id or a file is missing, or its content is not as recorded.
         EgoError: A robot from a Python module cannot be made.
     """
     single: list[tuple[Member, Seat, Any]] = []
@@ -82,9 +82,10 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
 def call_ego(
     ego: HostEgo, partners: Sequence[str], episodes: int, action_size: int
 ) -> Callable[[np.ndarray, int], np.ndarray]:
-    """Return a function (observations [N, O], step) -> actions [N, A] that checks its answers.
+    """Return a function (observations [N, O], step) -> actions [N, A] that checks the actions.
 
-    `partners` and `episodes` say who stands in each row: N is partner by partner, K episodes each.
+    The rows N are ordered partner by partner, with `episodes` rows for each of `partners`. The
+    function raises an `EgoError` if the robot fails or an action is not finite.
     """
     robot = ego.act
 
@@ -96,7 +97,8 @@ def call_ego(
             answer = robot(obs)
         except PolicyError as error:
             raise EgoError(f"{place}: {error}") from error
-        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+        # A robot's code must not end a run.
+        except (Exception, SystemExit, GeneratorExit) as error:
             raise EgoError(f"{place}: {error_text(error)}") from error
         if problem := _problem(answer, (len(obs), action_size)):
             raise EgoError(f"{place}: {problem}")
@@ -114,16 +116,17 @@ def call_ego(
 
 
 class Clipping:
-    """Lets a robot from outside act, and counts what the environment will clip.
+    """A robot from outside that also counts the numbers that the environment will clip.
 
     Args:
-        act: Of `call_ego`.
+        act: A function of `call_ego`.
         length: Steps of an episode.
     """
 
     def __init__(self, act: Callable[[np.ndarray, int], np.ndarray], length: int) -> None:
         self._act, self._length = act, length
-        self._beyond: list[np.ndarray] = []  # at each place of a series: sum over steps [N]
+        # For each episode of a series, the sum over its steps of the clipped share [N].
+        self._beyond: list[np.ndarray] = []
 
     def __call__(self, obs: Float[np.ndarray, "N O"], step: int) -> Float[np.ndarray, "N A"]:
         """Return the actions at a step of the series."""
@@ -134,15 +137,15 @@ class Clipping:
         return action
 
     def shares(self, shape: tuple[int, ...]) -> Float[np.ndarray, "E P K"]:
-        """Return the share of numbers beyond [-1, 1] of each episode [E, P, K]."""
+        """Return each episode's share of action numbers outside [-1, 1], in `shape` [E, P, K]."""
         return (np.stack(self._beyond, axis=-1) / self._length).reshape(shape)
 
 
 def probe_egos(roster: Roster, task: str, observation_size: int, action_size: int) -> None:
-    """Let every robot from outside answer two rows of zeros, before programs are compiled for it.
+    """Check every robot from outside with two rows of zeros, before programs are compiled for it.
 
     Raises:
-        EgoError: It failed, or answered with another number of actions.
+        EgoError: A robot failed, or its actions have the wrong shape or type.
     """
     for ego in roster.hosts:
         robot, obs = ego.act, np.zeros((2, observation_size), np.float32)
@@ -153,7 +156,8 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
                 robot.reset(len(obs))
         except PolicyError as error:
             problem = f"failed: {error}"
-        except (Exception, SystemExit, GeneratorExit) as error:  # its code does not end a run
+        # A robot's code must not end a run.
+        except (Exception, SystemExit, GeneratorExit) as error:
             problem = f"failed: {error_text(error)}"
         if problem:
             raise EgoError(
@@ -164,7 +168,7 @@ def probe_egos(roster: Roster, task: str, observation_size: int, action_size: in
 
 
 def _problem(answer: np.ndarray, shape: tuple[int, ...]) -> str:
-    """Say what is wrong with a robot's answer; empty if nothing is."""
+    """Return the fault of a robot's answer as text; empty if its shape and type are right."""
     if answer.shape == shape and answer.dtype.kind in "fiu":
         return ""
     return (
@@ -183,19 +187,20 @@ def _from_zoo(pattern: str, registry: Registry, task: str) -> Iterable[tuple[Mem
 def _from_files(
     text: str, registry: Registry, may_match: bool
 ) -> Iterable[tuple[Member, Seat, Any]]:
-    """Yield the robot of a file, or of each file that a glob names, s2 before s10."""
+    """Yield member, spec and parameters of each file that a path or glob names, s2 before s10."""
     globbed = may_match and glob.escape(text) != text and not Path(text).exists()
     files = glob.glob(_with_folders_as_spelled(text)) if globbed else [text]
     names = sorted(files, key=lambda name: (len(name), name))
     if not names:
         raise ValueError(f"policy {text!r} matches no file; list the folder with ls")
     for name in names:
-        sha256 = _file_hash(name)  # first: a file that changes from then on is found out
+        # Hashed before it is read, so that a later change of the file is detected.
+        sha256 = _file_hash(name)
         spec, params, metadata = read_policy_file(name)
         digest = row_sha256(flatten(params))
         robots = [entry for entry in registry.policies if entry.role == "robot"]
         same = [robot for robot in robots if robot.sha256 == digest]
-        # A published robot's parameters are that robot, whatever else their file claims.
+        # Parameters equal to a published robot's are that robot; their file's claims are ignored.
         member = _of_file(name, ((Path(name), sha256),), registry, {} if same else metadata)
         if same:
             member = dataclasses.replace(
@@ -207,15 +212,15 @@ def _from_files(
 
 
 def _with_folders_as_spelled(pattern: str) -> str:
-    """Escape the folders of a glob that are there: "run[1]/*" is about "run[1]", not "run1"."""
+    """Return a glob with its existing folders escaped: "run[1]/*" means "run[1]", not "run1"."""
     slashes = (place for place, letter in enumerate(pattern) if letter == "/")
-    there = [place for place in slashes if Path(pattern[: place + 1]).is_dir()]
-    end = max(there, default=0)
+    existing = [place for place in slashes if Path(pattern[: place + 1]).is_dir()]
+    end = max(existing, default=0)
     return glob.escape(pattern[:end]) + pattern[end:]
 
 
 def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, HostEgo]:
-    """Take a robot of this process; no digest covers what it depends on."""
+    """Return member and ego of a Python object, whose results no digest covers."""
     kind = getattr(robot, "__qualname__", type(robot).__qualname__)
     name = f"object:{kind}-{place}"
     card = getattr(robot, "card", None)  # of a `Partner`
@@ -228,10 +233,11 @@ def _from_object(robot: Any, place: int, registry: Registry) -> tuple[Member, Ho
 def _from_onnx(
     reference: PolicyReference, registry: Registry
 ) -> tuple[Member, Seat | HostEgo, Any]:
-    """Return an ONNX file as the program that a service makes of it, with its parameters.
+    """Return member, spec and parameters of an ONNX file that is played as a JAX program.
 
-    A network that is larger, or of more operators, is played by onnxruntime. The digest of a
-    program names that too: onnxruntime rounds differently.
+    A network that is too large for a program, or has other operators, is played by onnxruntime: its
+    spec is a `HostEgo` and its parameters are None. The digest says which of the two plays, because
+    onnxruntime rounds differently.
     """
     path = Path(reference.source)
     try:
@@ -244,20 +250,22 @@ def _from_onnx(
             raise EgoError(f"policy {reference.text!r}: {error}") from None
     except (ValueError, OSError) as error:
         raise EgoError(f"policy {reference.text!r}: {error}") from None
-    except ImportError:  # the process says what to install
+    except ImportError:
+        # Raises an error that says which package to install.
         _started(reference, onnx_ego.factory(path))
     else:
         digest = identity_digest([admission.PROGRAM, member.digest])
         return dataclasses.replace(member, digest=digest), spec, params
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / path.name
-        whole.write_bytes(data)  # as it was read: in one piece, and not read again
+        # The bytes as they were checked, so that the process does not read the original again.
+        whole.write_bytes(data)
         robot = _started(reference, onnx_ego.factory(whole))
     return member, HostEgo(member.id, robot, made_of=member.digest), None
 
 
 def _from_code(reference: PolicyReference, registry: Registry, task: str) -> tuple[Member, HostEgo]:
-    """Start the process of a robot from a Python module."""
+    """Start a robot of a Python module in its own process; return its member and ego."""
     robot = _started(reference, (reference.source, reference.factory, reference.arguments))
     declared = robot.trained_with
     met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
@@ -275,7 +283,7 @@ def _started(
 
 
 def _made_of(reference: PolicyReference, robot: PolicyProcess) -> Any:
-    """Return the files, the factory and the arguments that make a robot of code."""
+    """Return a key that is equal for equal robots: factory, arguments and hashes of the files."""
     contents = {str(path): sha256 for path, sha256 in robot.inputs}
     given = {name: contents.get(value, value) for name, value in reference.arguments.items()}
     hashes = (*robot.files.values(), *contents.values())
@@ -283,11 +291,11 @@ def _made_of(reference: PolicyReference, robot: PolicyProcess) -> Any:
 
 
 def _python_member(reference: PolicyReference, robot: PolicyProcess, met: Met) -> Member:
-    """Describe a robot by all that its result is known to depend on.
+    """Return the member of a robot of code, with a digest of everything that it depends on.
 
-    That is its code, the files that its arguments name, and those that its module declares, such as
-    `DEPENDS = ["weights.pt"]`, relative to itself. Only with such a list, which may be empty, is
-    the digest taken to cover everything.
+    The digest covers its code, the files that its arguments name, and the files that its module
+    declares, such as `DEPENDS = ["weights.pt"]`, relative to the module. Results are reusable only
+    if the module has such a list, which may be empty.
     """
     files = (*robot.files.items(), *robot.inputs)
     hashes = [[path.name, sha256] for path, sha256 in files]

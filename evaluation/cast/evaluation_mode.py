@@ -1,7 +1,7 @@
-"""Networks in evaluation mode while a robot plays, and given back as they came.
+"""Put a robot's networks into evaluation mode while it plays, and restore them afterwards.
 
-Imports nothing of this project: like `evaluation.cast.robot_forms`, it also runs in a robot's own
-process.
+This module imports nothing of this project, because it also runs in a robot's own process, like
+`evaluation.cast.robot_forms`.
 """
 
 import collections
@@ -16,19 +16,19 @@ from typing import Any
 
 import numpy as np
 
-# Parts of networks that are set in place, by framework: how each is used when it does not train.
-# PyTorch has a method for it.
+# Attributes of modules that switch to evaluation, by framework. PyTorch has a method for it.
 _MODES = {
     "flax.nnx": {"deterministic": True, "use_running_average": True},
     "equinox": {"inference": True},
 }
-_MOST_PARTS, _LONGEST = 10_000, 1_000  # objects of a robot that are looked at; items of one
+# Largest number of a robot's objects, and of items in one container, that are searched.
+_MOST_PARTS, _LONGEST = 10_000, 1_000
 _METHODS = ("__call__", "act", "predict", "reset")
 
 
 @contextlib.contextmanager
 def as_used(robot: Any) -> Generator[None]:
-    """Put all networks of a robot into evaluation mode, and give everything back as it was."""
+    """Put a robot's networks into evaluation mode in a `with` block, and restore all state."""
     parts = _parts(robot)
     with contextlib.ExitStack() as restoring:
         for keep in (_keep_chance, _keep_torch, _keep_modes, _keep_variables):
@@ -43,7 +43,7 @@ def as_used(robot: Any) -> Generator[None]:
 
 
 def _parts(robot: Any) -> list[Any]:
-    """Return the objects that a robot refers to, by its attributes and its code."""
+    """Return the robot and all objects that it reaches through attributes and code."""
     found: dict[int, Any] = {}
     queue = collections.deque([robot])
     while queue and len(found) < _MOST_PARTS:
@@ -56,7 +56,7 @@ def _parts(robot: Any) -> list[Any]:
 
 
 def _inside(part: Any) -> Iterator[Any]:
-    """Yield the objects that an object directly holds; no code of its own runs."""
+    """Yield the objects that an object directly holds, without running its code."""
     kind = type(part)
     if issubclass(kind, types.ModuleType | type | np.ndarray | str | bytes | int | float):
         return
@@ -78,7 +78,7 @@ def _inside(part: Any) -> Iterator[Any]:
 
 
 def _referred(function: types.FunctionType) -> Iterator[Any]:
-    """Yield the variables that a function's code refers to, outside itself."""
+    """Yield the values of a function's closure, globals and defaults."""
     for cell in function.__closure__ or ():
         with contextlib.suppress(ValueError):  # an empty one
             yield cell.cell_contents
@@ -91,7 +91,7 @@ Restoring = Iterable[Callable[[], Any]]
 
 
 def _keep_chance(parts: list[Any]) -> Restoring:
-    """Keep the state of generators: those that all code of a process shares, and the robot's."""
+    """Yield functions that restore random generators: the process's global ones and the robot's."""
     torch: Any = sys.modules.get("torch")
     yield functools.partial(random.setstate, random.getstate())
     yield functools.partial(np.random.set_state, np.random.get_state())
@@ -110,7 +110,7 @@ def _keep_chance(parts: list[Any]) -> Restoring:
 
 
 def _keep_torch(parts: list[Any]) -> Restoring:
-    """Keep the modes and buffers of PyTorch's modules, and their generators."""
+    """Yield functions that restore modes, buffers and generators of PyTorch modules."""
     torch: Any = sys.modules.get("torch")
     if torch is None:
         return
@@ -150,7 +150,7 @@ def _keep_modes(parts: list[Any]) -> Restoring:
 
 
 def _keep_variables(parts: list[Any]) -> Restoring:
-    """Keep the values of Flax's variables: statistics, and how often random keys were drawn."""
+    """Yield functions that restore Flax variables: statistics and counts of random keys."""
     nnx: Any = sys.modules.get("flax.nnx")
     for part in parts if nnx is not None else ():
         if issubclass(type(part), nnx.Variable):
@@ -158,7 +158,7 @@ def _keep_variables(parts: list[Any]) -> Restoring:
 
 
 def _modes(part: Any) -> Mapping[str, bool]:
-    """Return the modes that a part of a network has, each as it is without training."""
+    """Return the mode attributes that a module has, each with its value for evaluation."""
     for framework, modes in _MODES.items():
         if is_module(part, (framework,)):
             return {name: value for name, value in modes.items() if name in vars(part)}
@@ -166,7 +166,7 @@ def _modes(part: Any) -> Mapping[str, bool]:
 
 
 def is_module(part: Any, frameworks: Iterable[str] = ("torch.nn", *_MODES)) -> bool:
-    """Return whether an object is a framework's module; its user has imported the framework."""
+    """Return whether an object is a module of one of the frameworks, of those imported already."""
     loaded = [sys.modules[name] for name in frameworks if name in sys.modules]
     return any(issubclass(type(part), framework.Module) for framework in loaded)
 

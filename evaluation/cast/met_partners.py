@@ -1,8 +1,8 @@
-"""Which partners of a job its robots met in training: figures of new partners leave them out.
+"""Partners of a job that its robots met in training, and that figures therefore leave out.
 
-M_test is about partners that a robot never met, M_train about those that it was trained with. So a
-human that learned together with a robot is counted on no side, and a frozen one that it was trained
-with on the training side alone.
+M_test counts partners that are new to a robot, M_train counts its training partners. So a human
+that learned together with a robot counts on no side. A frozen training partner counts on the
+training side only.
 """
 
 import dataclasses
@@ -24,35 +24,35 @@ DECLARED = "partners met in training: as declared, not checked"
 
 @dataclasses.dataclass(frozen=True)
 class MetSummary:
-    """What a summary says of it."""
+    """A summary's record of training partners."""
 
-    known: bool  # of all robots
-    source: str  # "registry", "file", "declared", "not known"; or several of them
+    known: bool  # whether the training partners of all robots are known
+    source: str  # "registry", "file", "declared", "not known", or several joined by ", "
     left_out: tuple[str, ...]  # partners that no figure counts
 
 
 @dataclasses.dataclass(frozen=True)
 class MetPartners:
-    """Partners of a job, by id, that its robots met."""
+    """Partners of a job, by id, that its robots met in training."""
 
-    sources: tuple[str, ...]  # of what is known, in alphabetical order
-    own: frozenset[str] = frozenset()  # learned together with one of the robots
-    frozen: frozenset[str] = frozenset()  # that one of the robots was trained with
-    by_all: frozenset[str] = frozenset()  # and those that all robots were
-    reasons: tuple[str, ...] = ()  # of whose training these are
-    unknown: tuple[str, ...] = ()  # robots of which nothing is known, and why
+    sources: tuple[str, ...]  # sources of the records, in alphabetical order
+    own: frozenset[str] = frozenset()  # humans that learned together with one of the robots
+    frozen: frozenset[str] = frozenset()  # frozen training partners of at least one robot
+    by_all: frozenset[str] = frozenset()  # frozen training partners of every robot
+    reasons: tuple[str, ...] = ()  # origins of the frozen partners, such as a split's side
+    unknown: tuple[str, ...] = ()  # robots without a record, each with the reason
 
     @property
     def known(self) -> bool:
-        """Whether something is known of every robot."""
+        """Whether every robot has a record of its training partners."""
         return "not known" not in self.sources
 
     def summary(self, left_out: Sequence[str]) -> MetSummary:
-        """Return what a summary says."""
+        """Return the summary's record, with the partners that are left out."""
         return MetSummary(self.known, ", ".join(self.sources), tuple(left_out))
 
     def left_out(self, partners: Mapping[str, str | None]) -> list[str]:
-        """Return which partners, given with their sides, are not new where they play."""
+        """Return the partners that figures leave out; `partners` maps each to its side."""
         return [
             name
             for name, side in partners.items()
@@ -66,16 +66,16 @@ NOTHING_KNOWN = MetPartners(("not known",))
 def declare(
     egos: Roster, registry: Registry, task: str, trained_with: str | Sequence[str] | None
 ) -> Roster:
-    """Return the robots with what their user declares of them, beside what is known anyhow.
+    """Return the robots with the training partners that the user declares added to their records.
 
     Args:
         egos: The robots, all trained alike.
-        registry: Where the partners are looked up.
-        task: Whose partners.
+        registry: The registry in which the partners are looked up.
+        task: The partners' task.
         trained_with: See `zoo.met.claims.declared_met`; None declares nothing.
 
     Raises:
-        ValueError: It is malformed, or says "nobody" of a robot that is known to have met some.
+        ValueError: It is malformed, or is "nobody" although a robot has recorded partners.
         ZooError: There is no such split or partner.
     """
     if not trained_with:
@@ -86,7 +86,7 @@ def declare(
 
 
 def met_partners(egos: Roster, partners: Iterable[PolicyEntry]) -> MetPartners:
-    """Return which partners the robots met, by the sha256 of the human or by its team."""
+    """Return the partners that the robots met, matched by the human's sha256 or its team."""
     humans = list(partners)
     robots = egos.describe(egos.ids)
     own = [known_humans(humans, robot.met.own) for robot in robots]
@@ -106,9 +106,9 @@ def met_partners(egos: Roster, partners: Iterable[PolicyEntry]) -> MetPartners:
 
 
 def describe_met(egos: Roster, trained_with: str | Sequence[str] | None) -> dict[str, Any]:
-    """Return what the manifest says: what was declared, and what is known of each robot.
+    """Return the manifest's fields: the user's declaration, and the record of each robot by id.
 
-    The partners of a split are its training side, so they are not listed.
+    Partners that are a split's training side are not listed one by one.
     """
     robots = {}
     for member in egos.describe(egos.ids):
@@ -121,7 +121,10 @@ def describe_met(egos: Roster, trained_with: str | Sequence[str] | None) -> dict
 
 
 def left_out(table: pl.DataFrame, met: MetPartners) -> list[str]:
-    """Return the partners of a table that are not new to one of its robots, in its order."""
+    """Return the partners of an episode table that figures leave out, in the table's order.
+
+    These are the partners in `met`, and humans of the teams of the table's robots.
+    """
     robots = set(table["ego_team"].drop_nulls())
     partners = table.select("partner", "partner_team", "side").unique(maintain_order=True)
     left = set(met.left_out(dict(partners.select("partner", "side").rows())))
@@ -131,12 +134,12 @@ def left_out(table: pl.DataFrame, met: MetPartners) -> list[str]:
 def check_new(
     sides: Mapping[str, str | None], left: Sequence[str], include_own: bool = False
 ) -> None:
-    """Refuse partners of whom no figure could speak.
+    """Check that at least one partner is left for the figures.
 
     Args:
-        sides: Of all partners, by id.
-        left: Those that are left out.
-        include_own: Whether they are counted all the same.
+        sides: The sides of all partners, by id.
+        left: The partners that are left out.
+        include_own: Whether figures count those partners too.
 
     Raises:
         ValueError: All partners are left out, or all of the test side.
@@ -152,7 +155,7 @@ def check_new(
 
 
 def met_notes(table: pl.DataFrame, met: MetPartners, include_own: bool) -> list[str]:
-    """Say which partners the robots of a table met in training, and who says so."""
+    """Return notes on training partners of a table's robots, and on the sources of the records."""
     notes = []
     if left := left_out(table, met):
         done = (
@@ -167,7 +170,7 @@ def met_notes(table: pl.DataFrame, met: MetPartners, include_own: bool) -> list[
 
 
 def source_notes(met: MetPartners) -> list[str]:
-    """Say of which robots nothing is known, and what was believed without a check."""
+    """Return notes on robots without a record, and on records that were not checked."""
     notes = []
     if not met.known:
         whose = f" of {listing(met.unknown, 3)}" if met.unknown else ""
@@ -180,7 +183,7 @@ def source_notes(met: MetPartners) -> list[str]:
 
 
 def crossplay_notes(met: MetPartners) -> list[str]:
-    """Say which columns of a matrix are of partners that one of its egos was trained with."""
+    """Return the note on a matrix's columns that are frozen training partners of an ego."""
     if not met.frozen:
         return []
     names = listing(sorted(met.frozen), 3)
@@ -191,14 +194,14 @@ def crossplay_notes(met: MetPartners) -> list[str]:
 
 
 def both_met(*results: tuple[MetSummary | None, pl.DataFrame]) -> MetSummary:
-    """Return what holds of a comparison: it leaves out whom a robot of either method met.
+    """Return the record of a comparison, which leaves out partners that any method leaves out.
 
     Args:
-        results: Of each method what its summary says, and its episodes. A summary of before it was
-            recorded left out teams' own humans.
+        results: Each method's record in its summary, and its episode table. A method without a
+            record leaves out its teams' own humans.
     """
     methods = [
-        said or NOTHING_KNOWN.summary(left_out(table, NOTHING_KNOWN)) for said, table in results
+        record or NOTHING_KNOWN.summary(left_out(table, NOTHING_KNOWN)) for record, table in results
     ]
     sources = sorted({source for method in methods for source in method.source.split(", ")})
     names = dict.fromkeys(name for method in methods for name in method.left_out)
@@ -218,7 +221,7 @@ def comparison_notes(met: MetSummary, methods: int) -> list[str]:
 
 
 def _training_notes(table: pl.DataFrame, met: MetPartners) -> list[str]:
-    """Say where the training side has partners that the robots, trained with others, never met."""
+    """Return the note on partners of the training side that not every robot met in training."""
     left = set(left_out(table, met))
     played = set(table.filter(side="train")["partner"].unique()) - left
     if not met.reasons or played <= met.by_all:
@@ -230,7 +233,7 @@ def _training_notes(table: pl.DataFrame, met: MetPartners) -> list[str]:
 
 
 def _declared(member: Member, declared: Met) -> Member:
-    """Return a robot with a declaration, which adds to what is known and takes nothing away."""
+    """Return a robot's member with declared training partners added to the recorded ones."""
     known = member.met
     if not known.known:
         return dataclasses.replace(member, met=declared)

@@ -27,8 +27,8 @@ class Partner:
     Attributes:
         id: Such as "scratch/ippo-d1-s0-v1/human", or the path of its file.
         spec: Its network: role, sizes, layers.
-        setting: A human's disability setting, as values; None where its file names none.
-        card: What the registry says of it: training, self-play, hash; None of a file.
+        setting: A human's disability setting, as values. None if its file names no setting.
+        card: The registry's entry: training, self-play, hash. None if it is from a file.
 
     Examples:
         >>> from assistax_zoo import open_zoo
@@ -52,7 +52,7 @@ class Partner:
 
     @property
     def env_version(self) -> int | None:
-        """The version of the environment that it plays; None of a file's."""
+        """The environment version in which it was trained; None if it is from a file."""
         return None if self.card is None else self.card.training.env_version
 
     @property
@@ -63,13 +63,13 @@ class Partner:
         return own and own(jax.tree.map(lambda leaf: leaf[None], self._params))
 
     def reset(self, rows: int | None = None) -> None:
-        """Forget the episode; `rows`, how many begin, is what evaluators say, and is not needed."""
+        """Clear the memory before an episode. `rows`, which evaluators pass, is not used."""
         del rows
         self._carry = None
 
     @own_settings()
     def act(self, obs: Shaped[np.ndarray, "*batch O"]) -> Float32[np.ndarray, "*batch A"]:
-        """Return actions.
+        """Return the most likely actions.
 
         Args:
             obs: Observations [..., O]; the leading axes stay the same within an episode.
@@ -102,10 +102,10 @@ class Partner:
 
 
 def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner:
-    """Return one policy of the registry by its id or its team's, hashes checked.
+    """Return the partner with an id, or of a team's id and a role, with its hash checked.
 
     Raises:
-        ZooError: no policy of that role has the id, or its bytes are not those of the registry.
+        ZooError: There is not exactly one such policy, or its bytes have another hash.
     """
     entries = registry.select(policy, role=role)
     if len(entries) != 1:

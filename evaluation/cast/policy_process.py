@@ -1,4 +1,4 @@
-"""A robot in a process of its own: its modules do not meet ours, nothing it does ends a run."""
+"""Run a robot in its own process, so that its modules and its failures cannot harm a run."""
 
 import os
 import subprocess
@@ -13,10 +13,10 @@ import numpy as np
 from evaluation.cast import policy_worker
 
 _HERE = Path(__file__).resolve().parent
-# Our own packages: what a robot imports of them is the environment's version, not the robot's code.
+# This project's packages: they belong to the environment's version, not to the robot's code.
 _OURS = ("assistax_envs", "population", "zoo", "evaluation", "assistax_zoo")
-# One thread for each of the libraries: a robot's network is small, and while it answers, the cores
-# belong to it alone; idle threads that spin would take them from the simulation.
+# One thread for each library. A robot's network is small, and idle threads that spin would slow the
+# simulation.
 _THREADS = {
     **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
     "OMP_WAIT_POLICY": "PASSIVE",
@@ -25,22 +25,22 @@ _UNKNOWN_FORM = "the robot's process answers in no form that is known"
 
 
 class PolicyError(Exception):
-    """The robot's code failed; says how, in one line."""
+    """The robot's code failed; the message is one line."""
 
 
 class PolicyProcess:
-    """A callable from observations [N, O] to actions [N, A]; its process ends with it."""
+    """A callable from observations [N, O] to actions [N, A] in a process that ends with it."""
 
     def __init__(self, module: str, factory: str, arguments: Mapping[str, str]) -> None:
         """Start the process and make the robot.
 
         Args:
             module: A module's name, or the path of its file, which ends in .py.
-            factory: Its function that makes the robot.
-            arguments: Of the factory.
+            factory: The name of the module's function that makes the robot.
+            arguments: Keyword arguments of the factory.
 
         Raises:
-            PolicyError: The robot cannot be made; says why.
+            PolicyError: The robot cannot be made.
         """
         folder = str(Path(module).resolve().parent) if module.endswith(".py") else os.getcwd()
         self._process = subprocess.Popen(
@@ -56,36 +56,37 @@ class PolicyProcess:
                 "module": module,
                 "factory": factory,
                 "arguments": dict(arguments),
-                # Of ours: its errors need no place in code, and it says what a file claims.
+                # A module of this project: its errors name no line of code, and it has metadata.
                 "plain": _HERE in Path(module).resolve().parents,
                 "path": list(dict.fromkeys([folder, os.getcwd(), *sys.path])),
                 "foreign": [str(_HERE.parent / name) for name in _OURS],
             }
         )
-        # Its own code as it ran, then what its arguments name and its module declares, each with
-        # the sha256 of before the robot was made.
+        # The files of its code, with the sha256 of the bytes that ran.
         self.files = _one_hash_each(made["files"])
+        # The files that its arguments name and its module declares, with the sha256 from before the
+        # robot was made.
         self.inputs = [(Path(path), str(digest)) for path, digest in made["inputs"]]
-        self.declares: bool = made["declares"]  # whether its module says what it depends on
-        self.trained_with: Any = made["trained_with"]  # likewise, whom it met in training
-        self.metadata: str | None = made["metadata"]  # of an ONNX file, as JSON of a stranger
+        self.declares: bool = made["declares"]  # whether its module has the list `DEPENDS`
+        self.trained_with: Any = made["trained_with"]  # `TRAINED_WITH` of its module, or None
+        self.metadata: str | None = made["metadata"]  # an ONNX file's untrusted JSON
 
     def reset(self, rows: int) -> None:
         """Begin `rows` episodes."""
         self._ask({"do": "reset", "rows": rows})
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return the robot's actions."""
+        """Return the robot's actions [N, A] for observations [N, O]."""
         _, answer = self._ask({"do": "act"}, obs)
         if answer is None:
             raise PolicyError(_UNKNOWN_FORM)
         return answer
 
     def loaded(self) -> dict[Path, str]:
-        """Return all files of the robot's own code that ran until now, each with its sha256.
+        """Return the files of the robot's own code that ran until now, each with its sha256.
 
         Raises:
-            PolicyError: A file ran twice and was changed in between.
+            PolicyError: A file ran twice and was changed in between, or the reply is malformed.
         """
         reply, _ = self._ask({"do": "loaded"})
         try:
@@ -114,7 +115,8 @@ class PolicyProcess:
         except (ValueError, TypeError, KeyError):
             self.close()
             raise PolicyError(_UNKNOWN_FORM) from None
-        except BaseException:  # Ctrl-C in the middle of a message: no other can follow
+        except BaseException:
+            # After Ctrl-C in the middle of a message, the stream cannot be read further.
             self.close()
             raise
         if not isinstance(reply, dict):

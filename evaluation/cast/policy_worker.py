@@ -1,9 +1,9 @@
-"""The process of a robot from outside: loads it, and answers observations with actions.
+"""Program of a robot's own process: load the robot, and answer observations with actions.
 
-Started as a file by `evaluation.cast.policy_process`, with a module path of the robot's own.
-Imports nothing of this project by name: `zoo` and `evaluation` may be somebody else's modules here.
+`evaluation.cast.policy_process` starts this file with the robot's own module path. It imports no
+module of this project by name, because `zoo` and `evaluation` may be other modules here.
 
-A message is two lengths, a JSON object and the bytes of an array: nothing is unpickled.
+A message is two lengths, a JSON object and the bytes of an array. It is never unpickled.
 """
 
 import contextlib
@@ -38,11 +38,11 @@ LARGEST_ANSWER = 64 << 20  # bytes: the actions of a million simulations
 
 
 class LoadError(Exception):
-    """Why a robot cannot be loaded, in the words that the user reads."""
+    """A robot cannot be loaded; the message is for its user."""
 
 
 def send(stream: BinaryIO, header: dict[str, Any], array: np.ndarray | None = None) -> None:
-    """Write one message."""
+    """Write one message: a header and perhaps an array."""
     payload = b"" if array is None else np.ascontiguousarray(array).tobytes()
     if array is not None:
         header = {**header, "shape": array.shape, "dtype": array.dtype.str}
@@ -52,10 +52,10 @@ def send(stream: BinaryIO, header: dict[str, Any], array: np.ndarray | None = No
 
 
 def receive(stream: BinaryIO, most: int | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
-    """Read one message, of at most so many bytes.
+    """Read one message; return its header and its array, or None if it has no array.
 
     Raises:
-        EOFError: the other side is gone, or says more than that.
+        EOFError: The stream ended, or the header or array has more than `most` bytes.
     """
     text, payload = _LENGTHS.unpack(_read(stream, _LENGTHS.size))
     if most is not None and max(text, payload) > most:
@@ -64,36 +64,39 @@ def receive(stream: BinaryIO, most: int | None = None) -> tuple[dict[str, Any], 
     data = _read(stream, payload)
     if "dtype" not in header:
         return header, None
-    # Copied, because robots may write into what they are given.
+    # Copied, because a robot may write into its observations.
     return header, np.frombuffer(data, header["dtype"]).reshape(header["shape"]).copy()
 
 
 def error_text(error: BaseException) -> str:
-    """Say an exception in one printable line, with the place in the user's code."""
+    """Return an exception as one printable line, with file and line of the user's code."""
     frames = traceback.extract_tb(error.__traceback__)
-    theirs = frames and Path(frames[-1].filename).parent != _HERE  # ours says what was wrong
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if theirs else ""
+    in_user_code = frames and Path(frames[-1].filename).parent != _HERE
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if in_user_code else ""
     message = one_line(str(error))
     return f"{type(error).__name__}{': ' if message else ''}{message}{place}"
 
 
 def one_line(text: str) -> str:
-    """Return text that somebody else may have chosen as one printable line, cut if long."""
+    """Return untrusted text as one printable line of at most `LONGEST_MESSAGE` characters."""
     text = text[:LONGEST_MESSAGE]
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def serve() -> None:
-    """Answer messages until the parent is gone."""
+    """Answer messages until the parent process ends."""
     inbox, outbox = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what the robot prints is for people
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, who ends this process
+    # The robot's prints go to standard error: standard output carries messages.
+    os.dup2(2, 1)
+    # The parent handles Ctrl-C and ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _die_with_parent()
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     robot: Any = None
     code: Any = None
-    play = contextlib.ExitStack()  # as long as the process: nothing has to be given back
+    # Never closed: the process ends without restoring the robot.
+    play = contextlib.ExitStack()
     while True:
         try:
             header, obs = receive(inbox)
@@ -114,13 +117,14 @@ def serve() -> None:
                     raise TypeError(f"returned {answer.dtype} of shape {answer.shape}")
         except LoadError as error:
             reply, answer = {"error": one_line(str(error))}, None
-        except BaseException as error:  # SystemExit too: the robot's code does not end a run
+        # SystemExit too: a robot's code must not end a run.
+        except BaseException as error:
             reply, answer = {"error": error_text(error)}, None
         send(outbox, reply, answer)
 
 
 def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
-    """Make the robot; return it with the files and the code that its results depend on."""
+    """Make the robot; return it, the reply to the parent, and the record of its code."""
     forms = _import_ours("evaluation_mode", "robot_forms")
     sys.path[:] = header["path"]
     name, factory, code = header["module"], header["factory"], _OwnCode(header["foreign"])
@@ -156,7 +160,8 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
     ):
         kind = type(trained_with).__name__
         raise LoadError(f"TRAINED_WITH of {name} is {kind}; expected a text or a list of texts")
-    metadata = getattr(made, "metadata", None) if header["plain"] else None  # of our ONNX robot
+    # Only this project's ONNX robot has metadata.
+    metadata = getattr(made, "metadata", None) if header["plain"] else None
     reply = {
         "files": code.files(),
         "inputs": inputs,
@@ -168,7 +173,7 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
 
 
 def _depends(module: ModuleType, name: str) -> list[str] | None:
-    """Return the paths that a module declares, None where it declares nothing."""
+    """Return the paths in a module's `DEPENDS`, or None if it has no such list."""
     depends = getattr(module, "DEPENDS", None)
     if depends is None:
         return None
@@ -178,11 +183,12 @@ def _depends(module: ModuleType, name: str) -> list[str] | None:
 
 
 def _hashed(arguments: list[str], declared: list[str], folder: Path) -> list[tuple[str, str]]:
-    """Return path and sha256 of the files that arguments name, and of those that are declared."""
+    """Return path and sha256 of the files that arguments name and of the declared files."""
     named = [Path(value) for value in arguments if os.path.isfile(value)]
     paths = [folder / name for name in declared]
     for path in paths:
-        if path.exists() and not path.is_file():  # a device or a pipe would never end
+        # Reading a device or a pipe might never end.
+        if path.exists() and not path.is_file():
             raise LoadError(f"DEPENDS names {path}, which is no regular file")
     try:
         return [(str(path), _file_sha256(path)) for path in (*named, *paths)]
@@ -191,10 +197,10 @@ def _hashed(arguments: list[str], declared: list[str], folder: Path) -> list[tup
 
 
 class _OwnCode:
-    """The files of the robot's own code, each with the sha256 of the bytes that were run."""
+    """Record of the robot's own code files, each with the sha256 of the bytes that ran."""
 
     def __init__(self, foreign: list[str]) -> None:
-        """Begin to listen; `foreign` are folders of code that is not the robot's."""
+        """Begin to record imports; `foreign` are folders of code that is not the robot's."""
         self._foreign = [Path(folder) for folder in (*foreign, sysconfig.get_paths()["stdlib"])]
         self._ran: dict[str, set[str]] = {}
         self._module: ModuleType | None = None
@@ -203,22 +209,26 @@ class _OwnCode:
         def get_code(loader: Any, name: str) -> Any:
             if self._is_installed(Path(loader.path).resolve()):
                 return usual(loader, name)
-            data = loader.get_data(loader.path)  # once: what is hashed is what runs
+            # Read once, so that the hashed bytes are those that run.
+            data = loader.get_data(loader.path)
             self._note(loader.path, data)
             return loader.source_to_code(data, loader.path)
 
         SourceFileLoader.get_code = get_code  # ty: ignore[invalid-assignment]
 
     def of(self, module: ModuleType) -> None:
-        """Say which module the robot is made by: its folder and the working one hold the code."""
+        """Set the robot's module: its own code is in the module's folder and the working folder."""
         self._module = module
         self.folder = Path(module.__file__ or "").resolve().parent
 
     def files(self) -> Mapping[str, list[str]]:
-        """Return all that ran until now, the module's own file first; usually one hash a file."""
+        """Return the code files that ran until now with their hashes, the module's own file first.
+
+        A file has several hashes if it was changed between two loads.
+        """
         own = Path(getattr(self._module, "__file__", None) or "").resolve()
         paths = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-        # Not all of them are there: PyTorch has a module whose file is said to be "_classes.py".
+        # Some files do not exist: PyTorch has a module whose `__file__` is "_classes.py".
         named = {Path(file).resolve() for file in paths if file and file.endswith(".py")}
         named = {file for file in named if file.is_file()} | {Path(file) for file in self._ran}
         files = [own, *sorted(file for file in named - {own} if self._is_own(file))]
@@ -243,7 +253,10 @@ def _file_sha256(path: Path) -> str:
 
 
 def _import_ours(*names: str) -> ModuleType:
-    """Return the last of these files of ours, which import each other; the robot meets no name."""
+    """Import files beside this one in order and return the last; remove their names afterwards.
+
+    The robot's own modules may have the same names.
+    """
     modules = {f"evaluation.cast.{name}": f"{_HERE / name}.py" for name in names}
     made = [_import(path, name) for name, path in modules.items()]
     for name in modules:
@@ -267,13 +280,14 @@ def _read(stream: BinaryIO, count: int) -> bytes:
 
 
 def _die_with_parent() -> None:
-    """Let Linux kill this process when its parent ends: a stopped process cannot end itself."""
-    with contextlib.suppress(OSError, AttributeError):  # elsewhere
+    """Let Linux kill this process when its parent ends, even if this process is stopped."""
+    # Other systems have no `prctl`.
+    with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def _end_with(parent: int) -> None:
-    """End this process when its parent is gone, also out of a robot that never answers."""
+    """End this process after its parent ended, even while a robot's code runs."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

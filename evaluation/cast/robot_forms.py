@@ -1,7 +1,7 @@
-"""Everything that counts as a robot in Python, brought to one form: a callable with `reset`.
+"""Convert every accepted form of a robot to one: a callable with `reset`.
 
-Imports of this project `evaluation_mode` alone: it also runs in a robot's own process, where `zoo`
-and `evaluation` may be somebody else's modules.
+This module imports only `evaluation_mode` of this project. It also runs in a robot's own process,
+where `zoo` and `evaluation` may be other modules of the same name.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ FORMS = (
     "reset(n), one with predict(obs, state=, episode_start=, deterministic=), a PyTorch module, or "
     "a Flax module with its parameters: (module, params)"
 )
-# Arguments by which a call is told that it does not train.
+# Arguments that switch a module's call to evaluation, with the value for each.
 _ARGUMENTS = {
     "train": False,
     "training": False,
@@ -34,9 +34,9 @@ _PREDICTING = ("state", "episode_start", "deterministic")
 
 
 class Robot:
-    """A callable from float32 observations [N, O] to whatever the robot answers, [N, A].
+    """A callable from float32 observations [N, O] to actions [N, A], not yet checked.
 
-    While it answers, the networks that it is made of are in evaluation mode; see `playing`.
+    The robot's networks are in evaluation mode during a call; see `playing`.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class Robot:
 
     @contextlib.contextmanager
     def playing(self) -> Generator[None]:
-        """Hold the robot as it will be used, in evaluation mode, and give it back as it came.
+        """Put the robot into evaluation mode in a `with` block, and restore its state at the end.
 
-        That is the mode of every module, buffers and other statistics, and the state of random
-        generators. A call outside such a block is one of its own.
+        Restored are the mode of every module, buffers and other statistics, and the state of random
+        generators. A call outside such a block is a block of its own.
         """
         if self._plays:
             yield
@@ -67,25 +67,25 @@ class Robot:
             self._plays = False
 
     def reset(self, rows: int) -> None:
-        """Tell the robot, if it wants to know, that `rows` episodes begin."""
+        """Call the robot's own `reset`, if it has one: `rows` episodes begin."""
         if self._reset is not None:
             self._reset(rows)
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
-        """Return the answer as NumPy sees it.
+        """Return the robot's answer to observations [N, O] as a NumPy array.
 
         Raises:
-            TypeError: The answer is several things of different shapes.
+            TypeError: The answer is a sequence of parts with different shapes.
         """
         with self.playing(), _one_torch_thread():
             return _array(self._act(np.asarray(obs, np.float32)))
 
 
 def as_robot(robot: Any) -> Robot:
-    """Return a robot of any of the forms as one callable.
+    """Return an object of any form in `FORMS` as a `Robot`.
 
     Raises:
-        TypeError: it has none of them.
+        TypeError: The object has no such form.
     """
     if isinstance(robot, Robot):
         return robot
@@ -108,7 +108,10 @@ def as_robot(robot: Any) -> Robot:
 
 
 def _method(robot: Any, name: str) -> Any:
-    """Return a method; none where the name is a layer's, as often `act` of an activation."""
+    """Return the object's method of this name, or None if the attribute is a layer of a network.
+
+    A network's activation layer is often called `act`.
+    """
     method = getattr(robot, name, None)
     return method if callable(method) and not is_module(method) else None
 
@@ -133,7 +136,7 @@ class _Predicting:
 
 
 def _taken(function: Callable[..., Any], names: Collection[str]) -> list[str]:
-    """Return which arguments a function takes by name: all where it does not say."""
+    """Return those of `names` that a function takes as keywords; all if its signature is open."""
     try:
         parameters = inspect.signature(function).parameters
     except (TypeError, ValueError):  # written in C
@@ -144,7 +147,7 @@ def _taken(function: Callable[..., Any], names: Collection[str]) -> list[str]:
 
 
 def _evaluation_arguments(call: Any) -> dict[str, bool]:
-    """Return the arguments that tell a module's call that it does not train."""
+    """Return the keyword arguments that switch a module's call to evaluation."""
     try:
         parameters = inspect.signature(call).parameters
     except (TypeError, ValueError):
@@ -153,7 +156,7 @@ def _evaluation_arguments(call: Any) -> dict[str, bool]:
 
 
 def _array(answer: Any) -> np.ndarray:
-    """Return an answer as NumPy sees it; small floats, which NumPy lacks, as float32."""
+    """Return an answer as a NumPy array, with bfloat16 and similar floats as float32."""
     if hasattr(answer, "detach"):
         answer = answer.detach().cpu()
         if hasattr(answer, "element_size") and answer.is_floating_point():
@@ -172,7 +175,7 @@ def _array(answer: Any) -> np.ndarray:
 
 
 def _several(answer: Any, rows: list[np.ndarray]) -> str:
-    """Return the kinds of an answer's parts, for an answer that is no array."""
+    """Return the message for an answer whose parts have different shapes."""
     parts = [
         f"{type(part).__name__}{list(row.shape) if row.ndim else ''}"
         for part, row in zip(answer, rows, strict=True)
@@ -185,7 +188,10 @@ def _several(answer: Any, rows: list[np.ndarray]) -> str:
 
 
 def _torch(module: Any) -> Callable[[np.ndarray], Any]:
-    """Return a module's forward pass on arrays, of the type and device of its parameters."""
+    """Return a module's forward pass on NumPy arrays.
+
+    Inputs are converted to the type and device of the module's parameters.
+    """
     torch: Any = sys.modules["torch"]
     arguments = _evaluation_arguments(module.forward)
     numbers = [*module.parameters(), *module.buffers()]
@@ -202,9 +208,9 @@ def _torch(module: Any) -> Callable[[np.ndarray], Any]:
 
 @contextlib.contextmanager
 def _one_torch_thread() -> Generator[None]:
-    """Keep PyTorch to one thread: others would spin while the simulation runs.
+    """Limit PyTorch to one thread in a `with` block: idle threads would slow the simulation.
 
-    Nothing changes where PyTorch is not loaded, or OMP_NUM_THREADS says how many there are.
+    Change nothing if PyTorch is not loaded or OMP_NUM_THREADS is set.
     """
     torch: Any = None if "OMP_NUM_THREADS" in os.environ else sys.modules.get("torch")
     threads = 1 if torch is None else torch.get_num_threads()

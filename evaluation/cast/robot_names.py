@@ -1,4 +1,4 @@
-"""The one grammar of references to policies."""
+"""The grammar of references to policies."""
 
 import dataclasses
 import re
@@ -14,25 +14,26 @@ FORMS = (
     "an id such as scratch/ppo-ego-s0-v1/robot, FILE.safetensors, FILE.onnx, "
     "python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
 )
-# A task's id or glob; a registry that was added stands before it, such as lab:scratch/...
+# An id or glob of a task, with the namespace of an added registry in front, as in lab:scratch/...
 _ID = re.compile(rf"(?:[a-z][\w.-]*:)?({'|'.join(TASKS)})/.+")
 
 
 @dataclasses.dataclass(frozen=True)
 class PolicyReference:
-    """What a reference says, not yet looked up."""
+    """The parts of a reference, not yet looked up."""
 
-    text: str  # as it was given
+    text: str  # the whole reference
     kind: Kind
     source: str = ""  # an id or a glob; a path; or a module, by its name or its file
     factory: str = ""  # the function of a Python module that makes the robot
-    arguments: Mapping[str, str] = dataclasses.field(default_factory=dict)  # of the factory
+    # Keyword arguments of the factory.
+    arguments: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def check(self, task: str, role: str) -> None:
-        """Refuse an id of another task or role, which would only not be found.
+        """Check that an id is of this task and role, for a better message than "not found".
 
         Raises:
-            ValueError: Says which of the two differs.
+            ValueError: The id is of another task or role.
         """
         named = _ID.fullmatch(self.source)
         if self.kind != "zoo" or named is None:
@@ -51,10 +52,10 @@ class PolicyReference:
 
 
 def parse_reference(text: str) -> PolicyReference:
-    """Return what a reference says.
+    """Return the parts of a reference.
 
     Raises:
-        ValueError: It has none of the forms; says which it may have been meant to have.
+        ValueError: The text has an unknown form; the message suggests the likely one.
     """
     scheme, _, rest = text.partition(":")
     if text in ("zero", "random"):

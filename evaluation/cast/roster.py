@@ -1,4 +1,4 @@
-"""Who plays in a seat: stacks of policies and robots from outside, each described by its id."""
+"""Rosters: the policies of one seat, as stacks and robots from outside, described by id."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -18,53 +18,53 @@ from zoo.schema import PolicyEntry
 
 @dataclasses.dataclass(frozen=True)
 class Member:
-    """What the episode table and a job's identity say about one policy."""
+    """Description of one policy, for the episode table and for a job's identity."""
 
-    id: str  # registry id, or the reference by which a policy from outside was given
-    digest: str  # sha256 of its parameters, or of its source where it is code
+    id: str  # registry id, or the reference of a policy from outside
+    digest: str  # sha256 of its parameters, or of its source if it is code
     team: str | None = None
     algorithm: str | None = None
     disability: str | None = None
     seed: int | None = None
-    setting: Disability | None = None  # what a human's setting is; the installed one of its name
-    reusable: bool = True  # False where the digest does not cover all that the policy depends on
-    # Outside any registry, that the digest is of; each with its sha256 as it was read.
+    setting: Disability | None = None  # a human's disability setting, as values
+    reusable: bool = True  # False if the policy depends on more than the digest covers
+    # Files outside any registry that the digest covers, each with its sha256 when it was read.
     files: tuple[tuple[Path, str], ...] = ()
-    met: Met = NOT_KNOWN  # whom a robot met in training; no part of a job's identity
-    # Of the environment, in which a robot's file says that it was trained; None if it does not say.
+    met: Met = NOT_KNOWN  # a robot's training partners; no part of a job's identity
+    # The environment version that a robot's file claims; None if it claims none.
     env_version: int | None = None
     told: Told = False  # what it observes that no robot may: a row to compare with
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HostEgo:
-    """A robot in anybody's framework: a callable from batched observations to batched actions."""
+    """A robot in any framework: a callable from batched observations to batched actions."""
 
     id: str
-    act: Any  # of any form; from then on a `Robot`: [B, O] float32 NumPy -> [B, A]
-    # The files of its code that ran until now, with their sha256; code may load more as it plays.
+    act: Any  # given in any accepted form, stored as a `Robot`: [B, O] float32 NumPy -> [B, A]
+    # Returns the files of its code that ran until now, with their sha256.
     loaded: Callable[[], Mapping[Path, str]] = dict
-    made_of: Any = None  # equal for copies of one robot, whatever they are called
+    made_of: Any = None  # equal for copies of one robot under different ids
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "act", as_robot(self.act))
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """The one policy of this ego, as a stack has several."""
+        """The id of this ego, as a tuple like a stack's ids."""
         return (self.id,)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Roster:
-    """The policies of one seat of a job, in the order in which the table has them."""
+    """The policies of one seat of a job, in the order of the episode table."""
 
     stacks: tuple[PolicyStack | HostEgo, ...]
     members: Mapping[str, Member]  # by id
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """All policies, stack by stack."""
+        """The ids of all policies, stack by stack."""
         return tuple(name for stack in self.stacks for name in stack.ids)
 
     @property
@@ -73,7 +73,7 @@ class Roster:
         return tuple(stack for stack in self.stacks if isinstance(stack, HostEgo))
 
     def host(self, place: int) -> HostEgo | None:
-        """Return the robot from outside in a place of `stacks`, None where policies are."""
+        """Return the robot from outside at `stacks[place]`, or None if it is a policy stack."""
         stack = self.stacks[place]
         return stack if isinstance(stack, HostEgo) else None
 
@@ -95,16 +95,16 @@ class Roster:
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:
-        """The stacks of networks: all of a roster that has no robot from outside."""
+        """The stacks of networks, without robots from outside."""
         return tuple(stack for stack in self.stacks if isinstance(stack, PolicyStack))
 
     def describe(self, ids: Sequence[str]) -> list[Member]:
-        """Return the descriptions of policies in this order."""
+        """Return the descriptions of these policies, in this order."""
         return [self.members[name] for name in ids]
 
 
 def check_seat(name: str, spec: Seat, role: str, env: Any, task: str) -> None:
-    """Refuse a policy whose seat, observations or actions are not those of a task's role."""
+    """Raise a ValueError if a policy does not fit the role, observations or actions of a task."""
     if spec.role != role:
         raise ValueError(
             f"{name} plays the {spec.role}, not the {role}; give it as the {spec.role}"
@@ -121,14 +121,15 @@ def check_seat(name: str, spec: Seat, role: str, env: Any, task: str) -> None:
 
 
 def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roster:
-    """Load policies of the registry, hashes checked."""
+    """Return the roster of policies of the registry, loaded with their hashes checked."""
     members = {
         entry.id: Member(
             id=entry.id,
             digest=entry.sha256,
             team=entry.team,
             algorithm=entry.algorithm,
-            disability=entry.disability if entry.setting else None,  # an ego has no human
+            # An ego trained with frozen partners has no human of its own.
+            disability=entry.disability if entry.setting else None,
             seed=entry.seed,
             setting=entry.setting,
             met=met_in_training(registry, entry) if entry.role == "robot" else NOT_KNOWN,
@@ -141,7 +142,10 @@ def registry_roster(registry: Registry, entries: Sequence[PolicyEntry]) -> Roste
 def paired_rosters(
     registry: Registry, pairs: Sequence[tuple[PolicyEntry, PolicyEntry]]
 ) -> tuple[Roster, Roster]:
-    """Load robots beside humans, row by row: one stack on either side for each pair of specs."""
+    """Return the rosters of the robots and the humans of pairs: row i of each is a pair.
+
+    Pairs with equal specs share a stack on either side.
+    """
     by_specs: dict[Any, list[tuple[PolicyEntry, PolicyEntry]]] = {}
     for robot, human in pairs:
         by_specs.setdefault((robot.spec, human.spec), []).append((robot, human))
@@ -153,6 +157,6 @@ def paired_rosters(
 
 
 def joined(*rosters: Roster) -> Roster:
-    """Return the policies of several rosters as one seat's, stack by stack."""
+    """Return one roster with the policies of several, stack by stack."""
     members = {name: member for roster in rosters for name, member in roster.members.items()}
     return Roster(tuple(stack for roster in rosters for stack in roster.stacks), members)

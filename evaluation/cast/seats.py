@@ -1,4 +1,4 @@
-"""Who plays a role in one simulation, by reference: for films and recorded episodes."""
+"""Policies for one role of one simulation, by reference, for films and recorded episodes."""
 
 import dataclasses
 import itertools
@@ -24,15 +24,15 @@ from zoo.schema import PolicyEntry
 
 @dataclasses.dataclass(frozen=True)
 class Seated:
-    """Who plays a role in one simulation: from an observation [O] to an action [A]."""
+    """A policy in one role of one simulation: from an observation [O] to an action [A]."""
 
     act: Callable[[np.ndarray], np.ndarray]
-    setting: Disability | None = None  # a human's, where its zoo or its file says it
-    card: PolicyEntry | None = None  # of a policy of the zoo
+    setting: Disability | None = None  # a human's setting, if its zoo or its file has one
+    card: PolicyEntry | None = None  # the registry's entry, if it is a policy of the zoo
     humans: Any = None  # a person's own `EnvParams` [1]
 
     def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:
-        """Act once."""
+        """Return the action [A] for one observation [O]."""
         return self.act(obs)
 
 
@@ -44,20 +44,20 @@ def seat_policy(
     task: str,
     seed: int = 0,
 ) -> Seated:
-    """Return who plays `role`, checked to fit.
+    """Return the policy that a reference names for `role`, checked to fit.
 
     Args:
         reference: zoo:ID, a path to a .safetensors file, "zero", or "random"; for the robot also
             python: and onnx:.
         role: "robot" or "human".
-        env: the environment.
-        registry: read when it is needed.
-        task: the environment's.
-        seed: of random actions.
+        env: The environment.
+        registry: Returns the registry; called only if it is needed.
+        task: The environment's task.
+        seed: The seed of random actions.
 
     Raises:
-        ValueError: the reference has none of the known forms, or does not fit.
-        ZooError: an id or a file that is not there or not what it says.
+        ValueError: The reference has an unknown form, or the policy does not fit.
+        ZooError: An id or a file is missing, or its content is not as recorded.
     """
     size, named = env.action_size[role], parse_reference(reference)
     named.check(task, role)
@@ -80,15 +80,15 @@ def seat_policy(
 def version_of(
     references: Mapping[str, str], task: str, registry: Callable[[], Registry]
 ) -> int | None:
-    """Return the version in which policies play together; None if no zoo or file says one.
+    """Return the environment version that policies share; None if no zoo or file names one.
 
     Args:
-        references: By role, as in `seat_policy`.
-        task: The environment's.
-        registry: Read where a reference asks for it.
+        references: References by role, as in `seat_policy`.
+        task: The environment's task.
+        registry: Returns the registry; called only if it is needed.
 
     Raises:
-        ZooError: Policies are not there, or play no version together.
+        ZooError: A policy is missing, or the policies share no version.
     """
     named = {role: parse_reference(reference) for role, reference in references.items()}
     sources = [(role, name.source) for role, name in named.items() if name.kind == "zoo"]
@@ -102,19 +102,20 @@ def version_of(
 
 
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:
-    """Return a policy in its seat, which must be the role's."""
+    """Return a policy in its seat, checked to fit the role."""
     check_seat(policy.id, policy.spec, role, env, task)
     return Seated(policy.act, policy.setting, policy.card, policy.humans)
 
 
 def _outside(reference: str, role: str, env: Environment, registry: Registry, task: str) -> Seated:
-    """Return a robot from outside, which takes batches, for one observation at a time."""
+    """Return a robot of code or of an ONNX file, called with one observation at a time."""
     if role != "robot":
         raise ValueError(
             f"policy {reference!r} cannot play the {role}; code and ONNX files play the robot"
         )
     egos = read_egos([reference], registry, task)
-    if egos.policies:  # an ONNX file that is played as a program
+    # An ONNX file that is played as a program is a policy stack.
+    if egos.policies:
         [stack] = egos.policies
         return _seated(Partner(reference, stack.spec, stack.row(0)), role, env, task)
     [ego] = egos.hosts

@@ -1,9 +1,8 @@
-"""From the bytes of an ONNX file to a program, or a refusal. Nothing of the file is ever executed.
+"""Turn the bytes of an ONNX file into a JAX program, or refuse them. No code of a file is executed.
 
-The program is JAX (`evaluation.cast.onnx_robots.program`), which is stacked and mapped as partners
-are. A service plays nothing else. Every attribute and tensor is held against a list, and shapes are
-computed without values, so that a graph that would fill the memory is refused before anything is
-allocated.
+The program (`evaluation.cast.onnx_robots.program`) is stacked and mapped like a partner. A service
+plays only such programs. Every attribute and tensor is checked against a list. Shapes are computed
+without values, so a graph that is too large is refused before memory is allocated.
 """
 
 import dataclasses
@@ -22,7 +21,7 @@ from evaluation.cast.onnx_robots.ego import (
     reductions_over_rows,
 )
 
-PROGRAM = "onnx_program 1"  # in the digest of a robot; raise it where a program's values change
+PROGRAM = "onnx_program 1"  # part of a robot's digest; raise it if a program's values change
 MAX_NODES = 2000
 MAX_TENSORS = 2000
 MAX_INTEGERS = 4096  # in all shapes and indices together
@@ -53,7 +52,7 @@ ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "Split": ("axis", "num_outputs"),
     "Transpose": ("perm",),
 }
-# What onnxruntime may still play at home, which knows more: other refusals are final.
+# Refusals after which onnxruntime may still play a user's own file. Other refusals are final.
 PLAYED_APART = (
     "operator_not_allowed",
     "opset_not_allowed",
@@ -69,8 +68,8 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
     """Return the program of an ONNX file and its parameters.
 
     Raises:
-        UntrustedModelError: It is not a graph of the form and the operators that are allowed, or
-            not one of these widths.
+        UntrustedModelError: The graph has a form or an operator that is not allowed, or other
+            sizes.
     """
     program, params = read_program(data)
     if (program.observation_size, program.action_size) != (observation_size, action_size):
@@ -80,10 +79,10 @@ def admit_onnx(data: bytes, observation_size: int, action_size: int) -> tuple[An
 
 
 def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
-    """Return the program of an ONNX file, whatever its widths are, and its parameters.
+    """Return the program of an ONNX file of any observation and action size, and its parameters.
 
     Raises:
-        UntrustedModelError: It is not a graph of the form and the operators that are allowed.
+        UntrustedModelError: The graph has a form or an operator that is not allowed.
     """
     from evaluation.cast.onnx_robots.program import OPERATORS
 
@@ -98,7 +97,7 @@ def read_program(data: bytes) -> tuple[Any, dict[str, Any]]:
 
 
 def _check_model(model: Any) -> None:
-    """Refuse other operator sets, and what is too much to read."""
+    """Raise an `UntrustedModelError` for other operator sets, bad names or too large graphs."""
     sets = [(opset.domain, opset.version) for opset in model.opset_import]
     if any(domain not in ("", "ai.onnx") or version not in OPSETS for domain, version in sets):
         raise UntrustedModelError("opset_not_allowed", str(sets[:4]))
@@ -112,7 +111,7 @@ def _check_model(model: Any) -> None:
 
 
 def _names(graph: Any) -> Iterator[Any]:
-    """Yield every name; protobuf returns bytes for one that is not UTF-8."""
+    """Yield every name in a graph; protobuf returns bytes for a name that is not UTF-8."""
     for values in (graph.initializer, graph.input, graph.output):
         yield from (value.name for value in values)
     for node in graph.node:
@@ -121,7 +120,7 @@ def _names(graph: Any) -> Iterator[Any]:
 
 
 class _Graph:
-    """Reads a graph into a program, refusing what it does not know."""
+    """Reader of a graph into a program; it refuses unknown tensors, nodes and attributes."""
 
     def __init__(self, graph: Any) -> None:
         self._graph = graph
@@ -150,7 +149,8 @@ class _Graph:
         program = OnnxProgram(
             role="robot",
             observation_size=widths[0],
-            action_size=1,  # not known before its shapes are computed
+            # Replaced after the shapes are computed.
+            action_size=1,
             carry_size=widths[1] if len(widths) > 1 else 0,
             inputs=tuple(value.name for value in inputs),
             outputs=outputs,
@@ -231,7 +231,7 @@ def _constant(node: Any) -> np.ndarray:
 
 
 def _array(tensor: Any) -> np.ndarray:
-    """Return a tensor's values; its size is held against its bytes before anything is allocated."""
+    """Return a tensor's values, after checking its size against its stored bytes."""
     import onnx
 
     kind = onnx.TensorProto
@@ -249,7 +249,11 @@ def _array(tensor: Any) -> np.ndarray:
 
 
 def _check_inputs(inputs: list[Any]) -> list[int]:
-    """Return the widths of observation and carry: obs [N, O], carry [N, H], first [N]."""
+    """Return the widths [O] or [O, H] of the inputs obs [N, O], carry [N, H], first [N].
+
+    Raises:
+        UntrustedModelError: The inputs have other types or shapes.
+    """
     import onnx
 
     kinds = [onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL]
@@ -274,12 +278,13 @@ def _check_inputs(inputs: list[Any]) -> list[int]:
 
 
 def _check_shapes(program: Any, params: dict[str, Any]) -> int:
-    """Refuse what does not fit, or is too large; return the actions' width."""
+    """Return the width of the actions; raise an `UntrustedModelError` if shapes do not fit."""
     try:
         shapes = _shapes(program, params, 1)
     except UntrustedModelError:
         raise
-    except Exception as error:  # whatever a tracer makes of shapes that do not fit
+    # A tracer raises various exceptions if shapes do not fit.
+    except Exception as error:
         raise UntrustedModelError("shape_unknown", type(error).__name__) from None
     widths = [shape[1] for shape in shapes if len(shape) == 2 and shape[0] == 1]
     if len(widths) < len(shapes) or not widths[0] or widths[1:] not in ([], [program.carry_size]):
@@ -288,7 +293,11 @@ def _check_shapes(program: Any, params: dict[str, Any]) -> int:
 
 
 def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, ...]]:
-    """Compute the outputs' shapes for a batch, without values; refuse values that are too large."""
+    """Return the outputs' shapes for a batch of `rows`, computed without values.
+
+    Raises:
+        UntrustedModelError: A value is too large, or there are too many operations.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -323,7 +332,10 @@ def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, 
 
 
 def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
-    """Refuse reductions over the rows of a batch, of which a program sees one at a time."""
+    """Raise an `UntrustedModelError` if a graph mixes the rows of a batch.
+
+    A program sees one row at a time, so its actions would differ from the model's.
+    """
     from evaluation.cast.onnx_robots import program as programs
 
     [rows] = [v.type.tensor_type.shape.dim[0] for v in graph.input if v.name == program.inputs[0]]
@@ -336,9 +348,11 @@ def _check_rows(graph: Any, program: Any, params: dict[str, Any]) -> None:
         return [np.asarray(out) for out in programs.run(program, params, inputs)]
 
     try:
-        _shapes(program, params, ROWS)  # before anything is allocated for so many
+        # Refuses a batch that is too large before memory is allocated for it.
+        _shapes(program, params, ROWS)
         mixed = mixes_rows(answer, widths, len(program.inputs) == 3)
-    except Exception:  # shapes that hold for one row alone, though the file does not say so
+    except Exception:
+        # The graph's shapes hold for one row only, so rows cannot mix.
         return
     if mixed:
         raise mixing_error(reducing)

@@ -1,8 +1,7 @@
-"""A robot from an ONNX file of any exporter, run by onnxruntime in a process of its own.
+"""A robot from an ONNX file of any exporter, run by onnxruntime in its own process.
 
-This is for networks with operators that `evaluation.cast.onnx_robots.program` lacks; all others are
-played by it. Both read a file by `read_onnx_network`: a model is data from a stranger, checked
-operator by operator before anything else sees it.
+This is for networks that `evaluation.cast.onnx_robots.program` cannot play. Both use
+`read_onnx_network`: a model is untrusted data, checked operator by operator before it is used.
 """
 
 import resource
@@ -12,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-MAX_BYTES = 64 * 1024 * 1024  # of a file: 16 million parameters
-MEMORY = 768 * 1024 * 1024  # that a model may take beside onnxruntime's own, 1 GB with it
-# Nothing that loops, calls, draws or reads files.
+MAX_BYTES = 64 * 1024 * 1024  # size of a file: 16 million parameters
+MEMORY = 768 * 1024 * 1024  # bytes for a model beside onnxruntime's own, 1 GB in all
+# Operators without loops, calls, random numbers or access to files.
 _PLAIN = """
 Abs Add And ArgMax BatchNormalization Cast Ceil Clip Concat Constant ConstantOfShape Cos Div
 Dropout Elu Equal Erf Exp Expand Flatten Floor GRU Gather Gelu Gemm Greater GreaterOrEqual
@@ -24,12 +23,12 @@ ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin Slice Softmax Softplus 
 Sqrt Squeeze Sub Sum Swish Tanh Transpose Unsqueeze Where
 """
 OPERATORS = frozenset(_PLAIN.split())
-# What may reduce, or pick, along the first axis.
+# Operators that can reduce or pick along the first axis.
 _REDUCING = frozenset(
     ["ArgMax", "Gather", "LogSoftmax", "Softmax"]
     + [f"Reduce{how}" for how in ("Max", "Mean", "Min", "Sum")]
 )
-ROWS = 4  # of the batch that shows whether rows are apart
+ROWS = 4  # size of the batch that tests whether rows are independent
 
 
 def factory(path: Path) -> tuple[str, str, dict[str, str]]:
@@ -38,10 +37,10 @@ def factory(path: Path) -> tuple[str, str, dict[str, str]]:
 
 
 def make(path: str) -> "OnnxEgo":
-    """Load a model, and bound this process's memory first.
+    """Return the robot of an ONNX file, after limiting this process's memory.
 
     Raises:
-        ValueError: onnxruntime is not installed, or the file is not a model of this form.
+        ValueError: onnxruntime is not installed, or the file is not an accepted model.
     """
     try:
         import onnx  # noqa: F401
@@ -55,7 +54,8 @@ def make(path: str) -> "OnnxEgo":
         return OnnxEgo(data, onnxruntime, reductions_over_rows(read_onnx_network(data).graph))
     except (ValueError, MemoryError):
         raise
-    except Exception as error:  # each library has an exception class for each of its status codes
+    # Each library has an exception class for each of its status codes.
+    except Exception as error:
         message = " ".join(str(error).split())
         raise ValueError(f"is not an ONNX model that onnxruntime runs: {message[:300]}") from None
 
@@ -74,17 +74,18 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_metadata(data: bytes) -> str | None:
-    """Return the JSON that `assistax-zoo export` wrote into a model: a claim.
+    """Return the JSON text that `assistax-zoo export` wrote into a model, an unchecked claim.
 
-    None where there is nothing, or nothing in UTF-8.
+    If there is no such text in UTF-8, return None.
     """
     properties = {entry.key: entry.value for entry in parse(data).metadata_props}
     text = properties.get("assistax")
-    return text if isinstance(text, str) else None  # protobuf returns bytes that are not UTF-8
+    # protobuf returns bytes if the text is not UTF-8.
+    return text if isinstance(text, str) else None
 
 
 class UntrustedModelError(ValueError):
-    """Why a model is not read, in a word for programs and a text for people."""
+    """A model is refused; `code` is the reason for programs, the message is for people."""
 
     def __init__(self, code: str, message: str) -> None:
         self.code = code  # "malformed", "subgraph", "operator_not_allowed" or "external_data"
@@ -92,10 +93,11 @@ class UntrustedModelError(ValueError):
 
 
 def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
-    """Return the ONNX model in these bytes, a plain network of these operators, in one file.
+    """Return the ONNX model in these bytes, checked to be a plain network of `operators`.
 
     Raises:
-        UntrustedModelError: It is something else.
+        UntrustedModelError: The bytes are no model, or it has other operators, subgraphs or weights
+            in other files.
     """
     import onnx
 
@@ -107,7 +109,7 @@ def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> An
 
 
 def parse(data: bytes) -> Any:
-    """Return the bytes of a possible ONNX model, unchecked.
+    """Return the ONNX model in these bytes, with unchecked content.
 
     Raises:
         UntrustedModelError: The bytes are no model.
@@ -117,15 +119,16 @@ def parse(data: bytes) -> Any:
     model = onnx.ModelProto()
     try:
         model.ParseFromString(data)
-    except Exception:  # an exception class of protobuf's, which has several
+    # protobuf has several exception classes.
+    except Exception:
         raise UntrustedModelError("malformed", "is not an ONNX model") from None
     return model
 
 
 def reductions_over_rows(graph: Any) -> list[str]:
-    """Return the operators that reduce or pick along the first axis, which is that of the rows.
+    """Return the operators that reduce or pick along the first axis, the rows, in sorted order.
 
-    The axis of a transposed value may be another one: `mixes_rows` says whether it matters.
+    After a transposition the first axis may be another one; `mixes_rows` tests that.
     """
     import onnx
 
@@ -150,10 +153,10 @@ def mixes_rows(
     widths: Sequence[int],
     has_first: bool,
 ) -> bool:
-    """Return whether a row of answers depends on other rows than its own.
+    """Return whether a row of outputs depends on other rows of the inputs.
 
-    A row is held bit by bit against itself in other company, at the same place of a batch of the
-    same size; and, within rounding, against itself alone.
+    Each row's output is compared with its output among other random rows, bit by bit, and with its
+    output in a batch of one, within rounding.
 
     Args:
         answer: Maps inputs, the observations [N, O] and perhaps carry [N, H] and first [N], to
@@ -183,7 +186,7 @@ def mixes_rows(
 
 
 def mixing_error(reducing: Sequence[str]) -> UntrustedModelError:
-    """Return the refusal of a model whose rows are not apart."""
+    """Return the error for a model whose rows depend on each other; `reducing` names operators."""
     names = f" ({', '.join(reducing)} over axis 0)" if reducing else ""
     return UntrustedModelError(
         "operator_not_allowed",
@@ -196,9 +199,9 @@ class OnnxEgo:
     """A callable from observations [B, O] to actions [B, A].
 
     The model's first input is the observations and its first output the actions. A recurrent model
-    has two or three inputs: observations, carry [B, H] and, if it wants to be told, a bool [B] that
-    is true on an episode's first step; its second output is the next carry. This is what
-    `assistax-zoo export --format onnx` writes.
+    has two or three inputs: observations, carry [B, H] and optionally a bool [B] that is true on an
+    episode's first step. Its second output is the next carry. `assistax-zoo export --format onnx`
+    writes this form.
     """
 
     def __init__(self, data: bytes, onnxruntime: Any, reducing: Sequence[str] = ()) -> None:
@@ -208,7 +211,7 @@ class OnnxEgo:
         self._session = onnxruntime.InferenceSession(
             data, options, providers=["CPUExecutionProvider"]
         )
-        # What `assistax-zoo export` says of the policy, as JSON.
+        # JSON text of `assistax-zoo export` about the policy, or None.
         self.metadata = self._session.get_modelmeta().custom_metadata_map.get("assistax")
         self._inputs, self._outputs = self._session.get_inputs(), self._session.get_outputs()
         self.recurrent = len(self._inputs) > 1  # whether it carries a state from step to step
@@ -255,7 +258,7 @@ class OnnxEgo:
 
 
 def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None:
-    """Refuse what is not a plain network in one file."""
+    """Raise an `UntrustedModelError` if a model is not a plain network in one file."""
     graph, tensors = model.graph, list(model.graph.initializer)
     inner = {"functions of its own"} if model.functions or model.training_info else set()
     unknown = {"sparse weights"} if graph.sparse_initializer else set()
@@ -286,7 +289,7 @@ def _refuse_strangers(model: Any, operators: Collection[str], onnx: Any) -> None
 
 
 def _is_training(node: Any, graph: Any) -> bool:
-    """Return whether a node draws, or normalises by the batch that it meets."""
+    """Return whether a node is in training mode: random dropout, or statistics of the batch."""
     if node.op_type == "BatchNormalization":
         modes = [value.i for value in node.attribute if value.name == "training_mode"]
         return any(modes) or sum(map(bool, node.output)) > 1
@@ -297,7 +300,7 @@ def _is_training(node: Any, graph: Any) -> bool:
 
 
 def _constants(graph: Any) -> dict[str, Any]:
-    """Return a graph's own tensors by name."""
+    """Return the tensors that a graph stores, by name: initializers and constants."""
     constants = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:
         if node.op_type == "Constant":

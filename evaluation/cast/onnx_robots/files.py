@@ -1,7 +1,7 @@
-"""The files that an ONNX model is in: itself, and perhaps its weights in another one beside it.
+"""Files of an ONNX model: the model, and perhaps its weights in a second file beside it.
 
-PyTorch writes weights apart by default. They are put into the model before anything else reads it:
-from then on a model is one string of bytes.
+PyTorch writes weights to a second file by default. They are merged into the model before anything
+else reads it, so a model is one string of bytes from then on.
 """
 
 import hashlib
@@ -19,14 +19,15 @@ from evaluation.cast.onnx_robots.ego import (
 )
 from evaluation.record.manifest import check_regular
 
-Files = tuple[tuple[Path, str], ...]  # each with the sha256 of what was read
+Files = tuple[tuple[Path, str], ...]  # paths with the sha256 of the bytes that were read
 
 
 def read_model(path: Path) -> tuple[bytes, Files]:
-    """Return a model's bytes, all weights among them, and the files that these were in.
+    """Return a model's bytes with all weights merged in, and the files that were read.
 
     Raises:
-        UntrustedModelError: It is no model, or its weights are not in one regular file beside it.
+        UntrustedModelError: The file is no model, or its weights are not in one regular file
+            beside it.
         ValueError: There is no such file, or it is too large.
         ImportError: The package onnx is not installed.
     """
@@ -57,18 +58,19 @@ def read_model(path: Path) -> tuple[bytes, Files]:
 
 
 def read_claims(data: bytes) -> Mapping[str, Any]:
-    """Return the claims in a model's JSON metadata; empty if it is no object."""
+    """Return the claims in a model's JSON metadata; empty if the JSON is not an object."""
     try:
         content = parse_json(read_metadata(data) or "{}")
-    except (ValueError, RecursionError):  # of others, in a form of their own
+    except (ValueError, RecursionError):
+        # Another exporter's metadata.
         content = None
     return content if isinstance(content, dict) else {}
 
 
 def _read_beside(path: Path, name: str) -> tuple[Path, bytes]:
-    """Return the file of weights that a model names, and its bytes; it must lie beside the model.
+    """Return the path and bytes of the weights file that a model names, directly beside it.
 
-    A link or a folder in its name could lead to any file of the reader.
+    Links and folders in the name are refused: they could lead to any file on this machine.
     """
     if not name or "\\" in name or Path(name).name != name:
         raise UntrustedModelError(
@@ -88,7 +90,7 @@ def _read_beside(path: Path, name: str) -> tuple[Path, bytes]:
 
 
 def _range(place: Mapping[str, str], size: int) -> tuple[int, int]:
-    """Return where a tensor begins and ends in a file of weights."""
+    """Return the first byte and the end of a tensor in a file of weights."""
     try:
         begin = int(place.get("offset", 0))
         end = begin + int(place.get("length", size - begin))

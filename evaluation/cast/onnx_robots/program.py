@@ -1,8 +1,8 @@
-"""An ONNX graph as a JAX function: what `admission` let through, played as partners are.
+"""An ONNX graph that `admission` accepted, as a JAX function that is played like a partner.
 
-The graph is run row by row (`jax.vmap` over rows of one observation each), so that no row can see
-another. Weights are parameters and may be stacked; the graph is hashable, so that robots of one
-graph share a compiled program. Semantics: https://onnx.ai/onnx/operators/
+The graph runs row by row (`jax.vmap` over rows of one observation each), so rows cannot influence
+each other. Weights are parameters and may be stacked. The graph is hashable, so robots of one graph
+share a compiled program. Semantics: https://onnx.ai/onnx/operators/
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ Value = Any  # a JAX array, or a tuple of ints: shapes and indices are never com
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """One operator with its inputs ("" where one is left out) and outputs, by name."""
+    """One operator with the names of its inputs ("" for an omitted one) and outputs."""
 
     operator: str
     inputs: tuple[str, ...]
@@ -34,7 +34,7 @@ class Node:
 class OnnxProgram(SeatSizes):
     """A graph without its weights."""
 
-    carry_size: int  # 0 of a robot without memory
+    carry_size: int  # 0 if the robot has no memory
     inputs: tuple[str, ...]  # obs, then carry, then first
     outputs: tuple[str, ...]  # action, then the next carry
     weights: tuple[str, ...]  # names in the graph of parameters "w0", "w1", ...
@@ -42,18 +42,18 @@ class OnnxProgram(SeatSizes):
     nodes: tuple[Node, ...]
 
     def player(self) -> "OnnxPolicy":
-        """Return what plays this graph."""
+        """Return the policy that plays this graph."""
         return OnnxPolicy(self)
 
 
 class OnnxPolicy:
-    """Plays a graph."""
+    """Policy that runs a graph."""
 
     def __init__(self, program: OnnxProgram) -> None:
         self._program = program
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
-        """Return the memory before the first observation."""
+        """Return the carry before the first observation: zeros [..., H], or ()."""
         size = self._program.carry_size
         return jnp.zeros((*batch_shape, size)) if size else ()
 
@@ -68,7 +68,7 @@ class OnnxPolicy:
         program = self._program
         inputs = [obs]
         if program.carry_size:
-            # The graph may reset its memory itself, where it is told; zero it where it is not.
+            # A graph without the input `first` cannot reset its memory itself.
             inputs.append(jnp.where(first[..., None], 0.0, carry))
         if len(program.inputs) == 3:
             inputs.append(first)
@@ -89,7 +89,7 @@ def run(
     inputs: list[Any],
     watch: Callable[[Node, list[Value], Value], None] | None = None,
 ) -> list[Any]:
-    """Run a graph once; `watch` is told each node with its inputs and outputs."""
+    """Run a graph once and return its outputs; `watch` is called with node, inputs, each output."""
     values: dict[str, Value] = dict(zip(program.inputs, inputs, strict=True))
     values |= {name: params[f"w{place}"] for place, name in enumerate(program.weights)}
     values |= dict(program.constants)
@@ -105,7 +105,7 @@ def run(
 
 
 def _simple(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return an operator without attributes."""
+    """Return an operator that ignores attributes and calls `function` on its inputs."""
     return lambda attributes, *inputs: function(*inputs)
 
 
@@ -182,7 +182,7 @@ def _layer_norm(attributes: Attributes, x: Any, scale: Any, bias: Any = None) ->
 def _batch_norm(
     attributes: Attributes, x: Any, scale: Any, bias: Any, mean: Any, variance: Any
 ) -> Any:
-    """Normalise by the statistics of training; statistics of a batch are refused before."""
+    """Normalise by the stored statistics. Graphs that use a batch's statistics are refused."""
     channels = (1, -1, *(1,) * (x.ndim - 2))
     scale, bias, mean, variance = (
         value.reshape(channels) for value in (scale, bias, mean, variance)
