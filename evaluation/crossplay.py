@@ -11,12 +11,12 @@ from evaluation.cast.cast import Cast, choose_partners, in_release, release_in
 from evaluation.cast.roster import registry_roster
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.figures.summary import CrossPlaySummary
-from evaluation.play.evaluator import check_folder, make_way, run_job
+from evaluation.play.evaluator import check_folder, clear_results, run_job
 from evaluation.play.how import How
 from evaluation.play.progress import OnProgress
 from evaluation.play.runner import share_cores
 from evaluation.play.shares import run_blocks_on_ray
-from evaluation.play.study import context_of, make_job, seal, still_of
+from evaluation.play.study import context_of, locked_if_current, make_job, seal
 from evaluation.record import tables
 from evaluation.record.record import Record
 from zoo.ids import PERSONS
@@ -86,14 +86,14 @@ def cross_play(
     env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     options: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
-        make_way(env, job, folder)
+        clear_results(env, job, folder)
     if cluster is not None:
         make_env = partial(type(env), how.task, env.backend, version=cast.version)
         run_blocks_on_ray(make_env, job, folder, cluster, **options)
     result = run_job(env, job, folder, **options)
     releases = ", ".join(cast.releases)
     context = context_of(job, result, split=cast.split, release=releases, lock=cast.lock)
-    with still_of(job, folder):
+    with locked_if_current(job, folder):
         summary = save_crossplay(Record(result.table, folder), context, cast.met)
         _draw(folder, summary)
         seal(folder, cast)

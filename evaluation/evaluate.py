@@ -11,13 +11,13 @@ from evaluation.figures.normalised import bounds_table
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
 from evaluation.play.baselines import play_references
-from evaluation.play.evaluator import check_folder, make_way, run_job
+from evaluation.play.evaluator import check_folder, clear_results, run_job
 from evaluation.play.how import How
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
 from evaluation.play.robot_checks import check_distinct, describe_robots, robot_notes
 from evaluation.play.runner import share_cores
-from evaluation.play.study import context_of, make_job, read_best_responses, seal, still_of
+from evaluation.play.study import context_of, locked_if_current, make_job, read_best_responses, seal
 from evaluation.record import tables
 from evaluation.record.record import Record
 from zoo.locations import CACHE_VARIABLE
@@ -109,7 +109,7 @@ def evaluate(
     pairs = None if crossplay is None else read_best_responses(crossplay, job)
     playing: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
-        make_way(env, job, folder)
+        clear_results(env, job, folder)
     result = run_job(env, job, folder, reuse=reuse, **playing)
     baselines, files = None, _crossplay_files(crossplay)
     if references is not None:
@@ -119,7 +119,7 @@ def evaluate(
     about = describe_robots(folder, cast.robots, env.observation_size["robot"])
     saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
     saving["notes"] = robot_notes(about, cast.robots)
-    with still_of(job, folder):
+    with locked_if_current(job, folder):
         record = Record(result.table, folder)
         summary = save_evaluation(record, context, met=cast.met, **saving)
         seal(folder, cast, files, about)

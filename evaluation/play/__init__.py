@@ -1,1 +1,1 @@
-"""Playing: the job, its tiles, the rollout, the runner."""
+"""Simulation of a study: the job, its tiles, the rollout, the runner."""

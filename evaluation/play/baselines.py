@@ -1,8 +1,8 @@
-"""What to read returns beside: zero and random actions, the script, each partner's own robot.
+"""Reference policies for comparison: zero and random actions, the script, partners' own robots.
 
-And a human that does nothing: what a robot earns with it, it earns without coordination. Episodes
-are kept by the hash of their job and played once: only those of the policies under evaluation with
-the passive human depend on these.
+A passive human shows the return that a robot earns without coordination. Episodes are cached by the
+hash of their job and played once. Only those of the evaluated robots with the passive human depend
+on the evaluated robots.
 """
 
 import dataclasses
@@ -27,11 +27,11 @@ from evaluation.record import tables
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 
-_VERSION = "1"  # of what zero and random do; part of their digests
+_VERSION = "1"  # of the zero and the random policy; part of their digests
 
 
 def reference_roster(observation_size: int, action_size: int) -> Roster:
-    """Return the two egos that look at nothing, for a robot of these sizes."""
+    """Return the roster of the zero and the random robot, for these sizes."""
     spec = ReferenceSpec("robot", observation_size, action_size)
     amplitude = np.array([0, 1], np.float32)
     members = {name: Member(name, f"{name}-{_VERSION}") for name in (ZERO, RANDOM)}
@@ -39,7 +39,11 @@ def reference_roster(observation_size: int, action_size: int) -> Roster:
 
 
 def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> list[Job]:
-    """Return what `play_references` plays."""
+    """Return the jobs of all references to `job`, of which some exist only with a script or `own`.
+
+    They are zero, random and scripted robots with the job's partners; `own` self-play pairs; and
+    the script and the job's robots with the passive human.
+    """
     sizes = _sizes(env, "robot")
     scripts = [_script(job, sizes)] if job.task in SCRIPTS else []
     robots = joined(reference_roster(*sizes), *scripts)
@@ -47,7 +51,7 @@ def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> lis
     if own:
         jobs.append(reference_job(env, job, SELF_PLAY, own))
     if scripts:
-        # Drawn actions are the policies' own; nothing is drawn of a script's.
+        # If actions are drawn, the script plays a job of its own, without drawing.
         alone = [*scripts, job.egos] if job.stochastic else [joined(job.egos, *scripts)]
         human = passive_roster(*_sizes(env, "human"))
         jobs += [
@@ -78,7 +82,7 @@ def reference_job(env: Any, job: Job, name: str, own: tuple[Roster, Roster] | No
 
 
 def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
-    """Return the scripted robot of a task, whose digest is the hash of its code."""
+    """Return the scripted robot of a task and version; its digest is the hash of its code."""
     spec = ScriptSpec("robot", observation_size, action_size, task=task)
     modules = inspect.getmodule(SCRIPTS[task].play), chain
     digest = sha256("".join(map(inspect.getsource, filter(None, modules))).encode())
@@ -86,7 +90,7 @@ def script_roster(task: str, observation_size: int, action_size: int) -> Roster:
 
 
 def passive_roster(observation_size: int, action_size: int) -> Roster:
-    """Return a human without an impairment that does nothing."""
+    """Return a human without impairment whose actions are zero."""
     spec = ReferenceSpec("human", observation_size, action_size)
     return _single(spec, Member(PASSIVE, f"{PASSIVE}-{_VERSION}", disability="d1"))
 
@@ -101,7 +105,7 @@ def _sizes(env: Any, role: str) -> tuple[int, int]:
 
 
 def _single(spec: Seat, member: Member) -> Roster:
-    """Return the one policy of a spec, without an amplitude."""
+    """Return a roster of one policy, with amplitude 0."""
     params = {"amplitude": np.zeros(1, np.float32)}
     return Roster((PolicyStack(spec, (member.id,), params),), {member.id: member})
 
@@ -115,18 +119,18 @@ def play_references(
     max_envs: int | None = None,
     on_progress: OnProgress = None,
 ) -> tuple[pl.DataFrame, list[Path]]:
-    """Return the reference egos' episodes with a job's partners, and the files that keep them.
+    """Return the episodes of all `reference_jobs`, and the files that cache them.
 
-    A column `reference` says whose they are.
+    The table's column `reference` names the reference of each episode.
 
     Args:
         env: The environment.
-        job: The evaluation: its partners, episodes and seed are taken.
+        job: The evaluation, whose partners, episodes and seed are used.
         own: Robots beside their own humans, see `evaluation.cast.roster.paired_rosters`.
-        folder: Keeps a folder for each job, named by its hash; what is there and whole is not
+        folder: The cache, with a folder for each job, named by its hash. Undamaged jobs are not
             played again.
         max_envs: Most simulations at once.
-        on_progress: Told how far a run is.
+        on_progress: Called with the progress of a run.
     """
 
     def report(what: str, state: Progress) -> None:
@@ -146,9 +150,9 @@ def play_references(
 
 
 def with_names(played: pl.DataFrame) -> pl.DataFrame:
-    """Add the column `reference`: whose the episodes are.
+    """Return the table with the column `reference`: partner, ego or self-play by its policies.
 
-    Which actions of a robot from outside were clipped is told of its own episodes alone.
+    The column `clipped` is dropped, because it is reported for the evaluation's own episodes only.
     """
     names = (
         pl.when(pl.col("partner") == PASSIVE)

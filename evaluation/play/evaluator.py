@@ -1,10 +1,8 @@
-"""Run a job chunk by chunk into a folder.
+"""Run a job chunk by chunk into a folder. A stopped run can be continued.
 
-Resumable, and the table does not depend on how it was cut.
-
-The folder holds `manifest.json` (see `evaluation.record.manifest`), one Parquet part for each
-finished chunk (see `evaluation.play.parts`), and at the end `episodes.parquet` in their place. A
-damaged part is simulated again, and so is a finished table.
+The folder holds `manifest.json` (see `evaluation.record.manifest`) and one Parquet part for each
+finished chunk (see `evaluation.play.parts`). At the end `episodes.parquet` replaces the parts. Its
+content does not depend on the chunks. Damaged parts and tables are simulated again.
 """
 
 import dataclasses
@@ -48,7 +46,7 @@ class Evaluation:
     """A finished job."""
 
     table: pl.DataFrame  # one row an episode, in the job's order of egos, partners and episodes
-    # Padding and compilation not counted; None where everything was found finished.
+    # Without padding and compilation; None if nothing had to be simulated.
     env_steps_per_second: float | None
     compile_seconds: float
 
@@ -64,28 +62,28 @@ def run_job(
     devices: Sequence[jax.Device] | None = None,
     on_progress: OnProgress = None,
 ) -> Evaluation:
-    """Evaluate every ego with every partner and write `episodes.parquet`.
+    """Play every ego with every partner, write `episodes.parquet`, and return the evaluation.
 
-    A folder of the same job is continued where it stopped, cut as it was begun; its table is that
-    of a single run.
+    A folder of the same job is continued with the chunks that it was begun with. Its table is equal
+    to that of a single run.
 
     Args:
         env: The environment.
-        job: What is evaluated.
-        folder: For the table.
-        max_envs: Most simulations in a chunk; if not given, that of `MAX_ENVS`, or fewer to have
-            one for each device.
-        reuse: Take what the folder holds though a robot is code whose dependencies nobody declared;
-            else it is refused.
-        kept: The folder is a cache's: wait for another process that writes to it, and begin anew
-            where it is damaged or of such a robot; else all three are refused.
-        devices: Where to simulate; see `evaluation.play.runner.devices_for` if not given.
-        on_progress: Told how far the run is.
+        job: The job to play.
+        folder: The folder for the table.
+        max_envs: Most simulations in a chunk. By default that of `MAX_ENVS`, or fewer to have one
+            chunk for each device.
+        reuse: Accept existing episodes of a robot of code with undeclared dependencies, which
+            may have changed.
+        kept: Whether the folder is a cache's. If so, wait for another process that writes to it,
+            and start again if it is damaged or of such a robot; else refuse all three.
+        devices: Devices to simulate on; by default `evaluation.play.runner.devices_for`.
+        on_progress: Called with the progress of the run.
 
     Raises:
-        ValueError: the folder holds another job, or one of a robot that may have changed, or a
-            policy reads other observations than the task gives.
-        EgoError: a robot from outside failed; finished chunks are kept.
+        ValueError: The folder holds another job, or one of a robot that may have changed, or a
+            policy does not fit the task.
+        EgoError: A robot from outside failed; finished chunks are kept.
     """
     check_sizes(env, job)
     check_folder(folder)
@@ -94,7 +92,7 @@ def run_job(
         max_envs = min(share, MAX_ENVS[job.backend])
     with locked(folder, wait=kept):
         if kept and not (job.reusable and provenance.is_readable(folder)):
-            forget(folder)
+            delete_results(folder)
         if kept:
             _check_kept(folder, job)
         _check_reusable(folder, job, reuse)
@@ -102,14 +100,14 @@ def run_job(
 
 
 def check_sizes(env: Any, job: Job) -> None:
-    """Refuse policies whose seat, observations or actions are not this task's."""
+    """Raise a ValueError if a policy does not fit the role, observations or actions of its seat."""
     for role, roster in (("robot", job.egos), ("human", job.partners)):
         for stack in roster.policies:
             check_seat(stack.ids[0], stack.spec, role, env, job.task)
 
 
 def check_folder(folder: Path, advice: str = "choose another folder") -> None:
-    """Create a folder, and find out now, not after the run, that it cannot be written."""
+    """Create a folder, and raise an OSError before a run if it cannot be written."""
     probe = folder / f".writable-{uuid.uuid4().hex[:8]}"
     try:
         if folder.exists() and not folder.is_dir():
@@ -121,26 +119,30 @@ def check_folder(folder: Path, advice: str = "choose another folder") -> None:
         raise OSError(f"cannot write to {folder} ({error.strerror or error}); {advice}") from error
 
 
-def make_way(env: Any, job: Job, folder: Path) -> None:
-    """Remove whatever job a folder holds, and all that was drawn from it, for one that can be run.
+def clear_results(env: Any, job: Job, folder: Path) -> None:
+    """Remove a folder's job and its results, after checking that `job` can replace it.
 
     Raises:
-        ValueError: a policy is not this task's, or another process writes to the folder.
+        ValueError: A policy does not fit the task, or another process writes to the folder.
     """
     check_sizes(env, job)
     with locked(folder):
-        forget(folder)
+        delete_results(folder)
 
 
-def forget(folder: Path) -> None:
-    """Remove what a folder holds of a job, and all that was drawn from it; other files stay."""
+def delete_results(folder: Path) -> None:
+    """Remove a folder's parts, tables, figures and manifest; files of other names stay."""
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
     for name in (*tables.FILES, MANIFEST_FILE):
         (folder / name).unlink(missing_ok=True)
 
 
 def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
-    """Begin or continue the folder's job; return its plan, cut as it was begun."""
+    """Start or continue a folder's job; return its chunks, cut as when the folder was started.
+
+    Raises:
+        ValueError: The folder holds another job, or tables without a manifest.
+    """
     manifest = provenance.read_manifest(folder)
     if manifest is None:
         if (folder / tables.EPISODES_FILE).exists():
@@ -168,12 +170,12 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
 
 
 def plan_of(job: Job, manifest: Mapping[str, Any]) -> list[Chunk]:
-    """Return a job's plan as it was cut where its folder was begun: a GPU's tiles are larger."""
+    """Return a job's chunks with the sizes in its manifest, which another machine may have set."""
     return plan(job, int(manifest["max_envs"]), int(manifest["tile_envs"]))
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether the folder's table is there, with the hash that its manifest holds."""
+    """Return whether the folder has a table of episodes with the hash in its manifest."""
     return provenance.has_whole(folder, tables.EPISODES_FILE)
 
 
@@ -185,25 +187,26 @@ def simulate(
     devices: Sequence[jax.Device] | None = None,
     on_progress: OnProgress = None,
 ) -> tuple[float | None, float]:
-    """Run chunks, leaving each one's part.
+    """Simulate chunks and write a part for each.
 
-    Return env steps per second and compilation's seconds.
+    Return environment steps per second (None without chunks) and the seconds of compilation.
     """
     meter = Meter(sum(chunk.rows for chunk in chunks) * env.episode_length, on_progress)
     meter.report()
     runner = Runner(env, job, devices)
-    said = label(job.digest())
+    metadata = label(job.digest())
 
     def save(chunk: Chunk, rows: pl.DataFrame) -> None:
-        note_files(folder, job.egos)  # before: a part is of robots that did not change
-        write_part(rows, folder, chunk, said)
+        # Checked first, so that no part is of a robot that changed.
+        note_files(folder, job.egos)
+        write_part(rows, folder, chunk, metadata)
 
     runner.run(chunks, save, meter)
     return meter.speed, runner.compile_seconds
 
 
 def in_order(table: pl.DataFrame, job: Job) -> pl.DataFrame:
-    """Sort by the job's order, so that neither chunks nor resuming show."""
+    """Return the table in the job's order of egos, partners and episodes, whatever its chunks."""
     for seat, roster in (("ego", job.egos), ("partner", job.partners)):
         rank = pl.Series(range(len(roster.ids)), dtype=pl.Int64)
         rows = pl.col(seat).replace_strict(list(roster.ids), rank)
@@ -227,19 +230,21 @@ def _run_and_merge(
         parts = [path for chunk in chunks if (path := find_part(folder, chunk, key))]
         merged, machine = merge_parts(parts)
         tables.write_episodes(in_order(merged, job), target)
-        tables.remove_derived(folder)  # of what was there before
+        # Tables and figures of earlier episodes.
+        tables.remove_derived(folder)
         provenance.seal(folder, made_with=machine)
     shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
     return Evaluation(tables.read_episodes(target), speed, compile_seconds)
 
 
 def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
-    """Refuse episodes of a robot of this name that may since be another one."""
+    """Raise a ValueError if a folder's episodes are of a robot that may have changed since."""
     began = (folder / tables.EPISODES_FILE).exists() or has_parts(folder)
     if reuse or not began:
         return
     if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
-        return  # another job, which is refused as such
+        # Another job is refused later, with a message of its own.
+        return
     choices = "take them as they are (reuse), replace them (replace), or choose another folder"
     if changed := changed_file(folder):
         robot, path = changed
@@ -257,9 +262,9 @@ def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
 
 
 def _check_kept(folder: Path, job: Job) -> None:
-    """Refuse a cache's folder that holds another job than its name says."""
-    there = (provenance.read_manifest(folder) or {}).get("job", job.digest())
-    if there != job.digest():
+    """Raise a ValueError if a cache's folder holds another job than its name says."""
+    stored = (provenance.read_manifest(folder) or {}).get("job", job.digest())
+    if stored != job.digest():
         raise ValueError(
             f"the kept episodes in {folder} are of another job; remove that folder, and they are "
             "played again"

@@ -1,4 +1,4 @@
-"""The job of an evaluation, as data. `evaluation.play.tiles` cuts it."""
+"""The job of an evaluation, as data; `evaluation.play.tiles` cuts it into tiles."""
 
 import dataclasses
 import hashlib
@@ -13,9 +13,9 @@ from evaluation.cast.roster import Member, Roster
 from evaluation.play.how import check_numbers
 from evaluation.record.manifest import identity_digest
 
-# Goes up when the same job would give other tables. 2: columns of behaviour. 3: tiles, by which
-# values differ in the last bit. 4: disability settings by value, and the engine. 5: policies of
-# several networks in one tile. 6: the intervals of partners' means are of new starts too.
+# Raise it if the same job would give other tables. 2: columns of behaviour. 3: tiles, which change
+# the last bit of values. 4: disability settings by value, and the engine. 5: policies of several
+# networks in one tile. 6: intervals of partners' means include new starts.
 EVALUATOR_VERSION = 6
 TOLD_PARTNER = "told-partner"  # the engine's condition: robots observe their person's numbers
 
@@ -30,13 +30,13 @@ class Job:
     egos: Roster
     partners: Roster
     episodes: int  # K, of each pair
-    seed: int = 0  # of the episode seeds
+    seed: int = 0  # from which episode seeds are made
     stochastic: bool = False  # whether actions are drawn; else each policy's mode
     # Partner id -> "train" or "test".
     sides: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    paired: bool = False  # ego i of stack g with partner i of stack g, and no other
-    series: int = 1  # episodes in which a robot remembers a partner, one after the other
-    own_episodes: bool = False  # each partner's are its own, not those of all: see `seeds`
+    paired: bool = False  # ego i of stack g plays only with partner i of stack g
+    series: int = 1  # number of consecutive episodes in which a robot remembers its partner
+    own_episodes: bool = False  # whether each partner has its own episode seeds, see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
     scene: str | None = None  # sha256 of the task's scene; None of an environment from outside
     # Of the gentle tasks: what the partners like, in turns, see `preferences_of`; empty where it is
@@ -89,15 +89,15 @@ class Job:
 
     @property
     def reusable(self) -> bool:
-        """Whether the identity covers all that the table depends on.
-
-        A finished one is the answer.
-        """
+        """Whether the identity covers all that the table depends on, so that tables are reusable."""
         return all(self.egos.members[name].reusable for name in self.egos.ids)
 
     def identity(self) -> dict[str, Any]:
-        """Return what decides the values of the episode table, JSON-ready."""
-        optional = {  # only where used
+        """Return all that decides the values of the episode table, ready for JSON.
+
+        Unused optional fields are omitted, so older digests stay valid.
+        """
+        optional = {
             "preferences": list(self.preferences),
             "side_preferences": {
                 side: list(names) for side, names in self.side_preferences.items()
@@ -115,11 +115,18 @@ class Job:
             "seed": self.seed,
             "stochastic": self.stochastic,
             "paired": self.paired,
-            "apart": self.own_episodes,  # as folders of all versions call it
+            # The name in the folders of all versions.
+            "apart": self.own_episodes,
             "egos": [[name, self.egos.members[name].digest] for name in self.egos.ids],
             "partners": [
-                [who.id, who.disability, self.sides.get(who.id), who.digest, _setting(who)]
-                for who in self.partners.describe(self.partners.ids)
+                [
+                    human.id,
+                    human.disability,
+                    self.sides.get(human.id),
+                    human.digest,
+                    _setting(human),
+                ]
+                for human in self.partners.describe(self.partners.ids)
             ],
             "software": {name: importlib.metadata.version(name) for name in ("jax", "mujoco")},
         }
@@ -129,11 +136,11 @@ class Job:
         return identity_digest(self.identity())
 
     def seeds(self, partners: Sequence[str], episodes: Sequence[int]) -> Int[np.ndarray, "*P K"]:
-        """Return the seeds of episodes, [K] for all partners, or [P, K] where each has its own.
+        """Return the seeds of episodes: [K] common to all partners, or [P, K] if each has its own.
 
-        With its own, a partner's luck is its own too: a mean over partners then varies as little as
-        that of as many independent episodes, and partners that are resampled bring their starts
-        along. All egos meet a partner in the same episodes. In series they are in the order of
+        With own seeds, the starts of different partners are independent. A mean over partners then
+        varies as little as one of independent episodes, and resampled partners bring their starts
+        along. All egos meet a partner in the same episodes. In series, seeds are in the order of
         play.
         """
         if self.own_episodes:
@@ -146,13 +153,13 @@ class Job:
         return np.take_along_axis(np.broadcast_to(seeds, order.shape), order, axis=1)
 
     def order(self, partners: Sequence[str], episodes: int) -> Int[np.ndarray, "P K"]:
-        """Return which of whole series of episodes is played in each place, [P, K].
+        """Return the index of the episode that is played at each place, [P, K], in whole series.
 
-        Another partner begins its series with another episode: over partners each place is played
-        from every start, and a return that grows from place to place is not the starts' luck.
+        Partners begin their series with different episodes, so each place is played from every
+        start. A return that grows from place to place is then not an effect of the starts.
         """
         place = np.arange(episodes)
-        first = np.array([_number(name) for name in partners])[:, None]
+        first = np.array([_stable_hash(name) for name in partners])[:, None]
         return place // self.series * self.series + (place + first) % self.series
 
     def preferences_of(
@@ -160,22 +167,22 @@ class Job:
     ) -> Shaped[np.ndarray, "P K"]:
         """Return the names of the preferences under which partners play episodes, [P, K].
 
-        The preferences take turns over a partner's episodes, as in a Latin square: another partner
-        begins with another, which its id decides. So every start is played under several, few
-        episodes of many partners have all of them equally often, and no partner's depend on who
-        else plays. Within a series a partner is one person, and likes one thing.
+        The preferences take turns over a partner's episodes, as in a Latin square. A partner's id
+        decides its first one. So every start is played under several preferences, all preferences
+        are about equally frequent, and a partner's do not depend on the other partners. Within a
+        series a partner keeps its preference.
         """
         rows = []
         for name in partners:
             names = self.side_preferences.get(self.sides.get(name, ""), self.preferences)
-            turns = [_number(name) + episode // self.series for episode in episodes]
+            turns = [_stable_hash(name) + episode // self.series for episode in episodes]
             rows.append([names[turn % len(names)] for turn in turns])
         return np.array(rows)
 
     def with_side_preferences(self, preferences: Mapping[str, tuple[str, ...]]) -> "Job":
         """Return the job with each partner under the preferences of its side of a split.
 
-        Who is on no side, as the passive human, plays under those of all sides that play.
+        A partner on no side, such as the passive human, plays under those of all sides that play.
         """
         played = {side: preferences[side] for side in sorted(set(self.sides.values()))}
         names = tuple(sorted({name for side in played.values() for name in side}))
@@ -199,20 +206,20 @@ def brings_wishes(humans: Roster) -> bool:
 
 
 def episode_seeds(seed: int, episodes: Iterable[int], partner: str | None = None) -> list[int]:
-    """Return the seeds of episodes k, independent of how many there are: more extend fewer.
+    """Return one seed for each episode number, for one partner, or common to all if it is None.
 
-    They are a partner's own, or common to all where none is named.
+    A seed depends on its episode's number only, so a longer run begins with a shorter run's seeds.
     """
-    own = [] if partner is None else [_number(partner)]
-    sequences = (np.random.SeedSequence([seed, k, *own]) for k in episodes)
+    entropy = [] if partner is None else [_stable_hash(partner)]
+    sequences = (np.random.SeedSequence([seed, k, *entropy]) for k in episodes)
     return [int(sequence.generate_state(1)[0]) for sequence in sequences]
 
 
-def _number(partner: str) -> int:
-    """Return a number of a partner's own, whoever else plays."""
+def _stable_hash(partner: str) -> int:
+    """Return a 32-bit hash of a partner's id, the same in every process."""
     return int.from_bytes(hashlib.sha256(partner.encode()).digest()[:4])
 
 
 def _setting(member: Member) -> list[float] | None:
-    """Return the numbers of a partner's disability setting, where they came with it."""
+    """Return the numbers of a member's disability setting, or None if it has only a name."""
     return None if member.setting is None else list(dataclasses.astuple(member.setting))

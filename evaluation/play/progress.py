@@ -1,4 +1,4 @@
-"""How far a run is, counted over all devices."""
+"""Progress of a run, counted over all devices."""
 
 import dataclasses
 import threading
@@ -9,19 +9,19 @@ import jax
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a run is, in environment steps of this process."""
+    """Progress of a run, in environment steps of this process."""
 
     done: int
     total: int
-    seconds: float  # spent in the environment and the networks, compilation not counted
-    what: str = "policies"  # whose episodes these are
+    seconds: float  # spent in the environment and the networks, without compilation
+    what: str = "policies"  # name of the policies that play, for messages
 
 
-OnProgress = Callable[[Progress], None] | None  # told how far a run is
+OnProgress = Callable[[Progress], None] | None  # called with the progress of a run
 
 
 class Meter:
-    """Counts what all devices have done, and tells the caller."""
+    """Counter of the steps of all devices that reports progress to the caller."""
 
     def __init__(self, total: int, on_progress: OnProgress = None) -> None:
         self._total, self._on_progress = total, on_progress
@@ -35,12 +35,12 @@ class Meter:
         return self._done / self._longest() if self._done else None
 
     def report(self) -> None:
-        """Tell the caller how far the run is."""
+        """Call `on_progress` with the current progress, if there is such a function."""
         if self._on_progress is not None:
             self._on_progress(Progress(self._done, self._total, self._longest()))
 
     def add(self, device: jax.Device, steps: int, seconds: float) -> None:
-        """Count steps that a device has just done."""
+        """Count steps of a device and their seconds; raise if the run was stopped."""
         with self._lock:
             if self._stopped:
                 raise _StoppedError
@@ -49,7 +49,7 @@ class Meter:
             self.report()
 
     def stop(self) -> None:
-        """Make every device stop when it next has something to count."""
+        """Make every device stop at its next call of `add`."""
         self._stopped = True
 
     def _longest(self) -> float:

@@ -1,8 +1,8 @@
 """Checks of robots from outside: unchanged files, and the dependence of their answers.
 
-A robot of code may load more files as it plays, and may answer by chance, by earlier calls or by
-other episodes. All of that is allowed. It stands in the manifest under `robots`, from which a
-summary's notes are drawn.
+A robot of code may load more files as it plays. Its answers may depend on chance, on earlier calls
+or on other episodes. All of that is allowed and recorded in the manifest under `robots`, from which
+a summary's notes are made.
 """
 
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, flatten
 from population.networks.tensors import row_sha256
 
-ROWS, STEPS = 4, 2  # of the made-up observations
-TOLERANCE = 1e-3  # of actions: rows of a batch are rounded differently
+ROWS, STEPS = 4, 2  # size of the random observations
+TOLERANCE = 1e-3  # for actions: rows of a batch are rounded differently
 NOTES = {
     "calls": "answers the same observations differently after a reset, by chance or by what it saw "
     "before: another run gives other figures",
@@ -35,10 +35,10 @@ NOTES = {
 
 
 def check_distinct(egos: Roster) -> None:
-    """Refuse one robot under several names: seeds of a method are different robots.
+    """Check that all robots differ, because seeds of a method are different robots.
 
     Raises:
-        ValueError: Names both.
+        ValueError: Two ids are the same robot.
     """
     graphs = any(isinstance(stack.spec, OnnxProgram) for stack in egos.policies)
     seen: dict[Any, str] = {}
@@ -60,21 +60,25 @@ def _network(stack: PolicyStack, row: int) -> list[Any]:
 
 
 def _exported(spec: PolicySpec, params: Mapping[str, Any]) -> list[Any]:
-    """Return program and weights of a network's export, as ONNX files are read."""
-    from population.networks.onnx_export import to_onnx  # loads Flax
+    """Return the key of a network's ONNX export (program, weights' sha256), or [] without export.
+
+    A network and its exported file are the same robot.
+    """
+    # Imported here because it loads Flax.
+    from population.networks.onnx_export import to_onnx
 
     try:
         program, weights = read_program(to_onnx(spec, params))
-    except ValueError:  # no file could be of it
+    except ValueError:
         return []
     return [(program, row_sha256(flatten(weights)))]
 
 
 def check_files(egos: Roster) -> dict[str, dict[str, str]]:
-    """Return the files of code that robots loaded beside those of their digests, by robot.
+    """Return the code files that robots loaded late, outside their digests: path to sha256, by id.
 
     Raises:
-        EgoError: A robot's file is not what it was when the robot was made.
+        EgoError: A robot's file changed after the robot was made.
     """
     loaded: dict[str, dict[str, str]] = {}
     for ego in egos.hosts:
@@ -100,14 +104,14 @@ def note_files(folder: Path, egos: Roster) -> None:
     if not (loaded := check_files(egos)):
         return
     manifest = read_manifest(folder) or {}
-    said = manifest.get("robots", {})
-    both = {**said, "loaded": {**said.get("loaded", {}), **loaded}}
-    if both != said:
-        write_manifest(folder, {**manifest, "robots": both})
+    recorded = manifest.get("robots", {})
+    updated = {**recorded, "loaded": {**recorded.get("loaded", {}), **loaded}}
+    if updated != recorded:
+        write_manifest(folder, {**manifest, "robots": updated})
 
 
 def changed_file(folder: Path) -> tuple[str, str] | None:
-    """Return a robot and a file that it loaded as it played, if that file changed since."""
+    """Return the first robot and late-loaded file that changed since; None if all are the same."""
     loaded = (read_manifest(folder) or {}).get("robots", {}).get("loaded", {})
     for robot, files in loaded.items():
         for path, sha256 in files.items():
@@ -117,30 +121,30 @@ def changed_file(folder: Path) -> tuple[str, str] | None:
 
 
 def describe_robots(folder: Path, egos: Roster, observation_size: int) -> dict[str, Any]:
-    """Return a finished folder's notes on robots from outside; empty if all is well.
+    """Return the manifest's field `robots`: late-loaded files and answers that vary, if any.
 
     Raises:
         EgoError: A robot's file changed.
     """
-    said = (read_manifest(folder) or {}).get("robots", {})
-    about = {
-        "loaded": {**said.get("loaded", {}), **check_files(egos)},
+    recorded = (read_manifest(folder) or {}).get("robots", {})
+    findings = {
+        "loaded": {**recorded.get("loaded", {}), **check_files(egos)},
         "varies": varying(egos, observation_size),
     }
-    return {name: value for name, value in about.items() if value}
+    return {name: value for name, value in findings.items() if value}
 
 
 def varying(egos: Roster, observation_size: int) -> dict[str, str]:
-    """Return robots by id whose answers depend on more than their episode: a key of `NOTES`.
+    """Return a key of `NOTES` for each robot whose answers depend on more than their episode.
 
-    They are asked between two resets, so that nothing of it stays with them.
+    The test runs between two resets, so it leaves the robots' memory empty.
     """
     found = {ego.id: _varies(ego, observation_size) for ego in egos.hosts}
-    return {name: what for name, what in found.items() if what}
+    return {name: reason for name, reason in found.items() if reason}
 
 
 def robot_notes(about: Any, egos: Roster) -> list[str]:
-    """Return the notes of a summary from a manifest's content, which may be a stranger's."""
+    """Return a summary's notes on robots; `about` is the manifest's untrusted field `robots`."""
     parts = [about.get(name) if isinstance(about, dict) else None for name in ("varies", "loaded")]
     varies, loaded = (part if isinstance(part, dict) else {} for part in parts)
     notes = [f"{name} {NOTES[what]}" for name in egos.ids if (what := varies.get(name)) in NOTES]
@@ -155,7 +159,10 @@ def robot_notes(about: Any, egos: Roster) -> list[str]:
 
 
 def _varies(ego: HostEgo, observation_size: int) -> str | None:
-    """Play the same made-up rows alone and in other company, at other places."""
+    """Return the key of `NOTES` that holds for a robot's answers, or None if they do not vary.
+
+    The robot plays random rows twice, and again beside other rows at other places of the batch.
+    """
     rng = np.random.default_rng(0)
     shape = (2, STEPS, ROWS, observation_size)
     obs, company = rng.normal(size=shape).astype(np.float32)
@@ -172,7 +179,8 @@ def _varies(ego: HostEgo, observation_size: int) -> str | None:
         if not _same(first, again):
             return "calls"
         return None if _same(first[:, [0, 1]], beside[:, [3, 2]]) else "rows"
-    except (Exception, SystemExit, GeneratorExit):  # its code does not end a run
+    # A robot's code must not end a run.
+    except (Exception, SystemExit, GeneratorExit):
         return "unknown"
 
 

@@ -1,4 +1,4 @@
-"""The rows of a tile's episodes: who plays what, and what was measured."""
+"""Rows of the episode table for a tile: the planned columns and the measured columns."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,9 +16,10 @@ from population.play.tally import Tally
 
 
 def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
-    """Return what is known of a tile's real episodes before they are played.
+    """Return the columns of a tile's episodes that are known before they are played.
 
-    Who plays, which episode, from which start: ego by ego, partner by partner.
+    These are policies, side, episode, seed and, if used, preference and place in the series. Rows
+    are ordered ego by ego, partner by partner, without padding.
     """
     e, p, k = tile.played
     egos = _described("ego", job.egos, _ids(job.egos, tile.egos))
@@ -36,7 +37,7 @@ def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
     if job.series > 1:
         played = tile.episodes.start + job.order(partners["partner"].to_list(), k)
         order = {"episode": played, "place": 1 + np.arange(k) % job.series}
-        places = {name: np.broadcast_to(of, (e, p, k)).ravel() for name, of in order.items()}
+        places = {name: np.broadcast_to(row, (e, p, k)).ravel() for name, row in order.items()}
     if job.preferences:
         names = job.preferences_of(partners["partner"].to_list(), tile.episodes)
         preferences = {"preference": np.broadcast_to(names, (e, p, k)).ravel()}
@@ -44,7 +45,7 @@ def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
 
 
 def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFrame:
-    """Return the real episodes of a tile, as planned and with what was measured."""
+    """Return the rows of a tile's episodes with all measured columns, without padding."""
     e, p, k = tile.played
     clipped = {}
     if act is not None:
@@ -77,7 +78,7 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
 
 
 def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
-    """Return rows with columns of the table's types."""
+    """Return rows with columns added, cast to the types of the episode table."""
     return rows.with_columns(
         pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
         for name, value in columns.items()
@@ -85,7 +86,7 @@ def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
 
 
 def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:
-    """Return the columns of a seat, one row a policy."""
+    """Return the description of a seat's policies, one row a policy."""
     names = {
         seat: "id",
         **{f"{seat}_{name}": name for name in ("team", "algorithm", "disability", "seed")},

@@ -1,9 +1,9 @@
-"""Simulate chunks on the devices of this host, and lay what they gave out as rows.
+"""Simulate chunks on the devices of this host, and return their episodes as rows.
 
-Each device has a thread that takes the next chunk when it is done with one. Which device a chunk
-runs on does not show in its values: all run the same program. On a CPU one program leaves cores
-idle, since XLA computes small matrix products on one of them. So JAX is given several CPU devices
-before it starts, and each plays tiles of its own.
+Each device has a thread that takes the next chunk after finishing one. All devices run the same
+program, so a chunk's values do not depend on its device. On a CPU one program leaves cores idle,
+because XLA computes small matrix products on one core. So JAX gets several CPU devices before it
+starts, and each plays its own tiles.
 """
 
 import concurrent.futures
@@ -37,26 +37,27 @@ from population.play.tally import Tally
 from zoo.ids import parse_person
 
 MOST_DEVICES = 8  # each has a tile of up to 32,768 simulations in memory
-# With fewer, compiling the programs once more takes longer than it saves.
+# For fewer simulations, compiling the programs for another device takes longer than it saves.
 SIMULATIONS_OF_A_CORE = 8192
 
 
 def share_cores() -> None:
-    """Give JAX a CPU device for each core, unless it has started or was told how many."""
+    """Give JAX a CPU device for each core, unless it has started or has a configured number."""
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return
     if jax.config.values["jax_num_cpu_devices"] < 0:
-        with contextlib.suppress(RuntimeError):  # it has started
+        # JAX raises it if it has started.
+        with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", min(os.cpu_count() or 1, MOST_DEVICES))
 
 
 def devices_for(simulations: int) -> tuple[jax.Device, ...]:
-    """Return the devices that play so many simulations."""
+    """Return the devices to use for this number of simulations."""
     return own_devices(simulations // SIMULATIONS_OF_A_CORE)
 
 
 class Runner:
-    """Runs the chunks of one job, keeping what was compiled."""
+    """Runner of the chunks of one job that keeps compiled programs."""
 
     def __init__(
         self,
@@ -68,11 +69,11 @@ class Runner:
         """Prepare to run.
 
         Args:
-            env: the environment.
-            job: what is evaluated.
-            devices: where to run; see `devices_for` if not given. A robot from outside is called
-                by one only.
-            length: steps to play, if fewer than an episode's: for measuring speed.
+            env: The environment.
+            job: The job to play.
+            devices: Devices to run on; by default `devices_for`. If a robot is from outside, only
+                the first one is used.
+            length: Steps to play, if fewer than an episode's, for measuring speed.
         """
         self._env, self._job, self._length = env, job, length
         self._devices = tuple(devices or devices_for(job.rows))
@@ -83,7 +84,7 @@ class Runner:
 
     @property
     def compile_seconds(self) -> float:
-        """Seconds for which compilation was waited, on the device where it took longest."""
+        """Seconds spent waiting for compilation, on the device with the longest wait."""
         return max(
             (sum(r.compile_seconds[d] for r in self._rollouts.values()) for d in self._devices),
             default=0.0,
@@ -95,7 +96,7 @@ class Runner:
         save: Callable[[Chunk, pl.DataFrame], None],
         meter: Meter | None = None,
     ) -> None:
-        """Simulate chunks and `save` the rows of each, padding dropped, when it is done."""
+        """Simulate chunks, and call `save` with the rows of each finished chunk."""
         queue, meter = iter(chunks), meter or Meter(0)
         pool = concurrent.futures.ThreadPoolExecutor
         # In threads even for one device: see `assistax_envs.interrupts`.
@@ -127,7 +128,7 @@ class Runner:
         save: Callable[[Chunk, pl.DataFrame], None],
         meter: Meter,
     ) -> None:
-        """Run what is left in the queue, chunk by chunk, on one device."""
+        """Take chunks from the queue and run them on one device until the queue is empty."""
         while True:
             with self._lock:
                 chunk = next(queue, None)
@@ -136,7 +137,7 @@ class Runner:
             save(chunk, pl.concat([self._run_tile(device, tile, meter) for tile in chunk.tiles]))
 
     def _prepare(self, device: jax.Device, tile: Tile) -> None:
-        """Compile a tile's programs while others play; an error comes again when it is played."""
+        """Compile a tile's programs ahead; errors are ignored, and raised again by playing it."""
         rollout, block, _ = self._block(tile)
         rollout.prepare(*block, device)
 
@@ -160,7 +161,11 @@ class Runner:
 
     @own_settings()
     def _block(self, tile: Tile) -> tuple[Rollout, tuple[Any, ...], tuple[str, ...]]:
-        """Return what plays a tile, its parameters and seeds, and the ids of its partners."""
+        """Return a tile's rollout, the rollout's arguments, and the ids of the tile's partners.
+
+        The arguments are the robots' parameters, the humans' parameters, the humans [P] and the
+        seeds [K] or [P, K].
+        """
         job = self._job
         robots = [] if _host(job, tile) else _taken(job.egos, tile.egos)
         humans = _taken(job.partners, tile.partners)
@@ -191,14 +196,14 @@ class Runner:
 
 
 def play(env: Any, job: Job, max_envs: int) -> pl.DataFrame:
-    """Return a job's episodes, in the order in which they were simulated; nothing is written."""
+    """Return a job's episodes in the order of simulation, without writing files."""
     parts: list[pl.DataFrame] = []
     Runner(env, job).run(plan(job, max_envs), lambda chunk, rows: parts.append(rows))
     return pl.concat(parts)
 
 
 def _run(job: Job, rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> Tally:
-    """Run a rollout; where memory runs out, say what to do."""
+    """Run a rollout and return its tally; if memory runs out, raise a ValueError with advice."""
     try:
         return rollout.run(*args, **options)
     except jax.errors.JaxRuntimeError as error:
@@ -212,12 +217,12 @@ def _run(job: Job, rollout: Rollout, tile: Tile, *args: Any, **options: Any) -> 
 
 
 def _compilers() -> int:
-    """Return how many programs are compiled beside the one that plays: it needs the cores too."""
+    """Return the number of compiling threads, few enough to leave cores for the simulation."""
     return max(1, (os.cpu_count() or 1) // 4)
 
 
 def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
-    """Return a tile of each pair of stacks and shape, in the order in which they are played."""
+    """Return the first tile of each program, in the order of play."""
     first: dict[Any, Tile] = {}
     for chunk in chunks:
         for tile in chunk.tiles:
@@ -226,7 +231,7 @@ def _first_of_each_program(chunks: Sequence[Chunk]) -> list[Tile]:
 
 
 def _host(job: Job, tile: Tile) -> HostEgo | None:
-    """Return the robot from outside that plays in a tile, if one does."""
+    """Return the robot from outside that plays in a tile, or None."""
     return job.egos.host(tile.egos[0].stack)
 
 
@@ -247,11 +252,11 @@ def _humans(
 
 
 def _taken(roster: Roster, slices: Sequence[StackSlice]) -> list[PolicyStack]:
-    """Return the policies of a seat's slices, padded."""
+    """Return the policies of a seat's slices, the last of each repeated as padding."""
     stacks = [(roster.stacks[cut.stack], _padded(cut.rows, cut.width)) for cut in slices]
     return [stack.take(rows) for stack, rows in stacks if isinstance(stack, PolicyStack)]
 
 
 def _padded(rows: range, width: int) -> list[int]:
-    """Return the rows, the last repeated up to `width`."""
+    """Return the rows as a list of `width` items, the last row repeated."""
     return [rows[min(i, len(rows) - 1)] for i in range(width)]

@@ -1,4 +1,4 @@
-"""A job in shares of its chunks: by hand, one a command, or spread over a Ray cluster."""
+"""Run a job in shares of its chunks: one share a command, or spread over a Ray cluster."""
 
 import dataclasses
 import time
@@ -29,7 +29,7 @@ class ShareDone:
     """A finished share of a job."""
 
     share: str  # such as "2/4"
-    chunks: int  # of this share
+    chunks: int  # number of chunks of this share
     episodes: int
     all_chunks: int  # of the whole job
     missing: int  # chunks of the whole job that the folder still lacks
@@ -44,11 +44,11 @@ def run_share(
     max_envs: int | None = None,
     on_progress: OnProgress = None,
 ) -> ShareDone:
-    """Simulate the chunks of share (i, n), i from 1, and leave their parts in the folder.
+    """Simulate the chunks of share (i, n), i from 1, and write their parts to the folder.
 
-    Shares may have one folder or a folder each, also on other machines; they must be cut alike, by
-    the same `max_envs`. With the parts of all shares in one folder, `run_job` merges them without
-    simulating anything; those of another cut it does not take.
+    Shares may use one folder or a folder each, also on other machines. All shares must have the
+    same `max_envs`: other chunks' parts are not used. If the parts of all shares are in one folder,
+    `run_job` merges them without simulating.
     """
     number, count = share
     if not 1 <= number <= count:
@@ -78,19 +78,19 @@ def run_blocks_on_ray(
 ) -> None:
     """Simulate the chunks that a folder lacks on a cluster; `run_job` then merges them.
 
-    There are as many blocks as the cluster runs at once, and no more than chunks.
+    There are as many blocks as the cluster runs at once, but not more than chunks.
 
     Args:
         make_env: Makes the environment of the job, on each worker.
-        job: What is simulated; its robots are all of the zoo.
-        folder: Where the parts are kept: shared by all machines, under the same path.
-        cluster: Where blocks run.
+        job: The job to simulate; its robots are all of the zoo.
+        folder: The folder of the parts, shared by all machines under the same path.
+        cluster: The cluster on which blocks run.
         max_envs: As in `run_job`.
-        on_progress: Told how far the run is, block by block.
+        on_progress: Called with the progress after each block.
 
     Raises:
-        BlocksFailedError: Blocks failed; the chunks that are finished are kept.
-        ValueError: The cluster cannot run them, or they are not in the folder.
+        BlocksFailedError: Blocks failed; finished chunks are kept.
+        ValueError: The cluster cannot run the blocks, or their parts are not in the folder.
     """
     folder = folder.absolute()
     if is_finished(folder):
@@ -125,7 +125,7 @@ def _run_remotely(
 
 
 def _check_parts(job: Job, folder: Path, planned: list[Chunk]) -> None:
-    """Check that what the workers wrote can be read here: it is not simulated a second time."""
+    """Check that all parts are in the folder here, so that nothing is simulated a second time."""
     manifest = provenance.read_manifest(folder)
     chunks = plan_of(job, manifest) if manifest else planned
     count = sum(find_part(folder, chunk, job.digest()) is not None for chunk in chunks)

@@ -1,4 +1,4 @@
-"""What both studies share: the job, the folder that stays its own, and the record."""
+"""Steps that evaluation and cross-play share: the job, the folder's lock, and the record."""
 
 import contextlib
 import math
@@ -79,7 +79,7 @@ def _with_numbers(env: "Env", *, persons: bool) -> Any:
 def context_of(
     job: Job, result: Evaluation, *, split: Split | None, release: str, lock: str | None
 ) -> Context:
-    """Return what the table does not say of its run."""
+    """Return the run's metadata that is not in its table: task, engine, split, speed."""
     return Context(
         task=job.task,
         env_version=job.env_version,
@@ -93,13 +93,13 @@ def context_of(
 
 
 def read_best_responses(crossplay: Path, job: Job) -> pl.DataFrame:
-    """Return the pairs of a finished cross-play; its best robots are best responses.
+    """Return the pairs table of a finished cross-play, whose best robots are best responses.
 
-    Its partners must be those of the job wherever they have the same ids, and have played alike.
-    Seed and number of episodes may be others.
+    Partners with equal ids must be equal policies, played under the same conditions. Seed and
+    number of episodes may differ.
 
     Raises:
-        ValueError: The folder is damaged, or was played otherwise or with other partners.
+        ValueError: The folder is damaged, or has other conditions or other partners.
     """
     check_whole(crossplay)
     if (identity := read_identity(crossplay)) is None:
@@ -107,7 +107,7 @@ def read_best_responses(crossplay: Path, job: Job) -> pl.DataFrame:
     both = {str(crossplay): identity, "this evaluation": job.identity()}
     advice = "best responses are of a cross-play that was played alike"
     with strange_tables_refused(crossplay):
-        check_alike({name: _how(of) for name, of in both.items()}, advice=advice)
+        check_alike({name: _pair_conditions(of) for name, of in both.items()}, advice=advice)
         members = {name: _without_sides(of) for name, of in both.items()}
         check_members(members, "partners", advice=advice)
     pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
@@ -116,20 +116,23 @@ def read_best_responses(crossplay: Path, job: Job) -> pl.DataFrame:
     return pairs
 
 
-def _how(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how pairs play, whichever episodes."""
-    of_episodes = ("seed", "episodes", "apart", "paired")
-    return {name: of for name, of in conditions(identity).items() if name not in of_episodes}
+def _pair_conditions(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the conditions under which pairs play, without the choice of episodes."""
+    omitted = ("seed", "episodes", "apart", "paired")
+    return {name: value for name, value in conditions(identity).items() if name not in omitted}
 
 
 def _without_sides(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an identity without its partners' sides, which another split deals otherwise."""
+    """Return an identity without its partners' sides, which depend on the split."""
     return {**identity, "partners": [[*row[:2], None, *row[3:]] for row in identity["partners"]]}
 
 
 @contextlib.contextmanager
-def still_of(job: Job, folder: Path) -> Generator[None]:
-    """Hold a folder, unless another process has replaced its job: no table joins other episodes."""
+def locked_if_current(job: Job, folder: Path) -> Generator[None]:
+    """Lock a folder, or raise a ValueError if another process has replaced its job.
+
+    So tables are written only beside the episodes that they are made of.
+    """
 
     def check() -> None:
         if (manifest.read_manifest(folder) or {}).get("job") != job.digest():
@@ -138,7 +141,8 @@ def still_of(job: Job, folder: Path) -> Generator[None]:
                 "folder"
             )
 
-    check()  # before waiting for who replaced it
+    # Checked before the lock too, so that the process that replaced the job is not waited for.
+    check()
     with locked(folder, wait=True):
         check()
         yield
@@ -150,19 +154,20 @@ def seal(
     files: Iterable[Path] = (),
     robots: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the hashes of all files, of what they were drawn from, and the releases' roots.
+    """Write the hashes of a folder's files and of their sources into its manifest.
 
     Args:
-        folder: Finished.
-        cast: Who played.
-        files: Outside the registry, from which figures are drawn, beside the robots' own.
-        robots: Of `evaluation.play.robot_checks.describe_robots`.
+        folder: The finished folder.
+        cast: The cast of the study.
+        files: Files outside the registry from which figures are made, beside the robots' own.
+        robots: The result of `evaluation.play.robot_checks.describe_robots`.
     """
-    about = robots or {}
+    findings = robots or {}
     members = cast.robots.members.values()
-    own = [(path, sha256) for member in members for path, sha256 in member.files]  # as they played
-    own += [item for loaded in about.get("loaded", {}).values() for item in loaded.items()]
-    own += [(path, manifest.file_sha256(path)) for path in files]
-    hashes = {str(Path(path).resolve()): sha256 for path, sha256 in own}
+    # The robots' files have the hashes from when the robots played.
+    hashed = [(path, sha256) for member in members for path, sha256 in member.files]
+    hashed += [item for loaded in findings.get("loaded", {}).values() for item in loaded.items()]
+    hashed += [(path, manifest.file_sha256(path)) for path in files]
+    hashes = {str(Path(path).resolve()): sha256 for path, sha256 in hashed}
     record = {**cast.record, "sources": {**cast.record["sources"], "files": hashes}}
-    manifest.seal(folder, **record, **({"robots": about} if about else {}))
+    manifest.seal(folder, **record, **({"robots": findings} if findings else {}))

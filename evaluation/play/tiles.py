@@ -1,4 +1,4 @@
-"""How a job is cut: into tiles, which are simulated together, in chunks, which are saved."""
+"""Cut a job into tiles, which are simulated together, and chunks of tiles, which are saved."""
 
 import dataclasses
 import hashlib
@@ -9,58 +9,58 @@ from typing import Any
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import Job
 
-# Most simulations at once, on the backends whose tiles are the job's own: on `native` more are no
-# faster on two cores; on `fused` two cores do not care either.
+# Most simulations in a tile, on the backends whose tiles do not depend on `max_envs`. More are not
+# faster on two cores.
 TILE_ENVS = {"native": 512, "fused": 32768}
-# On `fused` on GPUs: a launch waits for its slowest simulation, of which more then wait together.
+# On `fused` on GPUs a launch waits for its slowest simulation, so larger tiles wait less often.
 GPU_TILE_ENVS = 98304
-# A job of so few is one tile, whatever its policies' networks are: what each program costs, its
-# compilation and the start of every step, would be most of the time.
+# A smaller job is one tile of all its networks. With several programs, compilation and starting
+# each step would take most of the time.
 SMALL_JOB = 8192
 
 
 @dataclasses.dataclass(frozen=True)
 class StackSlice:
-    """Policies of a stack that are in a tile."""
+    """A tile's policies of one stack."""
 
     stack: int
-    rows: range  # padding not counted
-    width: int  # with padding, in which the last is repeated
+    rows: range  # rows of the stack, without padding
+    width: int  # number of rows with padding, which repeats the last row
 
 
 @dataclasses.dataclass(frozen=True)
 class Tile:
-    """A rectangle of a job, simulated together: [E egos, P partners, K episodes], edges padded.
+    """A part of a job that is simulated together: [E egos, P partners, K episodes], padded.
 
-    It has a slice of one ego stack and of one partner stack, or small jobs whole.
+    It has a slice of one ego stack and one partner stack, or all stacks of a small job.
     """
 
     egos: tuple[StackSlice, ...]
     partners: tuple[StackSlice, ...]
     episodes: range
-    at_once: int  # K with padding; that of the series where there are any
-    paired: bool = False  # the egos are the partners' own, one each, and E is 1
+    at_once: int  # K with padding; the number of series if episodes are played in series
+    paired: bool = False  # one ego for each partner, and E is 1
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Return [E, P, K] with padding."""
+        """The sizes [E, P, K] with padding."""
         e, p = (sum(cut.width for cut in seat) for seat in (self.egos, self.partners))
         return 1 if self.paired else e, p, self.at_once
 
     @property
     def rows(self) -> int:
-        """Number of episodes, padding not counted."""
+        """Number of episodes, without padding."""
         return math.prod(self.played)
 
     @property
     def played(self) -> tuple[int, int, int]:
-        """Return [E, P, episodes] without padding."""
+        """The sizes [E, P, episodes] without padding."""
         e, p = (sum(len(cut.rows) for cut in seat) for seat in (self.egos, self.partners))
         return 1 if self.paired else e, p, len(self.episodes)
 
     @property
     def program(self) -> Any:
-        """Return what tiles of a job have in common that are played by the same program."""
+        """Key that is equal for tiles of a job with the same compiled program."""
         slices = (*self.egos, *self.partners)
         return tuple((cut.stack, cut.width) for cut in slices), self.at_once
 
@@ -74,24 +74,24 @@ class Chunk:
 
     @property
     def name(self) -> str:
-        """Return what its part's name begins with: no part of another cut has it."""
+        """The start of its part's file name, which differs for other cuts of the job."""
         cut = hashlib.sha256(repr(self.tiles).encode()).hexdigest()
         return f"part-{self.index:05d}-{cut[:8]}"
 
     @property
     def rows(self) -> int:
-        """Number of episodes, padding not counted."""
+        """Number of episodes, without padding."""
         return sum(tile.rows for tile in self.tiles)
 
 
 def tile_shape(
     egos: int, partners: int, episodes: int, most: int, *, host: bool = False
 ) -> tuple[int, int, int]:
-    """Choose [E, P, K] with E * P * K <= most.
+    """Return a tile's sizes [E, P, K] with E * P * K <= most.
 
-    Least work first, counting padded simulations and a fixed cost for each tile; then the squarest,
-    which reads the fewest parameters for each simulation. Episodes are only split where one pair's
-    do not fit.
+    They minimise the work, which is the padded simulations and a fixed cost for each tile. Among
+    equals the squarest is chosen, which reads the fewest parameters for each simulation. Episodes
+    are split only if one pair's do not fit.
     """
     k = _balanced(episodes, most)
     pairs = max(1, most // k)
@@ -107,13 +107,14 @@ def tile_shape(
 
 
 def tile_envs(backend: str, max_envs: int) -> int:
-    """Return the most simulations of a tile on this machine.
+    """Return the largest number of simulations in a tile on this machine.
 
-    On `native` and `fused` that is the same whatever `max_envs` is: an episode is played in the
-    same row of the same program however the job is cut, and its values are the same. On other
-    backends a chunk is one large tile.
+    On `native` and `fused` it does not depend on `max_envs`. So an episode is always played in the
+    same row of the same program and its values are the same. On other backends a chunk is one large
+    tile.
     """
-    import jax  # not by who only makes or reads a job
+    # Imported here, because making or reading a job does not need it.
+    import jax
 
     if backend == "fused" and jax.default_backend() == "gpu":
         return GPU_TILE_ENVS
@@ -121,9 +122,9 @@ def tile_envs(backend: str, max_envs: int) -> int:
 
 
 def plan(job: Job, max_envs: int, most: int | None = None) -> list[Chunk]:
-    """Cut a job into tiles, and its tiles into chunks of `max_envs` simulations or one tile.
+    """Return a job's chunks: tiles of up to `max_envs` simulations together, at least one tile.
 
-    `most` is how many simulations a tile may have; if not given, what `tile_envs` says.
+    `most` is the largest number of simulations in a tile; by default that of `tile_envs`.
     """
     most = tile_envs(job.backend, max_envs) if most is None else most
     for name, value in (("max_envs", max_envs), ("tile_envs", most)):
@@ -142,7 +143,7 @@ def plan(job: Job, max_envs: int, most: int | None = None) -> list[Chunk]:
 
 
 def cut_tiles(job: Job, most: int) -> list[Tile]:
-    """Cut a job into tiles of at most `most` simulations, one shape for each pair of stacks.
+    """Return a job's tiles of at most `most` simulations, of one shape for each pair of stacks.
 
     A small job is one tile of all its stacks.
     """
@@ -174,13 +175,13 @@ def _whole_stacks(roster: Roster) -> list[StackSlice]:
 
 
 def _is_small(job: Job, most: int) -> bool:
-    """Return whether a job is one tile; a robot from outside shares none with other robots."""
+    """Return whether a job is one tile. A robot from outside shares no tile with other robots."""
     alone = len(job.egos.stacks) == 1
     return (alone or not job.egos.hosts) and job.rows // job.series <= min(most, SMALL_JOB)
 
 
 def _at_once(episodes: int, simulations: int, most: int) -> int:
-    """Return K of a tile: a batch of one takes other paths, and would round differently."""
+    """Return K of a tile, at least 2 in a batch of one, which would be rounded differently."""
     return 2 if simulations == 1 and most > 1 else episodes
 
 

@@ -16,7 +16,7 @@ from polars.testing import assert_frame_equal
 from evaluation.cast.egos import EgoError
 from evaluation.cast.roster import HostEgo, Member, Roster, joined
 from evaluation.play import tiles
-from evaluation.play.evaluator import check_folder, make_way, plan_of, run_job
+from evaluation.play.evaluator import check_folder, clear_results, plan_of, run_job
 from evaluation.play.jobs import Job
 from evaluation.play.parts import PARTS_FOLDER
 from evaluation.play.progress import Progress
@@ -314,7 +314,7 @@ def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_pa
             other = make_job(host(act, reusable=False), episodes=1)
             run_job(MatrixGame(), other, tmp_path, reuse=reuse)
     assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).equals(first.table)
-    make_way(MatrixGame(), job, tmp_path)
+    clear_results(MatrixGame(), job, tmp_path)
     second = run_job(MatrixGame(), job, tmp_path)
     assert not second.table["return"].equals(first.table["return"])
 
@@ -351,9 +351,9 @@ def test_what_makes_way_goes_with_all_that_was_drawn_from_it(tmp_path: Path):
     with pytest.raises(
         ValueError, match="plays the human, not the robot"
     ):  # nothing is lost to a mistake
-        make_way(MatrixGame(), make_job(humans(0.5)), tmp_path)
+        clear_results(MatrixGame(), make_job(humans(0.5)), tmp_path)
     assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).height == make_job().rows
-    make_way(MatrixGame(), make_job(seed=1), tmp_path)
+    clear_results(MatrixGame(), make_job(seed=1), tmp_path)
     assert [path.name for path in tmp_path.iterdir() if path.name[0] != "."] == ["mine.html"]
     assert run_job(MatrixGame(), make_job(seed=1), tmp_path).table.height == make_job().rows
 
