@@ -89,7 +89,7 @@ class Job:
 
     @property
     def reusable(self) -> bool:
-        """Whether the identity covers all that the table depends on, so that tables are reusable."""
+        """Whether the identity covers all that the table depends on."""
         return all(self.egos.members[name].reusable for name in self.egos.ids)
 
     def identity(self) -> dict[str, Any]:

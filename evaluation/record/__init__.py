@@ -1,1 +1,1 @@
-"""What an evaluation leaves: tables, the manifest, where everything came from."""
+"""Files of a finished evaluation: tables, the manifest, and the sources of both."""

@@ -1,7 +1,7 @@
-"""Whether jobs were played alike, by their identities in the folders' manifests.
+"""Check that jobs were played alike, by their identities in the folders' manifests.
 
-Every reader that brings folders together asks here: their figures belong together only where the
-same partners played under the same conditions.
+Figures of several folders are comparable only if the same partners played under the same
+conditions. Every command that combines folders uses these checks.
 """
 
 import json
@@ -21,10 +21,10 @@ Described = Mapping[str, Mapping[str, Any]]  # by the folder's name
 
 
 def read_identity(folder: Path) -> dict[str, Any] | None:
-    """Return the identity of a folder's job, or None where no manifest names it.
+    """Return the identity of a folder's job, or None if no manifest has one.
 
     Raises:
-        ValueError: The manifest is not what was written, or it names another job than it holds.
+        ValueError: The manifest was changed, or its digest is not that of its identity.
     """
     manifest = read_manifest(folder) or {}
     identity = manifest.get("identity")
@@ -39,26 +39,26 @@ def read_identity(folder: Path) -> dict[str, Any] | None:
 
 
 def conditions(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return how a job's pairs play, whichever they are: all fields but policies and software."""
+    """Return the conditions of a job: all fields of its identity but policies and software."""
     return {name: value for name, value in identity.items() if name not in (*SEATS, SOFTWARE)}
 
 
 def check_alike(
     described: Described, fields: Iterable[str] | None = None, *, advice: str = ADVICE
 ) -> None:
-    """Refuse folders that differ in a field; one that a folder lacks differs from any value.
+    """Check that folders are equal in all fields; a missing field differs from any value.
 
     Args:
         described: JSON-ready fields of each folder, by the folder's name, such as `conditions`.
-        fields: Those that must be equal; all if not given.
-        advice: What to do next.
+        fields: The fields that must be equal; by default all.
+        advice: The last part of the error message.
 
     Raises:
         ValueError: Names the first field that differs, both values and both folders.
     """
     names = list(described)
     if fields is None:
-        fields = dict.fromkeys(field for about in described.values() for field in about)
+        fields = dict.fromkeys(field for values in described.values() for field in values)
     for field in fields:
         values = [(name, described[name].get(field)) for name in names]
         for value in values[1:]:
@@ -66,30 +66,30 @@ def check_alike(
 
 
 def check_members(identities: Described, seat: str, *, advice: str = ADVICE) -> None:
-    """Refuse jobs in which one id stands for different policies, settings or sides.
+    """Check that an id is the same policy, with the same setting and side, in all jobs.
 
     Args:
-        identities: By the folder's name.
+        identities: The jobs' identities, by the folder's name.
         seat: "egos" or "partners".
-        advice: What to do next.
+        advice: The last part of the error message.
 
     Raises:
         ValueError: Names the policy, what differs, both values and both folders.
     """
     known: dict[str, tuple[str, list[Any]]] = {}
     for name, identity in identities.items():
-        for who, row in _members(name, identity, seat).items():
-            first, expected = known.setdefault(who, (name, row))
+        for policy, row in _members(name, identity, seat).items():
+            first, expected = known.setdefault(policy, (name, row))
             for column, *values in zip(SEATS[seat], expected, row, strict=True):
-                what = f"{column} of {seat.removesuffix('s')} {who}"
+                what = f"{column} of {seat.removesuffix('s')} {policy}"
                 _check_equal(what, list(zip((first, name), values, strict=True)), advice)
 
 
 def software_notes(made_with: Described) -> list[str]:
-    """Say which versions or processors differ, by which returns may differ too.
+    """Return notes on versions or processors that differ, so that returns may differ too.
 
     Args:
-        made_with: Versions by the package's name, of each folder that names some.
+        made_with: Each folder's versions by package name; empty if the folder has none.
     """
     known = {name: versions for name, versions in made_with.items() if versions}
     notes = []
@@ -118,7 +118,7 @@ def _check_equal(what: str, values: list[tuple[str, Any]], advice: str) -> None:
 
 
 def _shown(value: Any) -> str:
-    """Return a value in few characters: "none" where there is none, else as JSON has it."""
+    """Return a value as short JSON text; "none" for None and for an empty list."""
     if value is None or value == []:
         return "none"
     text = value if isinstance(value, str) else json.dumps(value)

@@ -1,6 +1,6 @@
-"""The columns of an episode table: their types, which tables lack some, and what is wrong in one.
+"""The columns of an episode table: their types, the tables that have them, and validation.
 
-A table has one row an episode, and every metric is computed from it.
+A table has one row an episode. Every metric is computed from it.
 """
 
 import dataclasses
@@ -11,19 +11,18 @@ import polars as pl
 SIDES = ("train", "validation", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
 
-# Of which tables some columns are: those with behaviour (all since manifest format 2), of gentle
-# tasks, of those whose version measures how people are touched, of series of episodes, of robots
-# from outside the zoo.
+# Tables that have a column: with behaviour (all since manifest format 2), of gentle tasks, of tasks
+# whose version measures contact with people, of series of episodes, of robots from outside.
 Family = Literal["behaviour", "gentle", "touch", "series", "outside"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """What a column holds."""
+    """Type of a column, and the tables that have it."""
 
     dtype: pl.DataType
-    family: Family | None = None  # of the tables that have it; None of all
-    nullable: bool = False  # as what the zoo knows of a policy, for an ego from outside
+    family: Family | None = None  # the tables that have it; None if all have it
+    nullable: bool = False  # such as the algorithm, which is unknown for an ego from outside
 
 
 _TEXT, _WHOLE, _REAL, _FLAG = pl.String(), pl.Int64(), pl.Float32(), pl.Boolean()
@@ -70,7 +69,7 @@ BEHAVIOUR, GENTLE, TOUCH = (
     tuple(name for name, column in COLUMNS.items() if column.family == family)
     for family in ("behaviour", "gentle", "touch")
 )
-# What tables for people call those of how people are touched.
+# Names of the columns about contact with people, in tables for readers.
 TOUCHES = {
     "end_share": "touched with a joint at its end, share of steps",
     "touch_speed": "speed at the first touch, m/s",
@@ -92,19 +91,23 @@ def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
 
 
 def with_safety(table: pl.DataFrame) -> pl.DataFrame:
-    """Add `safe_success` to a table of a gentle task: the goal was reached, and nobody was hurt."""
+    """Return a table with `safe_success`, success without violation, if it has `violated`."""
     if "violated" not in table.columns:
         return table
     return table.with_columns(safe_success=pl.col("success") & ~pl.col("violated"))
 
 
 def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
-    """Return the columns that tell how episodes went beside the return, of those the table has."""
+    """Return the table's columns of outcomes other than the return, such as success and force."""
     return tuple(name for name in _OUTCOMES if name in table.columns)
 
 
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
-    """Return the table, or raise `ValueError` saying what is wrong with it and where."""
+    """Return the table unchanged.
+
+    Raises:
+        ValueError: A column is missing, unknown or of another type, or a value is not allowed.
+    """
     needed = [name for name, column in COLUMNS.items() if column.family is None]
     missing = [name for name in needed if name not in table.columns]
     if missing:

@@ -1,10 +1,10 @@
-"""Where a folder's figures come from: its manifest, which names every byte that they depend on.
+"""The manifest of a folder, with hashes of everything that its figures depend on.
 
 `manifest.json` holds the job's identity (policies and partners by the hash of their parameters,
-environment, engine, versions), its digest, how it was made, and the sha256 of every file that was
-drawn from it. Its sources are named alike: the policies and the registry's entries about them, own
-robots' files, the kept episodes of reference egos. It has a hash of its own, so that no bit of it
-can change unseen either. `evaluation.record.verification` holds all that against what is here.
+environment, engine, versions), the identity's digest, the machine, and the sha256 of every result
+file. It also has hashes of the sources: policies and their entries in the registry, own robots'
+files, cached episodes of reference egos. Its own hash shows if it was changed.
+`evaluation.record.verification` checks all of these.
 """
 
 import datetime
@@ -25,7 +25,7 @@ from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
 MANIFEST_FILE = "manifest.json"
-LARGEST = 1 << 30  # bytes of a file that is hashed: a received manifest may name any
+LARGEST = 1 << 30  # bytes of a hashed file: a received manifest may name any file
 PACKAGES = (
     "assistax-zoo",
     "jax",
@@ -46,33 +46,34 @@ def file_sha256(path: Path) -> str:
 
 
 def check_regular(status: os.stat_result) -> None:
-    """Refuse a link, a pipe, a device, what the kernel makes up, and what is larger than ours.
+    """Check that a status is of a regular file of at most `LARGEST` bytes.
 
     Raises:
-        OSError: Says which.
+        OSError: It is a link, a pipe, a device, a file of the kernel, or too large.
     """
-    if not stat.S_ISREG(status.st_mode) or status.st_dev in _made_up():
+    if not stat.S_ISREG(status.st_mode) or status.st_dev in _kernel_devices():
         raise OSError("no regular file")
     if status.st_size > LARGEST:
         raise OSError(f"larger than {LARGEST} bytes")
 
 
 @functools.cache
-def _made_up() -> set[int]:
-    """Return the file systems whose files are written while they are read, some without end."""
+def _kernel_devices() -> set[int]:
+    """Return the device numbers of /proc and /sys, whose files the kernel makes when read."""
     places = [place for place in ("/proc", "/sys") if os.path.ismount(place)]
     return {os.stat(place).st_dev for place in places}
 
 
 def received_sha256(path: Path) -> str:
-    """Return the sha256 of a file that somebody else may have named or sent.
+    """Return the sha256 of an untrusted file, or of a file with an untrusted name.
 
-    It is read for as long as its size says, and no further.
+    At most as many bytes as its size are read.
 
     Raises:
         OSError: It is no regular file (a link, a pipe, a device), or larger than `LARGEST`.
     """
-    check_regular(path.lstat())  # opening a device may do something
+    # Checked before it is opened, because opening a device may have effects.
+    check_regular(path.lstat())
     flags = (getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOFOLLOW", "O_BINARY"))
     with os.fdopen(os.open(path, os.O_RDONLY | sum(flags)), "rb") as file:
         status = os.fstat(file.fileno())
@@ -85,7 +86,7 @@ def received_sha256(path: Path) -> str:
 
 
 def check_ours(path: Path) -> None:
-    """Refuse what stands in place of a file of ours, such as a link to a pipe.
+    """Check that a result file is a regular file, not for example a link to a pipe.
 
     Raises:
         ValueError: It is no regular file.
@@ -97,21 +98,21 @@ def check_ours(path: Path) -> None:
 
 
 def identity_digest(identity: Any) -> str:
-    """Return the sha256 of what decides a result, JSON-ready, such as a job's identity."""
+    """Return the sha256 of a JSON-ready identity, such as a job's."""
     return json_sha256(identity, spaced=True)
 
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write a manifest with its own hash."""
+    """Write a folder's manifest, with the hash of its content added."""
     bare = {name: value for name, value in tables.to_json(content).items() if name != "sha256"}
     tables.write_json({**bare, "sha256": identity_digest(bare)}, folder / MANIFEST_FILE)
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return a folder's manifest, or None where there is none.
+    """Return a folder's manifest, or None if there is none.
 
     Raises:
-        ValueError: it is not what was written.
+        ValueError: The manifest was changed after it was written.
     """
     path = folder / MANIFEST_FILE
     if not os.path.lexists(path):
@@ -128,7 +129,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def is_readable(folder: Path) -> bool:
-    """Return whether a folder's manifest is what was written, or is not there."""
+    """Return whether a folder's manifest is undamaged or missing."""
     try:
         read_manifest(folder)
     except ValueError:
@@ -137,20 +138,20 @@ def is_readable(folder: Path) -> bool:
 
 
 def seal(folder: Path, **context: Any) -> None:
-    """Write the sha256 of every file of ours in a folder into its manifest.
+    """Write the sha256 of every result file of a folder into its manifest.
 
     Args:
         folder: A finished folder.
-        context: What else the files depend on, such as the machine or the registry's root.
+        context: More fields of the manifest, such as the machine or the registry's root.
     """
     files = {path.name: file_sha256(path) for path in our_files(folder)}
     write_manifest(folder, {**(read_manifest(folder) or {}), **context, "files": files})
 
 
 def table_hashes(folder: Path) -> dict[str, str]:
-    """Return what a folder's manifest says of its tables: the same job and options give the same.
+    """Return the hashes of a folder's tables by file name, equal for equal jobs and options.
 
-    Not of what tells how a run went: the summary, the command, and the matrix's picture.
+    Files that depend on the run are omitted: the summary, the command, and the matrix's picture.
     """
     files = (read_manifest(folder) or {}).get("files", {})
     run = (tables.SUMMARY_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE)
@@ -158,27 +159,27 @@ def table_hashes(folder: Path) -> dict[str, str]:
 
 
 def has_whole(folder: Path, name: str) -> bool:
-    """Return whether a finished folder's file has the hash that the manifest holds of it."""
+    """Return whether a folder's file exists with the hash in the manifest."""
     path = folder / name
     recorded = (read_manifest(folder) or {}).get("files", {}).get(name)
     return path.is_file() and recorded == file_sha256(path)
 
 
 def our_files(folder: Path) -> list[Path]:
-    """Return the files of ours that are there; a report or a figure of the user's is not."""
+    """Return the paths of existing result files, without reports and figures of the user."""
     return [path for name in tables.FILES if os.path.lexists(path := folder / name)]
 
 
 def describe_sources(
     registry: Registry, entries: Sequence[PolicyEntry], split: str | None, files: Iterable[Path]
 ) -> dict[str, Any]:
-    """Return what the manifest says of the sources.
+    """Return the manifest's field `sources`: registry, split, releases and files with hashes.
 
     Args:
-        registry: Where the policies are from.
-        entries: All policies of it that were played.
-        split: The id of the split whose sides are told apart.
-        files: Own robots' and other folders'.
+        registry: The registry of the policies.
+        entries: All of its policies that were played.
+        split: The id of the split, if sides are distinguished.
+        files: Files of own robots and of other folders.
     """
     by_release: dict[str, list[PolicyEntry]] = {}
     for entry in entries:
@@ -198,7 +199,7 @@ def describe_sources(
 
 
 def describe_machine() -> dict[str, Any]:
-    """Return processor, devices, versions and settings: they decide the last bits of a value."""
+    """Return processor, devices, versions and settings, on which the last bits of values depend."""
     import jax
 
     from assistax_envs.own_settings import found_settings
@@ -208,7 +209,7 @@ def describe_machine() -> dict[str, Any]:
         "processor": processor(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        # Of CPU devices there may be one for each core; they are one processor all the same.
+        # There may be one CPU device for each core of the same processor.
         "devices": [device.device_kind for device in jax.devices()][: 1 if on_cpu else None],
         "versions": {name: number for name in PACKAGES if (number := installed(name))},
         "settings": found_settings(),
@@ -216,9 +217,9 @@ def describe_machine() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Return the processor's name, as Linux has it, or the machine's type elsewhere.
+    """Return the processor's name of Linux, or the machine's type on other systems.
 
-    XLA's own options of what it may use of a processor make another one of it.
+    XLA options for the CPU are appended, because they change the last bits of values.
     """
     path = Path("/proc/cpuinfo")
     lines = path.read_text().splitlines() if path.is_file() else []
@@ -228,13 +229,13 @@ def processor() -> str:
 
 
 def write_run(folder: Path, command: str, simulated: bool) -> None:
-    """Write the command, see `record_command`, and the sha256 of all files of a folder."""
+    """Write a folder's command (see `record_command`) and seal the folder."""
     record_command(folder, command, simulated)
     seal(folder)
 
 
 def record_command(folder: Path, command: str, filled: bool) -> None:
-    """Write which command filled a folder; where it found all finished, what is there is kept."""
+    """Write the command that filled a folder; keep an existing record if it simulated nothing."""
     path = folder / tables.RUN_FILE
     if filled or not path.is_file():
         date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -242,7 +243,7 @@ def record_command(folder: Path, command: str, filled: bool) -> None:
 
 
 def installed(name: str) -> str | None:
-    """Return the version of a package, None where it is not installed."""
+    """Return the version of a package, or None if it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""The record of a run: its episodes, laid out once, of which every figure and table is made."""
+"""The record of a run: its episodes as dense arrays, from which figures and tables are made."""
 
 import dataclasses
 import functools
@@ -24,30 +24,30 @@ from evaluation.record.tables import EPISODES_FILE, read_episodes
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Returns:
-    """Every ego with every partner for the same episodes, as dense arrays."""
+    """Returns of every ego with every partner for the same episodes, as dense arrays."""
 
     values: Float[np.ndarray, "E P K"]  # undiscounted returns
     nonfinite: Bool[np.ndarray, "E P K"]  # whether the physics became non-finite
     pair_keys: Int[np.ndarray, "E P K"]  # seeds of the episodes
     egos: pl.DataFrame  # E rows of EGO_COLUMNS, in the order of the first axis
     partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
-    episodes: Int[np.ndarray, " K"]  # their numbers
-    # Of a gentle task: under which preference each episode was played, whether the goal was
-    # reached and nobody hurt, and whether somebody was.
+    episodes: Int[np.ndarray, " K"]  # episode numbers
+    # Only for a gentle task: each episode's preference, success without a violation of the force
+    # limit, and violation.
     preferences: Shaped[np.ndarray, "E P K"] | None = None
     safe: Bool[np.ndarray, "E P K"] | None = None
     violated: Bool[np.ndarray, "E P K"] | None = None
-    # How people were touched, by column of the table; empty where it was not measured.
+    # Measures of contact with the person, by column of the table; empty if not measured.
     touch: Mapping[str, Float[np.ndarray, "E P K"]] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def keys(self) -> Int[np.ndarray, "P K"] | None:
-        """Seeds of each partner's episodes; None where its egos met different ones."""
+        """Seeds of each partner's episodes; None if egos played different seeds."""
         return None if np.ptp(self.pair_keys, axis=0).any() else self.pair_keys[0]
 
     @functools.cached_property
     def common_starts(self) -> bool:
-        """Whether all partners played the same starts, so that their luck is common to all."""
+        """Whether there are several partners and all played the same seeds."""
         return self.keys is not None and len(self.keys) > 1 and not np.ptp(self.keys, axis=0).any()
 
     @functools.cached_property
@@ -57,10 +57,10 @@ class Returns:
 
     @functools.cached_property
     def evaluated_side(self) -> "Returns":
-        """Those with the test partners, else with the validation, else the training partners.
+        """The returns with test partners; without any, with validation, then training partners.
 
         Raises:
-            ValueError: no partner is on a side.
+            ValueError: No partner is on a side.
         """
         sides = self.partners["side"]
         side = next((name for name in reversed(SIDES) if name in sides), None)
@@ -71,7 +71,7 @@ class Returns:
         return self.select_partners((sides == side).fill_null(value=False).to_numpy())
 
     def select_partners(self, mask: Bool[np.ndarray, " P"]) -> "Returns":
-        """Return those with only the partners where `mask` is true."""
+        """Return the returns with the partners whose `mask` is true."""
         arrays = {
             field.name: array[:, mask]
             for field in dataclasses.fields(self)
@@ -84,10 +84,7 @@ class Returns:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """Episodes, and the folder that holds them or what is drawn from them.
-
-    They are laid out when that is first asked for, and once.
-    """
+    """Episodes and their folder. The arrays are made at first use and kept."""
 
     table: pl.DataFrame  # one row an episode
     folder: Path
@@ -97,8 +94,8 @@ class Record:
         """Return the record of a finished folder.
 
         Raises:
-            FileNotFoundError: It holds no episodes.
-            ValueError: Their table is damaged.
+            FileNotFoundError: The folder has no table of episodes.
+            ValueError: The table is damaged.
         """
         return cls(read_episodes(folder / EPISODES_FILE), folder)
 
@@ -113,15 +110,15 @@ class Record:
 
     @functools.cached_property
     def manifest(self) -> dict[str, Any]:
-        """The folder's manifest when it was first asked for; empty where there is none.
+        """The folder's manifest, read at first use; empty if there is none.
 
         Raises:
-            ValueError: It is not what was written.
+            ValueError: The manifest was changed after it was written.
         """
         return read_manifest(self.folder) or {}
 
     def without(self, partners: Collection[str]) -> "Record":
-        """Return the record without the episodes of some partners; nothing is laid out again."""
+        """Return the record without the episodes of these partners, with arrays already made."""
         if not partners:
             return self
         left_out = pl.col("partner").is_in(list(partners))
@@ -132,12 +129,12 @@ class Record:
 
 
 def lay_out(table: pl.DataFrame) -> Returns:
-    """Lay a table of episodes out as [E, P, K].
+    """Return a table of episodes as dense arrays [E, P, K].
 
-    Algorithm, disability, seed, then id give the order of egos and partners.
+    Egos and partners are sorted by algorithm, disability, seed, then id.
 
     Raises:
-        ValueError: a pair lacks an episode or has one twice, or one id has two descriptions.
+        ValueError: A pair lacks an episode or has one twice, or one id has two descriptions.
     """
     table = with_safety(validate_episodes(table))
     egos = _described(table, EGO_COLUMNS)
@@ -191,7 +188,7 @@ def _cells(
     episodes: np.ndarray,
     shape: tuple[int, int, int],
 ) -> np.ndarray:
-    """Return the place of each row in the flat [E * P * K], each place taken once."""
+    """Return each row's index in the flat [E * P * K]; raise if a cell has not exactly one row."""
 
     def places(seat: str, names: pl.Series) -> np.ndarray:
         order = np.arange(names.len())

@@ -1,4 +1,4 @@
-"""The files of a finished folder: their names, and how Parquet and JSON are written and read."""
+"""Names of the files of a finished folder, and reading and writing of Parquet and JSON."""
 
 import dataclasses
 import errno
@@ -31,45 +31,48 @@ FILES = (
     *(EPISODES_FILE, PAIRS_FILE, REFERENCES_FILE, BOUNDS_FILE, PARTNERS_FILE, PROFILE_FILE),
     *(ORDER_FILE, STRATEGIES_FILE, RUN_FILE, SUMMARY_FILE, MATRIX_FIGURE),
 )
-# Drawn from the episodes, with the options of the command that drew them.
+# Made from the episodes by the last command, with its options.
 DERIVED_FILES = tuple(name for name in FILES if name not in (EPISODES_FILE, RUN_FILE))
 
-LARGEST_JSON = 1 << 26  # bytes of a file that is read; a matrix of all teams has less than a 30th
+LARGEST_JSON = 1 << 26  # bytes of a readable file, 30 times those of a matrix of all teams
 
 
 def write_episodes(table: pl.DataFrame, path: Path) -> None:
-    """Validate the table, bring it to `SCHEMA`'s types and write it, whole or not at all."""
+    """Validate a table, cast it to the types of `SCHEMA` and write it atomically."""
     validate_episodes(table)
     types = {**SCHEMA, **{name: pl.Float32() for name in term_columns(table)}}
     write_parquet(table.select(pl.col(name).cast(types[name]) for name in table.columns), path)
 
 
 def read_episodes(path: Path) -> pl.DataFrame:
-    """Read an episode table and validate it."""
+    """Return the validated episode table of a file."""
     return validate_episodes(read_parquet(path))
 
 
 def write_parquet(table: pl.DataFrame, path: Path) -> None:
-    """Write a table as Parquet: the file appears complete or not at all."""
+    """Write a table as Parquet, atomically."""
     write_bytes(parquet_bytes(table), path)
 
 
 def parquet_bytes(table: pl.DataFrame, metadata: dict[str, str] | None = None) -> bytes:
-    """Return a table as Parquet, made in memory: on a full disk Polars' own error misleads."""
+    """Return a table as the bytes of a Parquet file.
+
+    They are made in memory, because on a full disk the error of Polars is misleading.
+    """
     content = io.BytesIO()
     table.write_parquet(content, compression="zstd", metadata=metadata)
     return content.getvalue()
 
 
 def read_parquet(path: Path) -> pl.DataFrame:
-    """Read a Parquet file; a missing or damaged one is reported with its path."""
+    """Return the table of a Parquet file; errors about a missing or damaged file name its path."""
     _check_there(path)
     parquet.check_size(path)
     return parquet.read_parquet(path)
 
 
 def write_bytes(data: bytes, path: Path) -> None:
-    """Write a file: it appears complete or not at all, and a full disk is called so."""
+    """Write a file atomically; raise an OSError with advice if the disk is full."""
     try:
         atomic_write(path, data)
     except OSError as error:
@@ -82,13 +85,13 @@ def write_bytes(data: bytes, path: Path) -> None:
 
 
 def remove_derived(folder: Path, but: Collection[str] = ()) -> None:
-    """Remove tables and figures that were drawn from a folder's episodes, but for some."""
+    """Remove the tables and figures made from a folder's episodes, except the names in `but`."""
     for name in set(DERIVED_FILES).difference(but):
         (folder / name).unlink(missing_ok=True)
 
 
 def to_json(value: Any) -> Any:
-    """Return what `json.dumps` takes: dataclasses as objects by field, tuples as lists."""
+    """Return a value that `json.dumps` accepts: dataclasses become objects, tuples lists."""
     if dataclasses.is_dataclass(value):
         return {
             field.name: to_json(getattr(value, field.name)) for field in dataclasses.fields(value)
@@ -99,13 +102,13 @@ def to_json(value: Any) -> Any:
 
 
 def write_json(content: Any, path: Path) -> None:
-    """Write JSON without NaN or infinity: the file appears complete or not at all."""
+    """Write JSON without NaN or infinity, atomically."""
     text = json.dumps(to_json(content), indent=2, allow_nan=False)
     write_bytes((text + "\n").encode(), path)
 
 
 def read_json(path: Path) -> dict:
-    """Read a JSON object; a missing or damaged file is reported with its path."""
+    """Return the JSON object of a file; errors about a missing or damaged file name its path."""
     _check_there(path)
     try:
         if (size := path.stat().st_size) > LARGEST_JSON:

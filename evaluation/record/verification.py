@@ -1,8 +1,8 @@
-"""Compares the sources that are here with those that a manifest names, leaf by leaf.
+"""Compare a folder's files and sources with the hashes in its manifest.
 
-All files of a finished folder must be there and whole. What they were drawn from lies elsewhere: a
-folder that was received comes from another machine, so what is absent is said, and is no problem.
-Whatever a received manifest names is read within bounds.
+All files of a finished folder must exist and have their hashes. Its sources are elsewhere: those of
+a received folder may be on another machine, so absent sources are reported but are no problem.
+Files that a received manifest names are read within bounds.
 """
 
 import contextlib
@@ -31,21 +31,21 @@ from zoo.parameters.storage import load_leaves
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
 
-LARGEST_SUM = 1 << 32  # bytes of all files that are hashed: a received manifest may name any
+LARGEST_SUM = 1 << 32  # bytes of all hashed files together: a received manifest may name any file
 
 
 @dataclasses.dataclass(frozen=True)
 class Leaf:
-    """A hash that a manifest names, and that of what is here under its name."""
+    """A hash in a manifest, and the hash of the content found under its name."""
 
     name: str
     expected: str
-    actual: str | None  # None where nothing is here, or cannot be read
-    error: Exception | None = None  # why it cannot
+    actual: str | None  # None if the content is missing or unreadable
+    error: Exception | None = None  # the error of reading it
 
 
 def compare(named: Mapping[str, str], digest: Callable[[str], str | None]) -> Iterator[Leaf]:
-    """Hold each hash of a manifest against what `digest` returns of its name."""
+    """Yield a leaf for each name of a manifest, with the hash that `digest` returns for it."""
     for name, expected in named.items():
         try:
             yield Leaf(name, expected, digest(name))
@@ -55,26 +55,26 @@ def compare(named: Mapping[str, str], digest: Callable[[str], str | None]) -> It
 
 @dataclasses.dataclass(frozen=True)
 class FolderReport:
-    """What a check of a folder, or of its sources, against its manifest showed."""
+    """Result of checking a folder, or its sources, against its manifest."""
 
     folder: str
-    files: int = 0  # of the folder, held against the manifest
-    sources: int = 0  # that are here, and were held against it
-    absent: tuple[str, ...] = ()  # what could not be
+    files: int = 0  # number of checked files of the folder
+    sources: int = 0  # number of checked sources
+    absent: tuple[str, ...] = ()  # sources that are not here
     problems: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
-        """Whether every byte is the one that was written."""
+        """Whether no file or source has another content."""
         return not self.problems
 
 
 def check_whole(folder: Path) -> None:
-    """Refuse to draw figures from a finished folder that is not what its manifest says.
+    """Check a finished folder against its manifest before figures are made from it.
 
-    A folder without a manifest passes: nobody says what it was. But its tables must be readable:
-    whoever sends a folder can write a manifest that fits damaged ones. The matrix's picture is
-    nobody's source, and may have been drawn again.
+    A folder without a manifest passes, but its tables must be readable: a sender can write a
+    manifest that fits damaged tables. The picture of the matrix is not checked, because it is not a
+    source and may have been drawn again.
 
     Raises:
         ValueError: A file was changed, damaged or lost.
@@ -92,13 +92,13 @@ def check_whole(folder: Path) -> None:
 
 @contextlib.contextmanager
 def strange_tables_refused(folder: Path, *others: type[Exception]) -> Generator[None]:
-    """Refuse tables and fields of other kinds than ours, by what reading them leads to.
+    """Turn errors of reading malformed tables or fields in a `with` block into a ValueError.
 
-    Somebody sent the folder: its hashes may be right and its tables no tables of ours.
+    A received folder can have right hashes and malformed tables.
 
     Args:
-        folder: That is read.
-        others: What else strange ones lead to.
+        folder: The folder that is read.
+        others: More exception types that malformed content causes.
     """
     try:
         yield
@@ -114,7 +114,7 @@ def strange_tables_refused(folder: Path, *others: type[Exception]) -> Generator[
 
 
 def unchecked(folder: Path) -> list[str]:
-    """Say which files of ours no manifest speaks of, so that `check_whole` checked nothing."""
+    """Return a note on files that no manifest lists, so that `check_whole` did not check them."""
     names = [path.name for path in our_files(folder)]
     manifest = read_manifest(folder)
     if manifest is None:
@@ -125,7 +125,7 @@ def unchecked(folder: Path) -> list[str]:
 
 
 def verify_folder(folder: Path) -> FolderReport:
-    """Hold every file of a finished folder, received from anybody, against its manifest."""
+    """Return the report on all files of a finished, untrusted folder against its manifest."""
     try:
         manifest = read_manifest(folder)
     except (ValueError, OSError) as error:
@@ -142,12 +142,12 @@ def verify_folder(folder: Path) -> FolderReport:
 
 
 def check_sources(folder: Path, registry: Path | None = None) -> FolderReport:
-    """Hold what a folder's manifest names, and is here, against its hashes.
+    """Return the report on a folder's sources that are here, against the manifest's hashes.
 
     Args:
-        folder: A finished folder, received from anybody.
-        registry: Where its policies are looked up; if not given, where they were, if that is here,
-            else the installed one.
+        folder: A finished, untrusted folder.
+        registry: The registry file for its policies. By default the file that the manifest names,
+            if it exists, else the installed registry.
     """
     sources = (read_manifest(folder) or {}).get("sources")
     if sources is None:
@@ -163,14 +163,14 @@ def check_sources(folder: Path, registry: Path | None = None) -> FolderReport:
     return FolderReport(str(folder), 0, len(findings) - len(absent), absent, problems)
 
 
-Finding = tuple[Literal["whole", "absent", "problem"], str]  # what became of a source, and which
+Finding = tuple[Literal["whole", "absent", "problem"], str]  # the result for a source, and its name
 
 
 def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
-    """Hold own robots' and other folders' files against their hashes; each is read once.
+    """Yield the finding on each file outside the registry; each file is read once.
 
-    They may lie anywhere. Of a file that is another than expected the hash is not shown: a received
-    manifest may name a secret.
+    The files may be anywhere. The hash of a differing file is not shown, because a received
+    manifest may name a secret file.
     """
     hashes: dict[tuple[int, int], str] = {}
     left = LARGEST_SUM
@@ -197,7 +197,7 @@ def _check_files(files: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _is_registry(folder: Path, path: Path) -> bool:
-    """Return whether a manifest names a registry of this machine's, none that came with it."""
+    """Return whether `path` is a registry file outside the received folder."""
     try:
         check_regular(path.lstat())
         return path.suffix == ".json" and folder.resolve() not in path.resolve().parents
@@ -208,10 +208,11 @@ def _is_registry(folder: Path, path: Path) -> bool:
 def _check_releases(
     folder: Path, sources: Mapping[str, Any], registry_file: Path | None
 ) -> Iterator[Finding]:
-    """Hold the policies and entries of each release, and the parameters, against a registry's."""
+    """Yield the findings on each release's policies, entries and parameters in a registry."""
     recorded = Path(sources["registry"])
     chosen = registry_file or (recorded if _is_registry(folder, recorded) else None)
-    in_use = registry_file is None and recorded == registry_path().resolve()  # with what was added
+    # The registry in use includes added registries.
+    in_use = registry_file is None and recorded == registry_path().resolve()
     try:
         registry = load_registry(None if in_use else chosen)
     except ZooError as error:
@@ -247,7 +248,7 @@ def _check_parameters(registry: Registry, entries: Sequence[PolicyEntry]) -> Ite
 
 
 def _file_problems(folder: Path, named: Mapping[str, str]) -> Iterator[str]:
-    """Say which files of a folder are not what its manifest says; nothing outside it is read."""
+    """Yield a problem for each file that differs from the manifest; read only inside the folder."""
 
     def digest(name: str) -> str | None:
         return received_sha256(folder / name) if Path(name).name == name else None
@@ -265,7 +266,7 @@ def _file_problems(folder: Path, named: Mapping[str, str]) -> Iterator[str]:
 
 
 def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
-    """Hold the episodes against the job that the manifest names: same policies, same episodes."""
+    """Return problems of the episode table: other policies or episodes than the manifest's job."""
     path = folder / tables.EPISODES_FILE
     try:
         check_readable([path])

@@ -1,1 +1,1 @@
-"""Playing a saved result again, and deriving its figures again."""
+"""Replay of a saved result, and recomputation of its figures."""

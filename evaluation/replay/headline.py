@@ -7,42 +7,46 @@ import polars as pl
 
 from evaluation.figures.summary import CrossPlaySummary, EvaluationSummary
 
-# same: every episode of the figure was played, and gives the same bits.
-# sampled: so do those that were played; others were not.
-# within noise: of another processor, and no more than `MOST_HIDDEN` of the figure can be hidden.
-# cannot be told: of another processor, and more can be.
-# differs: some figure or episode is not what the job gives.
+# same: every episode of the figure was replayed with the same bits.
+# sampled: some episodes of the figure were replayed, all with the same bits.
+# within noise: of another processor; a bias of at most `MOST_HIDDEN` of the figure can be hidden.
+# cannot be told: of another processor; a larger bias can be hidden.
+# differs: a figure or an episode differs from the job's.
 Verdict = Literal["same", "sampled", "within noise", "cannot be told", "differs"]
-MOST_HIDDEN = 0.05  # of the figure
+MOST_HIDDEN = 0.05  # share of the figure
 
 
 @dataclasses.dataclass(frozen=True)
 class Headline:
-    """The figure that a folder is quoted by."""
+    """The main figure of a folder: the mean return of some of its episodes."""
 
     name: str
     value: float
-    rows: pl.Expr  # of the episode table, whose mean return it is
+    rows: pl.Expr  # filter of the episodes
 
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """How much of the headline figure a replay reached."""
+    """Part of the headline figure that a replay covers."""
 
-    played: int  # tiles of the job
-    tiles: int
-    episodes: int  # of the figure, that were not played
-    hidden: float | None  # see `hidden_bias`; None where none of its episodes were played
-    difference: float | None = None  # of the figure, found less kept, in those that were played
+    played: int  # number of replayed tiles of the job
+    tiles: int  # number of all tiles of the job
+    episodes: int  # number of the figure's episodes that were not replayed
+    hidden: float | None  # see `hidden_bias`; None if none of the episodes were replayed
+    # Mean of the figure's replayed episodes, minus their mean in the folder.
+    difference: float | None = None
 
     @property
     def found(self) -> float:
-        """The chance that a tile which somebody changed is among those that were played."""
+        """The chance that one changed tile is among the replayed tiles."""
         return self.played / self.tiles
 
 
 def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
-    """Return M of the evaluated side, or the mean of the pairs that did not train together."""
+    """Return M of the evaluated side of an evaluation, or the cross-play mean of a cross-play.
+
+    A cross-play with only co-trained pairs has the self-play mean.
+    """
     if isinstance(summary, EvaluationSummary):
         figure = getattr(summary, f"m_{summary.side}")
         left_out = list(summary.met.left_out) if summary.met else []
@@ -58,16 +62,17 @@ def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
 
 
 def hidden_share(headline: Headline, reach: Reach) -> float | None:
-    """Return the hidden part as a share of the figure; None if unknown, or if the figure is 0.
+    """Return the hidden bias as a share of the figure; None if unknown, or if the figure is 0.
 
-    The figure is the smaller of the folder's and the one found here: a forger raises the first.
+    The figure is the smaller of the folder's and the replayed one, because a forger raises the
+    folder's.
     """
     least = min(abs(headline.value), abs(headline.value + (reach.difference or 0.0)))
     return None if reach.hidden is None or least == 0 else reach.hidden / least
 
 
 def verdict_of(headline: Headline, reach: Reach, *, same_bits: bool) -> Verdict:
-    """Return the verdict on a folder in which nothing was found that its job does not give."""
+    """Return the verdict on a folder without problems."""
     if same_bits:
         return "sampled" if reach.episodes else "same"
     share = hidden_share(headline, reach)

@@ -1,7 +1,7 @@
-"""The job of a received folder, made again from the registry: what the folder says must be that.
+"""Make the job of a received folder again from the registry, and compare the folder with it.
 
-A manifest names policies, a seed and flags. Which policies there are, on which side of the split
-each is, its setting and its environment are the registry's and the installation's to say.
+Policies' names, seed and flags are read from the manifest. Parameters, sides, settings and
+environment are taken from the registry and the installation.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ LARGEST_TILE = 1 << 20  # simulations, on backends where the user may choose
 
 @dataclasses.dataclass(frozen=True)
 class RebuiltJob:
-    """What a folder must be of."""
+    """The job and metadata that a folder must agree with."""
 
     env: Any
     job: Job
@@ -95,10 +95,7 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
 def source_problems(
     manifest: Mapping[str, Any], registry: Registry, rebuilt: RebuiltJob, references: bool
 ) -> tuple[list[str], list[str]]:
-    """Hold what the manifest says of the registry against the registry.
-
-    Return problems, and what could not be checked.
-    """
+    """Return problems of the manifest's sources against the registry, and unchecked claims."""
     entries = entries_of(registry, rebuilt.job.egos, rebuilt.partners, references)
     split = rebuilt.split.id if rebuilt.split else None
     expected = describe_sources(registry, entries, split, ())
@@ -121,7 +118,12 @@ def source_problems(
 def _split_of(
     summary: EvaluationSummary | CrossPlaySummary, registry: Registry, task: str
 ) -> Split | None:
-    """Return the registry's split of the summary's name; a cross-play takes a release's default."""
+    """Return the registry's split that the summary names, or None if a cross-play names none.
+
+    Raises:
+        SplitError: The registry's split has another hash.
+        ValueError: An evaluation names no split, or a cross-play's is not a release's default.
+    """
     if summary.split is None:
         if isinstance(summary, EvaluationSummary):
             raise ValueError("the evaluation names no split, and its sides are of none")
@@ -173,7 +175,7 @@ def _job_of(
 
 
 def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
-    """Refuse an identity that is not the job's; versions of engine and software may be others."""
+    """Raise a ValueError if an identity differs from the job's, except in versions."""
     here, engine = job.identity(), identity["engine"]
     if set(engine) == set(job.engine) and engine.get("name") == job.engine.get("name"):
         here["engine"] = engine
@@ -187,11 +189,11 @@ def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
 
 
 def tile_envs_of(backend: str, manifest: Mapping[str, Any]) -> int:
-    """Return how many simulations a tile has here: one of the numbers that this software uses.
+    """Return the largest number of simulations in a tile for the replay.
 
-    On backends whose rows round alike only in the same program, it is that of the folder, if it is
-    one of ours. On others no cut gives the same bits, so it is this software's own: a folder that
-    chose small tiles could have few of its episodes played.
+    On `native` and `fused`, it is the folder's, which must be one that this software uses: rows are
+    equal to the last bit only in the same program. On other backends it is this software's own,
+    because a folder with small tiles could have few of its episodes replayed.
     """
     most, chunk = manifest["tile_envs"], manifest["max_envs"]
     for name, value in (("tile_envs", most), ("max_envs", chunk)):
@@ -213,7 +215,7 @@ def _parts(
     split: Split | None,
     partners: Sequence[PolicyEntry],
 ) -> list[str]:
-    """Say where only a part of a split's side, or of a release, was played."""
+    """Return notes on a split's side, or a release, of which only a part was played."""
     if isinstance(summary, EvaluationSummary) and split is not None:
         counts = [
             (f"{side} partners of split {split.id}", count, len(getattr(split, side)))

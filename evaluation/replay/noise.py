@@ -1,10 +1,10 @@
-"""How far honest episodes lie apart on two kinds of processor, and whether a replay lies within.
+"""Differences of honest episodes between two kinds of processor, and the test of a replay.
 
-Networks and rewards round differently where a processor has other instructions, and contacts
-amplify last bits: most episodes end almost the same, a few wholly different. `replay_noise.json`
-holds, by task and column, how far: from sixteen published robots with sixteen humans each, played
-with and without fused multiply-adds (`python -m tools.replay_noise`). Nothing of the folder that
-is judged enters the scale, so that no forger can widen it.
+Processors with other instructions round differently, and contacts amplify the last bits. Most
+episodes end almost the same, a few very differently. `replay_noise.json` holds these differences by
+task and column, measured for sixteen published robots with sixteen humans each, with and without
+fused multiply-adds (`python -m tools.replay_noise`). They do not depend on the tested folder, so a
+forger cannot enlarge them.
 """
 
 import json
@@ -18,21 +18,23 @@ import polars as pl
 from evaluation.figures.normalised import RANDOM
 
 QUANTILES = (0.5, 0.75, 0.9, 0.97)  # of the absolute differences of a robot's episodes
-MARGIN = 2.0  # times what was measured of single episodes: a robot may be wilder than those
-DEVIATIONS = 6.0  # of a mean: many groups and columns are looked at
-ONE_SIDED = 5.0  # deviations of a coin's: of those measured, no group of any column had above 3.6
-ROUNDING = 1e-5  # of a value: 32-bit sums of a thousand steps
+MARGIN = 2.0  # factor on the measured differences of single episodes, for more variable robots
+DEVIATIONS = 6.0  # allowed standard deviations of a mean, large because many groups are tested
+# Allowed standard deviations of the number of positive differences. The largest measured one of any
+# group and column was 3.6.
+ONE_SIDED = 5.0
+ROUNDING = 1e-5  # relative rounding of 32-bit sums over a thousand steps
 FILE = Path(__file__).with_name("replay_noise.json")
 
 
 def read_noise(task: str) -> dict[str, dict[str, Any]]:
-    """Return what was measured of a task's columns: `quantiles`, `rms` and `largest`.
+    """Return the measured `quantiles`, `rms` and `largest` difference of each column of a task.
 
     Args:
         task: A task, or `wild(task)`.
 
     Raises:
-        ValueError: Nothing was measured of it.
+        ValueError: The task was not measured.
     """
     measured = json.loads(FILE.read_text())
     if task not in measured:
@@ -44,12 +46,12 @@ def read_noise(task: str) -> dict[str, dict[str, Any]]:
 
 
 def wild(task: str) -> str:
-    """Return where the file has a task's uniformly random robot, whose episodes differ most."""
+    """Return the file's key for a task's uniformly random robot, whose episodes differ most."""
     return f"{task}/{RANDOM}"
 
 
 def measured_columns(table: pl.DataFrame) -> list[str]:
-    """Return the columns that come of playing, and not of the job."""
+    """Return the numeric columns that are results of playing, not fixed by the job."""
     planned = {"episode", "place", "key"}
     return [
         name
@@ -63,18 +65,19 @@ def measured_columns(table: pl.DataFrame) -> list[str]:
 def noise_problems(
     task: str, kept: pl.DataFrame, played: pl.DataFrame, figure: pl.Expr | None = None
 ) -> list[str]:
-    """Say where kept episodes lie farther from those played again than processors do.
+    """Return problems of groups of episodes that differ by more than processors do.
 
-    Of all episodes and of each robot's no more may lie beyond a quantile than did of the worst
-    robot that was measured. Of these, of each partner's, of each pair's and of the headline
-    figure's the mean difference must be within what so many episodes make.
+    For all episodes and for each robot's, the share of differences above each quantile must not
+    exceed that of the worst measured robot. For these, and for the episodes of each partner, each
+    pair and the headline figure, the mean difference and the number of positive differences must be
+    within the limits for so many episodes.
 
     Args:
-        task: Whose noise is meant.
+        task: The task whose measured differences are used.
         kept: The folder's episodes.
-        played: The same, in the same order, played here.
-        figure: Which of them the headline figure is the mean of; a forger who raises those could
-            otherwise lower others in return.
+        played: The same episodes in the same order, played here.
+        figure: Filter of the headline figure's episodes. Without it, a forger could raise these
+            and lower others.
     """
     of_random = kept["ego"] == RANDOM
     if of_random.any() and not of_random.all():
@@ -110,13 +113,13 @@ def hidden_bias(
 ) -> float | None:
     """Return the largest bias of a column's mean that `noise_problems` lets pass.
 
-    It is that of a forger who changed all episodes of the figure alike, those that were not played
-    too. None where none of them were played.
+    It assumes that a forger changed all episodes of the figure equally. If none of the figure's
+    episodes were replayed, return None.
 
     Args:
-        task: Whose noise is meant.
-        played: Episodes that were played again.
-        figure: Which of them the headline figure is the mean of.
+        task: The task whose measured differences are used.
+        played: The replayed episodes.
+        figure: Filter of the headline figure's episodes.
         name: The column.
     """
     rows = _rows_of(played, figure)
@@ -126,22 +129,22 @@ def hidden_bias(
 
 
 def _largest_mean(scale: dict[str, Any], rounding: np.ndarray) -> float:
-    """Return the largest mean difference that passes, of a group with these roundings."""
+    """Return the largest mean difference that passes for a group with these roundings [N]."""
     return mean_tolerance(scale, rounding.size) + rounding.mean()
 
 
 def _rounding(played: pl.DataFrame, name: str) -> np.ndarray:
-    """Return by how much a column's values may always differ."""
+    """Return the difference [N] by rounding that each value of a column may always have."""
     return ROUNDING * (1 + np.abs(played[name].cast(pl.Float64).to_numpy()))
 
 
 def mean_tolerance(scale: dict[str, Any], episodes: int) -> float:
-    """Return how far the mean of so many episodes may lie from that on another processor."""
+    """Return the largest difference of a mean over `episodes` between processors."""
     return DEVIATIONS * scale["rms"] / np.sqrt(episodes) + MARGIN * scale["largest"] / episodes
 
 
 def _beyond(gaps: np.ndarray, rounding: np.ndarray, scale: dict[str, Any]) -> str | None:
-    """Say if more of a robot's episodes lie beyond a quantile than chance puts there."""
+    """Return a text if more episodes differ by a quantile than chance allows, else None."""
     n = len(gaps)
     for share, quantile in zip(QUANTILES, scale["quantiles"], strict=True):
         beyond = float(np.mean(gaps > MARGIN * quantile + rounding))
@@ -155,7 +158,7 @@ def _beyond(gaps: np.ndarray, rounding: np.ndarray, scale: dict[str, Any]) -> st
 
 
 def _one_sided(signed: np.ndarray, rounding: np.ndarray) -> str | None:
-    """Say if more of the differences than chance has are on one side."""
+    """Return a text if the differences are mostly positive or mostly negative, else None."""
     other = signed[np.abs(signed) > rounding]
     above = int((other > 0).sum())
     if abs(above - other.size / 2) <= ONE_SIDED * np.sqrt(other.size) / 2:
@@ -166,7 +169,10 @@ def _one_sided(signed: np.ndarray, rounding: np.ndarray) -> str | None:
 def _every_group(
     table: pl.DataFrame, figure: pl.Expr | None
 ) -> Iterator[tuple[tuple[str, ...], np.ndarray, bool]]:
-    """Yield a group's name, its rows, and whether it is of whole robots, as was measured."""
+    """Yield each group's name and rows, and whether it has all episodes of its robots.
+
+    Quantiles were measured for groups with all episodes of a robot.
+    """
     yield (), np.arange(table.height), True
     if figure is not None and (rows := _rows_of(table, figure)).size:
         yield ("the headline figure",), rows, False
@@ -180,7 +186,7 @@ def _rows_of(table: pl.DataFrame, figure: pl.Expr) -> np.ndarray:
 
 
 def groups_of(table: pl.DataFrame, keys: list[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    """Yield the values of each group in the key columns, and the numbers of its rows."""
+    """Yield each group's values in the key columns, as texts, and the indices of its rows."""
     numbered = table.select(keys).with_row_index("row")
     for group, rows in numbered.group_by(keys, maintain_order=True):
         yield tuple(map(str, group)), rows["row"].to_numpy()

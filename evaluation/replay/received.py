@@ -1,8 +1,8 @@
-"""The robots of a received folder: its names never run code, nor leave the folder or the zoo.
+"""Robots of a received folder, found without running code or reading outside folder and registry.
 
-A sender may write any name into a folder's tables and seal them. So a name is looked up as an id of
-the registry, or as a policy file that lies in the folder itself, and has the digest that the folder
-says. A reader who trusts the folder may allow its names as they are: paths, and code that is run.
+A sender may write any name into a folder. So a name must be an id of the registry, or a policy file
+in the folder itself, with the digest that the folder states. A user who trusts the folder may allow
+all names, which include other paths and code to run.
 """
 
 import dataclasses
@@ -26,14 +26,14 @@ def received_robots(
     *,
     run_code: bool = False,
 ) -> Roster:
-    """Return the robots that a folder names.
+    """Return the roster of the robots that an untrusted folder names.
 
     Args:
-        folder: Received from anybody.
-        named: Name and digest of each robot, as the identity of the folder's job has them.
-        registry: Has the published robots.
-        task: What they play.
-        run_code: Take names as they are: files anywhere, and Python code, which is run.
+        folder: The folder.
+        named: Name and digest of each robot in the identity of the folder's job.
+        registry: The registry of the published robots.
+        task: The robots' task.
+        run_code: Allow all names: files anywhere, and Python code, which is run.
 
     Raises:
         ValueError: A robot is code or lies outside the folder, and that is not allowed; or it is
@@ -63,13 +63,13 @@ def source_of(name: str, folder: Path, registry: Registry, *, run_code: bool = F
     """Return the source behind a name: an id of the registry, or a file of the folder.
 
     Args:
-        name: Of a robot, as the folder has it.
-        folder: Received from anybody.
-        registry: Has the published robots.
-        run_code: Return the name as it is.
+        name: The robot's name in the folder.
+        folder: The folder, not trusted.
+        registry: The registry of the published robots.
+        run_code: Return the name unchanged.
 
     Raises:
-        ValueError: It names code or a Python object.
+        ValueError: The name is of code or of a Python object.
         ZooError: The registry has no such robot.
     """
     if run_code:
@@ -87,7 +87,7 @@ def source_of(name: str, folder: Path, registry: Registry, *, run_code: bool = F
 
 
 def _check_there(name: str, source: str) -> None:
-    """Refuse a robot's file that is not there, or no regular file."""
+    """Raise a ValueError if a robot's file is missing or not a regular file."""
     reference = parse_reference(source)
     if reference.kind not in ("file", "onnx"):
         return
@@ -106,12 +106,12 @@ def _check_there(name: str, source: str) -> None:
 
 
 def _exactly(source: str) -> str | Path:
-    """Return a source of which no part is taken for a pattern."""
+    """Return a source in a form that is not read as a glob pattern."""
     return Path(source) if parse_reference(source).kind in ("file", "onnx") else source
 
 
 def _renamed(robots: Roster, names: Mapping[str, str]) -> Roster:
-    """Return robots under other ids, where `names` has one."""
+    """Return the roster with ids replaced by those in `names`."""
 
     def name_of(old: str) -> str:
         return names.get(old, old)

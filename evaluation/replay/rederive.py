@@ -1,7 +1,7 @@
-"""Every table and figure of a folder drawn again from its episodes, and held against what it has.
+"""Compute a folder's tables and figures again from its episodes, and compare them.
 
-The functions that draw them are those that drew them first, into a temporary folder. Numbers may
-differ in the sixth digit, since sums of another processor do.
+They are computed by the usual functions in a temporary folder. Numbers may differ in the sixth
+digit, as sums on another processor do.
 """
 
 import dataclasses
@@ -26,16 +26,16 @@ from evaluation.record.columns import validate_episodes
 from evaluation.record.record import Record
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
-LOOSE = 1e-3  # of strategies: a determinant's last digits are its smallest eigenvalue's
+LOOSE = 1e-3  # for strategies: a determinant depends on the smallest eigenvalue
 
 
 def planned_table(job: Job, tiles: Sequence[Tile]) -> pl.DataFrame:
-    """Return what a job's episode table must hold before anything is played, in its order."""
+    """Return the columns of a job's episode table that are known before playing, in its order."""
     return in_order(pl.concat([planned_rows(job, tile) for tile in tiles]), job)
 
 
 def planned_problems(kept: pl.DataFrame, planned: pl.DataFrame, name: str) -> list[str]:
-    """Say which columns of a kept table are not as planned: who played what, from which start."""
+    """Return the problem of a kept table whose planned columns differ from the job's, if any."""
     if kept.height != planned.height:
         return [f"{name} has {kept.height} episodes; the job has {planned.height}"]
     differing = [
@@ -57,16 +57,16 @@ def derived_problems(
     crossplay: pl.DataFrame | None,
     notes: Sequence[str] = (),
 ) -> list[str]:
-    """Say which files of a folder are not what its episodes give.
+    """Return problems of files that differ from those computed from the folder's episodes.
 
     Args:
-        record: Of a verified folder.
-        context: What they do not say, from the registry and the job.
-        met: Which partners the robots met in training.
-        is_crossplay: Whether the folder is one.
+        record: The record of a verified folder.
+        context: The run's metadata, from the registry and the job.
+        met: The robots' training partners.
+        is_crossplay: Whether the folder is a cross-play.
         references: The reference egos' episodes, if the folder has them.
         crossplay: Pairs of the cross-play whose robots may be best responses.
-        notes: What the summary says of robots from outside.
+        notes: The summary's notes on robots from outside.
     """
     with tempfile.TemporaryDirectory() as name:
         fresh = dataclasses.replace(record, folder=Path(name))
@@ -75,11 +75,13 @@ def derived_problems(
             return list(_file_problems(record.folder, fresh.folder))
         drawn = None if references is None else (references, bounds_table(references, crossplay))
         problems: list[str] = []
-        for include_own in (False, True):  # a note of the summary says which
+        # Either choice may have been made.
+        for include_own in (False, True):
             options = {"include_own": include_own, "references": drawn, "met": met, "notes": notes}
             try:
                 save_evaluation(fresh, context, **options)
-            except ValueError as error:  # all partners are the robots' own
+            except ValueError as error:
+                # All partners are the robots' own.
                 problems = problems or [str(error)]
                 continue
             differing = list(_file_problems(record.folder, fresh.folder))
@@ -90,10 +92,10 @@ def derived_problems(
 
 
 def check_crossplay(folder: Path, crossplay: pl.DataFrame | None) -> None:
-    """Refuse bounds that rest on a cross-play which is not here.
+    """Check that a cross-play is given if the folder's bounds depend on one.
 
     Raises:
-        ValueError: Says so.
+        ValueError: The cross-play is missing.
     """
     path = folder / tables.BOUNDS_FILE
     if crossplay is None and path.is_file():
@@ -105,7 +107,7 @@ def check_crossplay(folder: Path, crossplay: pl.DataFrame | None) -> None:
 
 
 def read_references(folder: Path) -> pl.DataFrame | None:
-    """Return the reference egos' episodes of a folder, if it has them.
+    """Return the reference egos' episodes of a folder, or None if it has none.
 
     Raises:
         ValueError: The table is malformed.
@@ -121,7 +123,7 @@ def read_references(folder: Path) -> pl.DataFrame | None:
 
 
 def _file_problems(folder: Path, fresh: Path) -> Iterator[str]:
-    """Compare the files that were drawn again with those of the folder."""
+    """Yield a problem for each file that is missing, unexpected or different in the folder."""
     drawn = {path.name for path in fresh.iterdir()}
     apart = {tables.EPISODES_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE}
     kept = {name for name in tables.FILES if (folder / name).is_file()} - apart
@@ -142,7 +144,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def _differences(kept: Any, fresh: Any, relative: float, place: str = "") -> Iterator[str]:
-    """Yield where two JSON values differ."""
+    """Yield a text for each place where two JSON values differ."""
     if isinstance(kept, dict) and isinstance(fresh, dict) and kept.keys() == fresh.keys():
         for name in fresh:
             yield from _differences(kept[name], fresh[name], relative, f"{place}.{name}")

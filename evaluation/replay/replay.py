@@ -1,13 +1,13 @@
-"""Whether a finished folder, received from anybody, holds what its job gives.
+"""Replay a finished, untrusted folder, to check that it holds the results of its job.
 
-Its manifest is believed in nothing that a figure depends on. The job is made again from the
-registry, every table and figure is drawn again from the episodes, and a sample of the episodes is
-played again: whole tiles, so that each stands in the same row of the same program as it did.
+No figure relies on the folder's manifest. The job is made again from the registry, every table and
+figure is computed again from the episodes, and a sample of the episodes is played again. Whole
+tiles are played, so that each episode is in the same row of the same program.
 
-Values of a replay that are the same to the last bit are always taken. Others fail where the folder
-says that this kind of machine made them; where it names another, they are held to what was measured
-of processors, see `evaluation.replay.noise`. A forger may name any, so the report says how much of
-the headline figure could be hidden, see `evaluation.replay.headline`.
+Values that are equal to the last bit pass. Other values fail if the folder names this kind of
+machine. If it names another one, they must be within the measured differences of processors, see
+`evaluation.replay.noise`. A forger may name any machine, so the report has the largest bias of the
+headline figure that would pass, see `evaluation.replay.headline`.
 """
 
 import contextlib
@@ -47,30 +47,33 @@ NOT_ITS_JOB = "not what its job gives, or another version of assistax-zoo drew i
 
 @dataclasses.dataclass(frozen=True)
 class ReplayReport:
-    """What playing a sample again gave."""
+    """Result of replaying a sample of a folder's episodes."""
 
     folder: str
-    episodes: int  # played again
-    exact: bool  # whether they were compared bit by bit
-    why: str  # they were, or were not
-    differing: int  # episodes with any other value; on another machine most have
-    ok: bool  # whether nothing was found that the job does not give
-    verdict: Verdict = "differs"  # what that confirms
-    figure: str = ""  # the headline figure's name
-    value: float = 0.0  # and value, in the folder
-    difference: float | None = None  # of it, found less kept, in its episodes that were played
-    hidden: float | None = None  # bias of these that would pass; None where none were played
-    hidden_share: float | None = None  # of the smaller of the value and the one found
-    hidden_flags: Mapping[str, float] = dataclasses.field(default_factory=dict)  # share of episodes
-    tiles: int = 0  # of the job, played again
-    of_tiles: int = 0
-    found: float = 0.0  # chance that one tile which somebody changed is among them
+    episodes: int  # number of replayed episodes of the job
+    exact: bool  # whether values were compared bit by bit
+    why: str  # the reason for `exact`
+    differing: int  # number of replayed episodes with a differing value
+    ok: bool  # whether there are no problems
+    verdict: Verdict = "differs"
+    figure: str = ""  # name of the headline figure
+    value: float = 0.0  # the headline figure in the folder
+    # Mean of the headline figure's replayed episodes, minus their mean in the folder.
+    difference: float | None = None
+    # Largest bias of that mean that would pass; None if no such episode was replayed.
+    hidden: float | None = None
+    hidden_share: float | None = None  # `hidden` divided by the figure
+    # The same bias for success and violation, as a share of episodes.
+    hidden_flags: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    tiles: int = 0  # number of replayed tiles of the job
+    of_tiles: int = 0  # number of all tiles of the job
+    found: float = 0.0  # chance that one changed tile is among the replayed ones
     seed: int = 0  # of the sample
-    of_episodes: int = 0  # in the folder
-    references: int = 0  # episodes of the reference egos, played again
-    of_references: int = 0
+    of_episodes: int = 0  # number of the job's episodes in the folder
+    references: int = 0  # number of replayed episodes of the reference egos
+    of_references: int = 0  # number of all episodes of the reference egos
     problems: tuple[str, ...] = ()
-    unchecked: tuple[str, ...] = ()  # what the folder says and this check does not bear out
+    unchecked: tuple[str, ...] = ()  # claims of the folder that this check cannot confirm
 
 
 def replay_folder(
@@ -83,20 +86,20 @@ def replay_folder(
     lock: Path | None = None,
     crossplay: Path | None = None,
 ) -> ReplayReport:
-    """Check a finished folder: draw its figures again, and play a sample of its episodes again.
+    """Return the report on a folder: figures computed again, a sample of episodes played again.
 
     Args:
-        folder: Filled by an evaluation or a cross-play; may be received from anybody.
-        registry: Has its partners, and its robots if they are published.
-        sample: Episodes, of the job and of each of its references; whole tiles are played, so there
-            may be more.
-        seed: Of the choice of tiles; if not given, one that nobody could foresee.
-        run_code: Run robots that are Python code: the folder says which, so trust it first.
+        folder: A folder of an evaluation or a cross-play, not trusted.
+        registry: The registry of its partners, and of its robots if they are published.
+        sample: Least number of replayed episodes, of the job and of each of its references. Whole
+            tiles are played.
+        seed: Seed of the choice of tiles; by default an unpredictable one.
+        run_code: Whether to run robots of Python code that the folder names: trust it first.
         lock: File of the lock under which the folder was made.
-        crossplay: Folder of the cross-play whose robots are best responses; checked as well.
+        crossplay: Folder of the cross-play whose robots are best responses, which is checked too.
 
     Raises:
-        ValueError: The folder is not what was written, or its job cannot be played here.
+        ValueError: The folder was changed, or its job cannot be played here.
     """
     if sample < 1:
         raise ValueError(f"sample is {sample}; give at least 1")
@@ -136,7 +139,7 @@ def replay_folder(
 
 @contextlib.contextmanager
 def _strange_manifest_refused(folder: Path) -> Generator[None]:
-    """Refuse a manifest whose fields have other types than ours."""
+    """Turn errors of a manifest's malformed fields in a `with` block into a ValueError."""
     try:
         yield
     except (KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -154,7 +157,7 @@ def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class _Part:
-    """A job that the folder's tables are of, and its episodes there."""
+    """A job of a folder, with its tiles, planned columns, and episodes in the folder."""
 
     job: Job
     tiles: Sequence[Tile]
@@ -163,7 +166,7 @@ class _Part:
 
 
 def _kept_parts(record: Record, registry: Registry, rebuilt: RebuiltJob) -> list[_Part]:
-    """Return the folder's own job and those of its references."""
+    """Return the parts of a folder: its own job, then the jobs of its references."""
     jobs, kept = [rebuilt.job], [record.table]
     if (references := rederive.read_references(record.folder)) is not None:
         own = own_robots(registry, rebuilt.partners)
@@ -193,7 +196,7 @@ def _written_problems(
     parts: Sequence[_Part],
     pairs: pl.DataFrame | None,
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Hold all that is not played against the job: return problems, and what is not checked."""
+    """Return problems of manifest, planned columns and figures, and the unchecked claims."""
     has_references = len(parts) > 1
     is_crossplay = (record.folder / tables.PAIRS_FILE).is_file()
     problems, unchecked = source_problems(record.manifest, registry, rebuilt, has_references)
@@ -225,7 +228,7 @@ def _less_than_same(inner: ReplayReport | None) -> list[str]:
 
 
 def _choose(parts: Sequence[_Part], sample: int, seed: int) -> list[list[Tile]]:
-    """Choose tiles of each job by chance, until there are enough episodes."""
+    """Return random tiles of each part, with at least `sample` episodes if it has so many."""
     rng, chosen = np.random.default_rng(seed), [[] for _ in parts]
     for part, tiles in zip(parts, chosen, strict=True):
         for place in rng.permutation(len(part.tiles)):
@@ -236,7 +239,7 @@ def _choose(parts: Sequence[_Part], sample: int, seed: int) -> list[list[Tile]]:
 
 
 def _play(env: Any, part: _Part, chosen: Sequence[Tile]) -> pl.DataFrame:
-    """Play tiles of a job again."""
+    """Return the episodes of tiles of a part, played again and sorted by `KEYS`."""
     rows: list[pl.DataFrame] = []
     chunks = [Chunk(index, (tile,)) for index, tile in enumerate(chosen)]
     Runner(env, part.job).run(chunks, lambda _, played: rows.append(played))
@@ -251,7 +254,7 @@ def _judge(
     parts: Sequence[_Part],
     played: Sequence[pl.DataFrame],
 ) -> ReplayReport:
-    """Compare what was played with what was kept, bit by bit or within processors' noise."""
+    """Return the report with problems and verdict, from the replayed and the folder's episodes."""
     kept = [
         part.kept.join(again, on=KEYS, how="semi").sort(KEYS)
         for part, again in zip(parts, played, strict=True)
@@ -292,7 +295,7 @@ def _with_verdict(
     pair: tuple[pl.DataFrame, pl.DataFrame],
     task: str,
 ) -> ReplayReport:
-    """Add the reached part of the headline figure, and the verdict."""
+    """Return the report with the verdict and the bias that the headline figure could hide."""
     kept, found = (table.filter(headline.rows)["return"].cast(pl.Float64) for table in pair)
     same = report.exact and not kept.is_empty()
     reach = Reach(
@@ -320,13 +323,13 @@ def _with_verdict(
 
 
 def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
-    """Return which episodes [N] have any other value than when they were played again."""
+    """Return a mask [N] of the episodes with a value that differs between the two tables."""
     same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
     return ~np.all(same, axis=0)
 
 
 def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
-    """Return whether the folder says that it was made where every bit is as here, and why."""
+    """Return whether the folder names this kind of machine, with exact results, and the reason."""
     made, there = _object(manifest.get("made_with")), manifest["identity"]
     pairs = {
         "processor": (made.get("processor"), processor()),
@@ -343,5 +346,5 @@ def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
 
 
 def _object(value: Any) -> dict[str, Any]:
-    """Return what a manifest says, or nothing where it is no object."""
+    """Return a manifest's value if it is an object, else an empty dict."""
     return value if isinstance(value, dict) else {}

@@ -1,4 +1,4 @@
-"""Replaying self-play: does this installation give the returns that a registry records?
+"""Check by self-play that this installation gives the returns that a registry records.
 
 Every selected policy is loaded, its hashes checked, and stepped once; every team then plays a few
 episodes with itself, all teams of a pair of specs in one stacked rollout, each under its own
@@ -10,14 +10,14 @@ deviation. A task passes if the mean difference of its teams lies within `TASK_M
 standard errors. The margins allow for another physics backend: release v0 was measured on a GPU
 with `mjx-warp` in float32, and `native` differs from it by 0.0 to 0.3 % on scratch.
 
-A team that differs plays `LONGER` times as many episodes before it is called different: among the
-few episodes of each of hundreds of teams some fail, which says nothing of the installation. Where
-those are more than were recorded their own deviation counts if it is larger: a team that succeeds,
-or hurts somebody, once in twenty episodes may have been recorded without one.
+A team that differs plays `LONGER` times as many episodes before it is reported. Among a few
+episodes of hundreds of teams some fail on any installation. If a replay has more episodes than the
+record, its deviation counts if it is larger: an event of one in twenty episodes may be absent from
+the record.
 
-A return is a coarse measure, since trained policies make up for much: on scratch, with two
-episodes, a tenth less gravity moves it by 1.6 % and a fifth less torque by 0.8 %. That each step is
-the same is what the golden test checks.
+A return is a coarse measure, because trained policies compensate: on scratch, with two episodes, a
+tenth less gravity changes it by 1.6 % and a fifth less torque by 0.8 %. The golden test checks that
+each step is the same.
 """
 
 import dataclasses
@@ -42,17 +42,17 @@ from zoo.registry import Registry
 from zoo.schema import PolicyEntry, SelfPlay
 
 STANDARD_ERRORS = 4.0
-LONGER = 16  # times the episodes
+LONGER = 16  # factor of episodes in the second replay
 TEAM_MARGIN = 0.05  # of the recorded mean
 TASK_MARGIN = 0.005  # of the recorded mean over a task's teams
-_WIDTH_95 = 3.92  # of a 95% interval, in standard errors
+_WIDTH_95 = 3.92  # width of a 95% interval, in standard errors
 
 Pair = tuple[PolicyEntry, PolicyEntry]  # robot and human of a team
 
 
 @dataclasses.dataclass(frozen=True)
 class TeamReplay:
-    """What a team was recorded with, and what it did here."""
+    """A team's recorded and replayed self-play return."""
 
     team: str
     expected: float | None  # recorded mean return; None if it was never measured
@@ -72,28 +72,27 @@ class Drift:
 
     @property
     def ok(self) -> bool:
-        """Whether it lies within what is allowed."""
+        """Whether the difference is within the tolerance."""
         return abs(self.found) <= self.tolerance
 
 
 @dataclasses.dataclass(frozen=True)
 class SelfPlayReport:
-    """What playing teams again showed."""
+    """Result of replaying the self-play of teams."""
 
     backend: str
-    episodes: int  # of each team, but for those that played longer
+    episodes: int  # of each team in its first replay
     versions: dict[str, str]
-    policies: int  # loaded and stepped
-    outdated: tuple[
-        str, ...
-    ]  # teams trained on another version of the environment: stepped, not replayed
+    policies: int  # number of policies that were loaded and stepped
+    # Teams of an environment version that is not playable: stepped, not replayed.
+    outdated: tuple[str, ...]
     teams: tuple[TeamReplay, ...]
     drifts: tuple[Drift, ...]  # one for each task with two teams or more
     problems: tuple[str, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether nothing differs from what is recorded."""
+        """Whether all returns agree with their records."""
         return not self.problems
 
     def to_json(self) -> dict[str, Any]:
@@ -110,16 +109,17 @@ def check_self_play(
     make_env: Callable[[str, str], Any] | None = None,
     on_progress: Callable[[int], None] = lambda teams: None,
 ) -> SelfPlayReport:
-    """Load and step every entry, and replay the self-play of every team that is whole among them.
+    """Load and step every entry, replay the self-play of every complete team, return the report.
 
-    Teams of a version of the environment that cannot be played here are not replayed.
+    Teams of an environment version that is not playable here are not replayed.
 
     Args:
         registry: The registry.
-        entries: Policies of it.
-        episodes: Episodes of each team at first.
+        entries: Policies of the registry.
+        episodes: Episodes of each team in its first replay.
         backend: Physics backend.
-        make_env: From task and backend to an environment; default `assistax_envs.make`.
+        make_env: Function of task and backend that returns an environment; by default
+            `assistax_envs.make`.
         on_progress: Called with the number of teams just replayed.
     """
     if episodes < 1:
@@ -139,7 +139,8 @@ def check_self_play(
         backend = env.backend
         try:
             teams += _replay(registry, env, pairs, episodes)
-        except ValueError as error:  # policies of other sizes than the environment's
+        except ValueError as error:
+            # Policies have other sizes than the environment.
             problems.append(str(error))
         on_progress(len(pairs))
     problems += [_difference(team) for team in teams if not team.ok]
@@ -158,7 +159,7 @@ def check_self_play(
 
 
 def versions() -> dict[str, str]:
-    """Return the installed versions that decide what a policy does, Python's included."""
+    """Return the installed versions of Python and of the packages that affect returns, by name."""
     numbers = {name: installed(name) or "not installed" for name in PACKAGES}
     return {"python": platform.python_version(), **numbers}
 
@@ -167,7 +168,7 @@ def tolerance(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> floa
     """Return the largest difference between the recorded and a replayed mean that passes.
 
     Args:
-        recorded: What the registry has.
+        recorded: The registry's record.
         episodes: Episodes of the replay.
         deviation: Standard deviation of a return in the replay; the larger one counts.
     """
@@ -176,7 +177,7 @@ def tolerance(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> floa
 
 
 def _standard_error(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -> float:
-    """Return that of the difference between the recorded mean and one over `episodes`."""
+    """Return the standard error of the recorded mean minus a mean over `episodes`."""
     width = recorded.mean_ci[1] - recorded.mean_ci[0]
     deviation = max(width / _WIDTH_95 * math.sqrt(recorded.n), deviation)
     return deviation * math.sqrt(1.0 / recorded.n + 1.0 / episodes)
@@ -185,7 +186,10 @@ def _standard_error(recorded: SelfPlay, episodes: int, deviation: float = 0.0) -
 def _load(
     registry: Registry, entries: Sequence[PolicyEntry]
 ) -> tuple[list[PolicyEntry], list[str]]:
-    """Load shard by shard, so that a damaged one leaves the others to be replayed."""
+    """Return the loadable entries, and problems of the others; load shard by shard.
+
+    So a damaged shard does not stop the check of the others.
+    """
     problems: list[str] = []
     sound: list[PolicyEntry] = []
     for shard in dict.fromkeys(entry.shard for entry in entries):
@@ -200,7 +204,7 @@ def _load(
 
 @own_settings()
 def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
-    """Step every policy once from a zero observation; name those that fail or leave [-1, 1]."""
+    """Return ids and problem of policies that fail on a zero observation or leave [-1, 1]."""
     import jax
     import jax.numpy as jnp
 
@@ -214,7 +218,8 @@ def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
 
     try:
         actions = np.asarray(jax.jit(lambda params: jax.lax.map(act, params))(stack.params))
-    except Exception as error:  # flax has exceptions of its own for parameters of another network
+    # Flax has its own exceptions for parameters of another network.
+    except Exception as error:
         if lacks_memory(error):
             raise
         message = " ".join(str(error).split())[:200]
@@ -231,7 +236,7 @@ def _teams(
     unfit: Collection[str],
     outdated: Collection[str],
 ) -> dict[tuple[str, int], list[Pair]]:
-    """Return the robot and the human of each whole team, by task and version of it."""
+    """Return the robot and human of each complete team, by task and environment version."""
     fit = {entry.id: entry for entry in entries if entry.id not in unfit}
     teams: dict[tuple[str, int], list[Pair]] = {}
     for entry in fit.values():
@@ -243,7 +248,7 @@ def _teams(
 
 
 def _replay(registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int) -> list[TeamReplay]:
-    """Play the teams, and those that differ once more and for longer."""
+    """Return the replays of the teams; teams that differ play a second, longer replay."""
     teams = _play(registry, env, pairs, episodes, seed=0)
     differing = {team.team for team in teams if not team.ok and team.expected is not None}
     if not differing:
@@ -256,7 +261,7 @@ def _replay(registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int) 
 def _play(
     registry: Registry, env: Any, pairs: Sequence[Pair], episodes: int, seed: int
 ) -> list[TeamReplay]:
-    """Play each robot with its own human, every team episodes of its own."""
+    """Return the replays of robots with their own humans, each team with its own seeds."""
     robots, humans = paired_rosters(registry, pairs)
     job = Job(
         task=env.task,
@@ -285,7 +290,8 @@ def _compare(team: str, recorded: SelfPlay | None, returns: np.ndarray) -> TeamR
     mean, episodes = float(returns.mean()), len(returns)
     if recorded is None:
         return TeamReplay(team, None, mean, None, episodes, math.isfinite(mean))
-    more = episodes > recorded.n  # fewer say less of the deviation than what is recorded
+    # The deviation of fewer episodes is a worse estimate than the recorded one.
+    more = episodes > recorded.n
     allowed = tolerance(recorded, episodes, float(returns.std(ddof=1)) if more else 0.0)
     return TeamReplay(
         team, recorded.mean, mean, allowed, episodes, abs(mean - recorded.mean) <= allowed

@@ -106,7 +106,7 @@ def test_merging_without_keys_would_be_caught(
     gather(tmp_path / "theirs", tmp_path / "mine")
     believed = {"job": mixed_job().digest(), "made_with": {}}
     # Planted: the label of a part is nowhere else read.
-    monkeypatch.setattr(parts, "_about", lambda path: believed)
+    monkeypatch.setattr(parts, "_metadata", lambda path: believed)
     keys = run_job(MatrixGame(), mixed_job(), tmp_path / "mine").table["key"]
     assert keys.n_unique() > mixed_job().episodes
 
