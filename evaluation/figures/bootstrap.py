@@ -1,12 +1,11 @@
 """Seeded percentile bootstrap, 95%: resamples of seeds, partners, teams or starts, as counts.
 
-An `Estimate` has two point figures, the mean and the IQM of all entries, each with an interval that
-says whose it is; `generalises_to` says what was resampled, hence what the intervals speak about.
+An `Estimate` has the mean and the IQM of all entries, each with its own interval. Its
+`generalises_to` names the resampled factors, to whose new values the intervals apply.
 
-Who is resampled decides whether the luck of the starts is in an interval. Where each partner plays
-starts of its own, a resampled partner brings its starts along, and they are in it. Where all
-partners play the same starts, or there is one partner only, the starts are resampled too: they are
-a third factor beside seeds and partners, since all pairs share them.
+If each partner plays its own starts, a resampled partner brings its starts along, so the intervals
+include their variance. If all partners play the same starts, or there is only one partner, the
+starts are resampled as a third factor beside seeds and partners.
 """
 
 import dataclasses
@@ -35,7 +34,7 @@ _ENTRIES_AT_ONCE = 1_000_000  # bounds the memory of a chunk of resamples
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """IQM and mean of one figure with their intervals."""
+    """The IQM and mean of one figure, with their intervals."""
 
     mean: float  # mean of all entries
     iqm: float  # interquartile mean of all entries
@@ -80,7 +79,7 @@ class Draws:
         )
 
     def estimate(self) -> Estimate:
-        """Close the replicates into intervals."""
+        """Return the figure with percentile intervals of its replicates."""
         iqm_ci, mean_ci = (
             interval(replicates, self.generalises_to) for replicates in (self.iqms, self.means)
         )
@@ -89,7 +88,7 @@ class Draws:
 
 @dataclasses.dataclass(frozen=True)
 class Counts:
-    """How often each seed, partner and start stands in each of B resamples."""
+    """Counts of each seed, partner and start in each of B resamples."""
 
     seeds: Num[np.ndarray, "B S"]
     partners: Num[np.ndarray, "B P"]
@@ -104,7 +103,7 @@ def estimate(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Estimate:
-    """IQM and mean of returns [S, P, K] or scores [S, P], with 95% bootstrap intervals.
+    """Return IQM and mean of returns [S, P, K] or scores [S, P], with 95% bootstrap intervals.
 
     Whole seeds are resampled, then partners, because a seed's scores all come from one policy; of a
     single seed only the partners are resampled. Seeds resampled within each partner's column, as
@@ -125,8 +124,8 @@ def estimate(
         scores: Returns [S, P, K], whose starts may be resampled; or scores [S, P], each a mean over
             episodes; or [S], with one partner.
         common_starts: Whether all partners played the same K starts.
-        resamples: How many.
-        seed: Of the resamples.
+        resamples: Number of resamples.
+        seed: Seed of the resamples.
     """
     scores = returns_of(scores)
     counts = crossed_counts(scores.shape, common_starts, resamples, seed)
@@ -136,9 +135,9 @@ def estimate(
 def profile_band(
     scores: np.ndarray, thresholds: Num[np.ndarray, " T"]
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]] | None:
-    """Pointwise cluster band (low, high) of the performance profile of scores [S, P].
+    """Return the pointwise cluster band (low, high) of the performance profile of scores [S, P].
 
-    None for one score.
+    If there is only one score, return None.
     """
     scores = score_matrix(scores)
     if scores.size == 1:
@@ -156,9 +155,9 @@ def profile_band(
 def curve_band(
     values: Num[np.ndarray, "S T"],
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"], Float[np.ndarray, " T"]] | None:
-    """IQM over seeds at each point of curves with its pointwise band: (iqm, low, high).
+    """Return the IQM over seeds at each point of curves, and its pointwise band (low, high).
 
-    None for one seed.
+    The band is None if there is only one seed.
     """
     values = score_matrix(values)
     if len(values) == 1:
@@ -170,14 +169,14 @@ def curve_band(
 
 
 def generalises_to(seeds: int, partners: int, starts: int = 1) -> str:
-    """Name what is resampled of so many; `starts` is 1 where they are not resampled."""
+    """Return the resampled factors as text; `starts` is 1 if starts are not resampled."""
     counts = {"seeds": seeds, "partners": partners, "starts": starts}
     several = [name for name, count in counts.items() if count > 1]
     return " and ".join(filter(None, (", ".join(several[:-1]), *several[-1:]))) or NOTHING
 
 
 def scope(generalises_to: str) -> str:
-    """Say about whom an interval speaks, for captions and answers."""
+    """Return the population that an interval applies to as text, for captions and answers."""
     if generalises_to == NOTHING:
         return "no interval: there is only one of everything"
     return f"95% interval for new {generalises_to}"
@@ -186,9 +185,9 @@ def scope(generalises_to: str) -> str:
 def interval(
     replicates: Float[np.ndarray, " B"], to: str, confidence: float = 0.95
 ) -> tuple[float, float] | None:
-    """Percentile interval of replicates.
+    """Return the percentile interval (low, high) of replicates.
 
-    None if nothing was resampled or over 5% of them are undefined.
+    If there was nothing to resample or over 5% of the replicates are undefined, return None.
     """
     defined = replicates[np.isfinite(replicates)]
     if to == NOTHING or defined.size < 0.95 * replicates.size:
@@ -203,13 +202,13 @@ def replicate(
     to: str,
     starts: Num[np.ndarray, "B K"] | None = None,
 ) -> Draws:
-    """Evaluate mean and IQM of entries under every row of counts.
+    """Return mean and IQM of entries, with their replicates under every row of counts.
 
     Args:
         values: Entries, or their returns over starts.
-        counts: How often each entry stands in each resample.
-        to: What the resamples generalise to.
-        starts: How often each start does; None where starts are not resampled.
+        counts: Count of each entry in each resample.
+        to: The population to which the resamples generalise.
+        starts: Count of each start in each resample; None if starts are not resampled.
     """
     means = _mean_over_starts(values)
     if starts is not None:
@@ -224,7 +223,7 @@ def replicate_crossed(
     counts: Counts,
     mask: Bool[np.ndarray, "R C"] | None = None,
 ) -> Draws:
-    """Replicate a matrix, or its cells under `mask`."""
+    """Return mean and IQM of a matrix, or of its cells under `mask`, with their replicates."""
     mask = np.ones(scores.shape[:2], bool) if mask is None else mask
     rows, columns = np.nonzero(mask)
     means = _mean_over_starts(scores[rows, columns])
@@ -258,7 +257,7 @@ def replicate_crossed(
 
 
 def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.ndarray, "B units"]:
-    """Counts of resamples of `units` things with replacement."""
+    """Return the counts of `units` items in resamples with replacement."""
     return rng.multinomial(units, np.full(units, 1.0 / units), size=resamples)
 
 
@@ -266,10 +265,10 @@ def draw_counts(units: int, resamples: int, rng: np.random.Generator) -> Num[np.
 def crossed_counts(
     shape: tuple[int, ...], common_starts: bool, resamples: int, seed: int
 ) -> Counts:
-    """Draw counts of whole seeds, of partners, and of starts where partners do not bring them.
+    """Return random counts of whole seeds, of partners, and of starts if they are common.
 
-    A single seed, partner or start is always drawn once. `shape` is [S, P, K], or [S, P] where
-    nothing is known of starts.
+    A single seed, partner or start always has count 1. `shape` is [S, P, K], or [S, P] without
+    starts.
     """
     rng = np.random.default_rng(seed)
     seeds, partners = (draw_counts(units, resamples, rng) for units in shape[:2])
@@ -281,7 +280,7 @@ def crossed_counts(
 def draw_starts(
     shape: tuple[int, ...], common_starts: bool, resamples: int, rng: np.random.Generator
 ) -> Num[np.ndarray, "B K"] | None:
-    """Draw counts of starts for [S, P, K]; None where resampled partners bring theirs."""
+    """Return random counts of starts for [S, P, K]; None if partners bring their own starts."""
     several = len(shape) == 3 and shape[2] > 1
     if not several or not (common_starts or shape[1] == 1):
         return None
@@ -289,10 +288,10 @@ def draw_starts(
 
 
 def _varied(to: str, *counts: np.ndarray | None) -> str:
-    """Return `to`, or `NOTHING` where no resample differs from another in these counts.
+    """Return `to`, or `NOTHING` if all resamples have the same counts.
 
-    A figure of one pair is the same in all, though others of its matrix are resampled: an interval
-    of no width would call it certain.
+    A figure of one pair is constant even if other pairs of its matrix are resampled. An interval of
+    zero width would present it as certain.
     """
     return (
         to if any(np.ptp(drawn, axis=0).any() for drawn in counts if drawn is not None) else NOTHING
@@ -306,7 +305,7 @@ def _mean_over_starts(values: np.ndarray) -> np.ndarray:
 
 
 def _bilinear_means(scores: np.ndarray, counts: Counts, mask: np.ndarray) -> np.ndarray:
-    """Return replicates [B] of the mean: it is bilinear in the counts, so no cell is visited."""
+    """Return replicates [B] of the mean, by matrix products: it is bilinear in the counts."""
     sums, totals = (
         ((counts.seeds @ part) * counts.partners).sum(axis=1)
         for part in (np.where(mask, scores, 0.0), 1.0 * mask)
@@ -317,9 +316,9 @@ def _bilinear_means(scores: np.ndarray, counts: Counts, mask: np.ndarray) -> np.
 def _replicate_starts(
     returns: np.ndarray, counts_of: Callable[[slice], np.ndarray], starts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Replicate mean and IQM [B] of returns [n, K] whose starts are resampled too, [B, K].
+    """Return replicates [B] of mean and IQM of returns [n, K] with starts resampled too, [B, K].
 
-    Entries differ from resample to resample then, and each sorts its own.
+    Entries then differ between resamples, so each resample sorts its own.
     """
 
     def replicates(chunk: slice) -> np.ndarray:
@@ -333,7 +332,7 @@ def _replicate_starts(
 
 
 def _in_chunks(replicates: Callable[[slice], np.ndarray], resamples: int, size: int) -> np.ndarray:
-    """Concatenate replicates of chunks of resamples, so that no array of them is too large."""
+    """Return replicates [B], computed in chunks of resamples to limit memory."""
     step = max(_ENTRIES_AT_ONCE // size, 1)
     chunks = [slice(start, min(start + step, resamples)) for start in range(0, resamples, step)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run meanwhile

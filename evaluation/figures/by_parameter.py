@@ -1,11 +1,11 @@
-"""Which persons a robot fails: return and safe success over the numbers that persons are made of.
+"""Return and safe success of robots over the parameters ("numbers") of persons.
 
-A person's outcome is its mean over egos and episodes, and persons are what is resampled. For each
-number persons are dealt into bins of equal counts. How much it matters is the share of the variance
-of persons' outcomes that lies between the bins, less what chance puts there (omega squared,
-Kirk 1996): (SS_between - (B - 1) MS_within) / (SS_all + MS_within). Its interval is a basic
-bootstrap over persons, since resampling adds ties, which look like an effect. `chance` is what the
-largest of all numbers reaches in 95% of shuffles of the outcomes among persons.
+A person's outcome is its mean over egos and episodes; persons are resampled. For each number,
+persons are grouped into bins of equal counts. The effect of a number is the share of the variance
+of persons' outcomes between the bins, corrected for chance (omega squared, Kirk 1996):
+(SS_between - (B - 1) MS_within) / (SS_all + MS_within). Its interval is a basic bootstrap over
+persons, because resampling adds ties, which look like an effect. `chance` is the 95% quantile of
+the largest effect of all numbers if outcomes are shuffled among persons.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ RETURN, SAFE, SUCCESS = "return", "safe_success", "success"
 
 @dataclasses.dataclass(frozen=True)
 class Outcomes:
-    """What persons P were to the robots of a folder."""
+    """Outcomes and numbers of the P persons of a folder."""
 
     task: str
     rows: Float[np.ndarray, "P W"]
@@ -41,7 +41,7 @@ class Outcomes:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """How much one number matters for one outcome."""
+    """Effect of one number on one outcome."""
 
     parameter: str
     unit: str
@@ -53,7 +53,7 @@ class Effect:
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """Outcomes over two numbers; a cell is [bin of x][bin of y], None where nobody is."""
+    """Mean outcomes over two numbers; a cell is [bin of x][bin of y], None without persons."""
 
     x: str
     y: str
@@ -64,10 +64,10 @@ class Surface:
 
 
 def outcomes(record: Record) -> Outcomes:
-    """Return what a folder's persons earned; partners who are no persons are left out.
+    """Return the outcomes of a folder's persons, without its other partners.
 
     Raises:
-        ValueError: None of its partners is a person, or they are of several tasks.
+        ValueError: No partner is a person, or persons are of several tasks.
     """
     table = with_safety(record.table)
     success = SAFE if SAFE in table.columns else SUCCESS
@@ -102,7 +102,7 @@ def outcomes(record: Record) -> Outcomes:
 def effects(
     of: Outcomes, outcome: str, *, bins: int = BINS, resamples: int = RESAMPLES, seed: int = 0
 ) -> tuple[list[Effect], float]:
-    """Return how much each number matters for an outcome, the largest share first, and `chance`.
+    """Return each number's effect on an outcome, the largest share first, and `chance`.
 
     Raises:
         ValueError: There are too few persons for so many bins.
@@ -168,16 +168,16 @@ def surface(of: Outcomes, over: tuple[str, str], *, bins: int = BINS) -> Surface
 def summarise_parameters(
     record: Record, over: Sequence[str] = (), *, bins: int = BINS, most: int = 5
 ) -> dict[str, Any]:
-    """Return which numbers of persons matter most, and a surface over two of them, JSON-ready.
+    """Return the numbers with the largest effects, and a surface over two numbers, JSON-ready.
 
     Args:
-        record: Of a folder whose partners are persons.
-        over: Two numbers; the two that matter most for the return if none are given.
-        bins: Of each number.
-        most: How many numbers to show.
+        record: The record of a folder whose partners are persons.
+        over: Two numbers; by default the two with the largest effect on the return.
+        bins: Number of bins of each number.
+        most: Largest count of numbers to show.
 
     Raises:
-        ValueError: The folder has no persons, or too few, or a number is none of theirs.
+        ValueError: The folder has no persons or too few, or they lack one of the numbers.
     """
     of = outcomes(record)
     if len(over) not in (0, 2) or most < 1:
@@ -209,7 +209,7 @@ def summarise_parameters(
 def _dealt(
     column: Float[np.ndarray, " P"], bins: int
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " E"]]:
-    """Return each person's bin, and the edges; those who have none of it may be a bin of theirs."""
+    """Return each person's bin and the bins' edges; persons without the number may have a bin."""
     edges = np.unique(np.quantile(column.astype(np.float64), np.linspace(0.0, 1.0, bins + 1)))
     if len(edges) < 2:
         edges = np.array([edges[0], edges[0]])
@@ -235,7 +235,7 @@ def _effect(
 
 
 def _share(groups: Int[np.ndarray, "B P"], values: Float[np.ndarray, "B P"]) -> np.ndarray:
-    """Return omega squared [B] of values in groups; 0 where all values are the same."""
+    """Return omega squared [B] of values in groups; 0 if all values are equal."""
     count, total = _sums(groups, values)
     people = values.shape[1]
     middle = values.mean(axis=1, keepdims=True)
@@ -248,14 +248,14 @@ def _share(groups: Int[np.ndarray, "B P"], values: Float[np.ndarray, "B P"]) -> 
 
 
 def _step(groups: np.ndarray, values: np.ndarray, last: int) -> np.ndarray:
-    """Return the mean of the last group minus that of the first [B]; NaN where one is empty."""
+    """Return the mean of the last group minus that of the first [B]; NaN if one is empty."""
     count, total = _sums(groups, values)
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return means[:, last] - means[:, 0]
 
 
 def _sums(groups: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how many values are in each group, and their sum, [B, G]."""
+    """Return the count and the sum of the values in each group, [B, G]."""
     size = int(groups.max()) + 1
     flat = (groups + size * np.arange(len(groups))[:, None]).ravel()
     count = np.bincount(flat, minlength=size * len(groups)).reshape(-1, size)

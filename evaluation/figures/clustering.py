@@ -45,11 +45,11 @@ class Clustering:
 
 
 def cluster_profiles(profiles: np.ndarray) -> Clustering:
-    """Cluster rows of profiles [n, m] by Euclidean distance.
+    """Return the clustering of rows of profiles [n, m] by Euclidean distance.
 
-    Of the cuts with 2 to 8 clusters, at least two of them with several members and 5% of all, that
-    of the highest mean silhouette is taken if it reaches 0.25; else all are one. A cut that only
-    sets outliers apart would say nothing of the others.
+    The cut has 2 to 8 clusters, at least two of them with several members and 5% of all rows, and
+    the highest mean silhouette. If that is below 0.25, all rows are one cluster. A cut that only
+    separates outliers is not considered.
     """
     profiles = np.asarray(profiles, float)
     if profiles.ndim != 2 or not profiles.size or not np.isfinite(profiles).all():
@@ -76,11 +76,10 @@ def cluster_profiles(profiles: np.ndarray) -> Clustering:
 
 
 def cluster_teams(matrix: np.ndarray) -> Clustering:
-    """Cluster teams by a square matrix [T, T].
+    """Return the clustering of teams by a square matrix [T, T] of robots with humans.
 
-    How a team's robot fares with all humans and its human with all robots.
-
-    Rows and columns then share one order, and self-play stays on the diagonal.
+    A team's profile is its row and its column. Rows and columns share one order, so self-play stays
+    on the diagonal.
     """
     matrix = np.asarray(matrix, float)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
@@ -125,22 +124,19 @@ def clustered_order(pairs: pl.DataFrame) -> dict[str, Any]:
 
 
 def conventions(matrix: np.ndarray) -> np.ndarray:
-    """Return which of two groups each human is in [T]: True where teams do better with one another.
+    """Return the group of each human as a mask [T], True for the group with the higher returns.
 
-    Humans are alike where the same robots suit them better than others: average linkage of
-    1 - correlation of the robots' ranks with them, less a robot's mean rank with everybody. Ranks,
-    because one episode in which somebody is pressed for 20 s outweighs all others of a human.
-
-    One who ranks them as everybody does is like those who do so too, and uncorrelated with others.
-
-    Better is the greater median return of robots with humans of their own group.
+    Humans are clustered by average linkage of 1 - correlation of the robots' ranks with them, minus
+    each robot's mean rank. Ranks are used because one episode with 20 s of pressure outweighs all
+    others of a human. Humans with the mean ranks are alike, and uncorrelated with others. The
+    groups are compared by the median return of robots with humans of their own group.
 
     Args:
         matrix: Mean returns [T, T] of robots with humans, by team.
 
     Raises:
-        ValueError: A return is not finite, or the humans form no two groups, as where all of them
-            rank the robots alike.
+        ValueError: A return is not finite, or the humans do not form two groups, for example
+            because all rank the robots alike.
     """
     from scipy import stats  # half a second, hence not at every start
 
@@ -166,8 +162,7 @@ def convention_groups(pairs: pl.DataFrame) -> dict[str, str]:
     """Return the convention group, "a" or "b", of each team of a cross-play's table of pairs.
 
     Raises:
-        ValueError: It is no cross-play of teams, each with its robot and its human, or its humans
-            form no two groups.
+        ValueError: A team lacks its robot or its human, or the humans do not form two groups.
     """
     played = pairs.filter(pl.col("ego_team").is_in(pairs["partner_team"].drop_nulls().to_list()))
     wide = played.pivot("partner_team", index="ego_team", values="return").sort("ego_team")
@@ -187,23 +182,23 @@ def convention_groups(pairs: pl.DataFrame) -> dict[str, str]:
 
 
 def least_members(count: int) -> int:
-    """Return how many of `count` policies make a cluster that is more than outliers."""
+    """Return the least size of a cluster among `count` policies that are not outliers."""
     return max(2, math.ceil(LEAST_SHARE * count))
 
 
 def optimal_leaf_order(linkage: np.ndarray, distances: np.ndarray) -> np.ndarray:
     """Return the linkage [n - 1, 4] with each row's two children in their optimal order.
 
-    Of the 2^(n-1) orders that a tree allows, that with the least sum of distances between
-    neighbours (Bar-Joseph et al., Bioinformatics 17, 2001). SciPy's function of this purpose misses
-    it on many trees (scipy/scipy#11227).
+    It has the least sum of distances between neighbours among the 2^(n-1) orders of the tree
+    (Bar-Joseph et al., Bioinformatics 17, 2001). SciPy's function for it misses the optimum on many
+    trees (scipy/scipy#11227).
 
     `best[v][i, j]` is the least length of node v's leaves in a row from its i-th to its j-th, which
     must lie in different children: best over m, k of `left[i, m] + distance[m, k] + right[k, j]`.
 
     Args:
-        linkage: a tree as SciPy has it; node n + i is made by row i.
-        distances: distances between leaves [n, n].
+        linkage: A tree in SciPy's form; row i makes node n + i.
+        distances: Distances between leaves [n, n].
     """
     n = len(distances)
     leaves = [np.array([leaf]) for leaf in range(n)]
@@ -237,9 +232,9 @@ def optimal_leaf_order(linkage: np.ndarray, distances: np.ndarray) -> np.ndarray
 
 
 def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
-    """Mean silhouette (b - a) / max(a, b) of labels [n] under distances [n, n].
+    """Return the mean silhouette (b - a) / max(a, b) of labels [n] under distances [n, n].
 
-    A member alone scores 0.
+    The only member of a cluster has silhouette 0.
     """
     members = labels[None, :] == np.unique(labels)[:, None]
     sizes = members.sum(axis=1)
@@ -291,5 +286,5 @@ def _medoids(labels: np.ndarray, distances: np.ndarray) -> np.ndarray:
 
 
 def _min_plus(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Matrix product with min for sum and + for times."""
+    """Return the min-plus product of two matrices: min for sum, + for times."""
     return np.stack([(row[:, None] + y).min(axis=0) for row in x])

@@ -1,7 +1,7 @@
-"""On which partners, seeds and starts finished evaluations are compared.
+"""Choose the partners on which finished evaluations are compared.
 
-Comparisons, contrasts, leagues and figures of several folders ask `comparable`, and nothing else
-decides: figures that stand side by side are then of the same partners in the same episodes.
+Comparisons, contrasts, leagues and figures of several folders all use `comparable`. So figures side
+by side are of the same partners in the same episodes.
 """
 
 import dataclasses
@@ -62,7 +62,7 @@ class Evaluated:
 
 @dataclasses.dataclass(frozen=True)
 class Comparable:
-    """Evaluations on the partners that are common to all of them."""
+    """Several evaluations, reduced to their common partners."""
 
     methods: tuple[Evaluated, ...]
     records: tuple[Record, ...]  # of the methods, with the common partners alone
@@ -172,10 +172,10 @@ def method_figures(folders: Mapping[str, Path], *, profiles: bool = False) -> Me
 
 
 def check_starts(played: Mapping[str, Returns]) -> None:
-    """Refuse methods that met a partner in other episodes, or under another description or wish.
+    """Check that methods met each partner in equal episodes, description and preference.
 
     Args:
-        played: By the method's name.
+        played: Each method's returns, by the method's name.
 
     Raises:
         ValueError: Names the partner and both methods.
@@ -208,7 +208,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
     """Summarise method a minus method b, two records of the same partners and episode keys.
 
     Raises:
-        ValueError: they have other partners, keys or preferences, or no partner on a side.
+        ValueError: The records have other partners, keys or preferences, or no partner on a side.
     """
     first, second = a.returns, b.returns
     if not first.partners.equals(second.partners):
@@ -252,7 +252,7 @@ def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, d
 
 
 def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Say which methods remembered a partner for how many episodes, where that differs."""
+    """Return a note on the lengths of the methods' series of episodes, if they differ."""
     lengths = {name: job.get("series", 1) for name, job in identities.items()}
     if len(set(lengths.values())) < 2:
         return []
@@ -290,7 +290,7 @@ def _read_profile(folder: Path) -> pl.DataFrame:
 
 
 def _summarise(method: Evaluated, record: Record, met: MetSummary) -> EvaluationSummary:
-    """Return a method's summary with the partners of a record alone."""
+    """Return a method's summary with only the partners of a record."""
     said = method.summary
     context = Context(**{f.name: getattr(said, f.name) for f in dataclasses.fields(Context)})
     known = said.met and dataclasses.replace(said.met, left_out=met.left_out)
@@ -304,7 +304,7 @@ def _summarise(method: Evaluated, record: Record, met: MetSummary) -> Evaluation
 
 
 def _made_with(method: Evaluated, identity: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return which versions played, and on which processor, where the folder says so."""
+    """Return the versions and the processor of a method's folder, as far as it names them."""
     processor = (method.record.manifest.get("made_with") or {}).get("processor")
     versions = dict((identity or {}).get(SOFTWARE) or {})
     return versions | ({"processor": processor} if processor else {})

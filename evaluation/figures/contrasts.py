@@ -1,4 +1,4 @@
-"""Contrasts that were named in a file before the test side was played, and their figures.
+"""Contrasts of methods, named in a file before the test side is played, and their figures.
 
 The file is TOML or JSON:
 
@@ -54,7 +54,7 @@ class Contrast(_Strict):
 
     @property
     def words(self) -> str:
-        """What it is, for a reader."""
+        """The contrast as text for readers."""
         return f"{self.method} less {self.baseline} on {self.task}, {self.metric}"
 
 
@@ -78,7 +78,7 @@ class ContrastsFile(_Strict):
 
 @dataclasses.dataclass(frozen=True)
 class ContrastFigure:
-    """What came of a contrast on the test side."""
+    """Result of a contrast on the test side."""
 
     task: str
     method: str
@@ -120,7 +120,7 @@ def read_contrasts(path: Path) -> tuple[ContrastsFile, str]:
     """Return the contrasts of a file, and the sha256 of its bytes.
 
     Raises:
-        FormatError: It is missing, or no such file.
+        FormatError: The file is missing or malformed.
     """
     remedy = "docs/league.md shows such a file"
     text = read_text(path, MOST_BYTES, FormatError, "contrasts", remedy)
@@ -143,14 +143,14 @@ def contrast_figures(
     *,
     seed: int = 0,
 ) -> ContrastFigures:
-    """Return the figures of a file's contrasts, and of others that were asked for.
+    """Return the figures of a file's contrasts, and of other pairs.
 
     Args:
         file: The contrasts.
-        digest: Of the file.
-        name: Of the file, for readers.
-        pairs: By task, method and baseline; those that the file does not name are shown as such.
-        seed: Of the resamples.
+        digest: The file's sha256.
+        name: The file's name, for readers.
+        pairs: Pairs by task, method and baseline. Pairs that the file does not name are marked.
+        seed: Seed of the resamples.
 
     Raises:
         ValueError: A pair was played on another split, or its tables lack the metric.
@@ -232,10 +232,10 @@ def _values(returns: Returns, contrast: Contrast) -> np.ndarray:
 def named_pairs(
     file: ContrastsFile, methods: Sequence[tuple[str, str]]
 ) -> list[tuple[str, str, str]]:
-    """Return task, method and baseline of all pairs to play out: those named, and the others.
+    """Return task, method and baseline of the pairs to compare: the named ones, then the others.
 
-    The others are methods of any task beside each baseline of the file; rows that know more than a
-    method may, such as told robots, are no methods.
+    The others are all methods of a task beside each baseline of the file. Rows that know more than
+    a method may, such as told robots, are not methods.
     """
     here = set(methods)
     baselines = {(task, c.baseline) for c in file.contrasts for task, _ in methods} & here

@@ -1,8 +1,8 @@
-"""The rows of a league on a task: what stands beside what, in one order, on one scale.
+"""The rows of a league on a task: methods and references, in one order and on one scale.
 
-A folder holds a finished evaluation for each row, in folders of the rows' names, all of them with
-the same partners and starts. Rows of best responses have robots for some of the partners, each of
-which was trained with one of them.
+A league's folder holds a finished evaluation for each row, in a folder of the row's name, all with
+the same partners and starts. A row of best responses has robots for some of the partners, each
+trained with one partner.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ LAST = (TOLD, TOLD_MEMORY, TOLD_PARTNER, MIRROR, RESPONSE, TOLD_RESPONSE)
 
 @dataclasses.dataclass(frozen=True)
 class LeagueRow:
-    """A row: its return with the partners of the side, and what it means."""
+    """Figures of one row with the partners of the side."""
 
     row: str
     robots: int
@@ -51,7 +51,7 @@ class LeagueRow:
 
 @dataclasses.dataclass(frozen=True)
 class League:
-    """All rows of a task, in order."""
+    """All rows of a task, in the order of a league."""
 
     context: Context
     side: str
@@ -64,16 +64,16 @@ class League:
 
 
 def ordered(names: Iterable[str]) -> list[str]:
-    """Return rows' names in the order of a league: methods by name, between the others."""
+    """Return rows' names in the order of a league: fixed rows around methods sorted by name."""
     names = set(names)
     methods = sorted(names - {*FIRST, *LAST})
     return [name for name in (*FIRST, *methods, *LAST) if name in names]
 
 
 def row_folders(folder: Path) -> dict[str, Path]:
-    """Return the folders of a league's rows by name, in order; none where it is no league.
+    """Map row names to folders, in order; empty if `folder` is not a league.
 
-    A finished evaluation is none, whatever lies in its folder.
+    The folder of a finished evaluation is not a league, whatever else is in it.
     """
     found = {
         place.name
@@ -84,10 +84,10 @@ def row_folders(folder: Path) -> dict[str, Path]:
 
 
 def read_league(folder: Path) -> League:
-    """Return the league that a folder of rows holds.
+    """Return the league of a folder of rows.
 
     Raises:
-        FileNotFoundError: It holds no row.
+        FileNotFoundError: The folder has no row.
         ValueError: Rows are of several tasks, versions or partners.
     """
     folders = row_folders(folder)
@@ -121,7 +121,7 @@ def read_league(folder: Path) -> League:
 
 
 def league_table(league: League) -> pl.DataFrame:
-    """Return the rows as a table, one line each, for CSV."""
+    """Return a league as a table with a line for each row, for CSV."""
     lines = []
     for row in league.rows:
         low, high = row.mean.mean_ci or (None, None)
@@ -154,7 +154,7 @@ _CONTEXT = dataclasses.fields(Context)
 
 
 def _references(folders: Mapping[str, Path], rows: Mapping[str, Returns]) -> dict[str, Returns]:
-    """Return the episodes of reference robots, of the row that has most partners."""
+    """Return the returns of the reference robots, from the row with the most partners, by name."""
     having = [n for n, place in folders.items() if (place / tables.REFERENCES_FILE).is_file()]
     if not having:
         return {}
@@ -171,13 +171,13 @@ def _references(folders: Mapping[str, Path], rows: Mapping[str, Returns]) -> dic
 
 @dataclasses.dataclass(frozen=True)
 class _Means:
-    """Mean returns [S, P] with named partners; of best responses [1, P]."""
+    """Mean returns [S, P] with named partners; [1, P] for best responses."""
 
     scores: np.ndarray
     partners: list[str]
 
     def of(self, partners: Iterable[str]) -> np.ndarray:
-        """Return those with some partners, in their order."""
+        """Return the columns of these partners, in their order."""
         places = {partner: place for place, partner in enumerate(self.partners)}
         return self.scores[:, [places[partner] for partner in partners]]
 
@@ -195,7 +195,7 @@ def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
     starts = {"common_starts": returns.common_starts}
 
     def episodes(happened: np.ndarray | None) -> Estimate | None:
-        """Return in which share of episodes it happened; best responses are chosen by returns."""
+        """Return the share of episodes with an event; None for best responses or without data."""
         return None if happened is None or alone else estimate(happened, **starts)
 
     return LeagueRow(
@@ -231,7 +231,7 @@ def _by_partner(name: str, means: _Means) -> pl.DataFrame:
 
 
 def _notes(rows: Iterable[LeagueRow]) -> Iterable[str]:
-    """Say what no figure of a row says."""
+    """Yield notes for readers on the rows."""
     rows = list(rows)
     few = [row.row for row in rows if row.row not in REFERENCES and row.robots < ENOUGH]
     if few:

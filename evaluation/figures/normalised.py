@@ -1,8 +1,8 @@
-"""What a return means: bounds for each partner, and the figures relative to them.
+"""Bounds of the return with each partner, and figures relative to them.
 
-A partner's low bound L is what the zero action earns with it; its best B is the highest return
-known, of its own robot or of another's in a cross-play. Nothing here plays: see
-`evaluation.play.baselines` for the episodes.
+A partner's low bound L is the return of the zero action. Its best return B is the highest known
+one, of its own robot or of another's in a cross-play. `evaluation.play.baselines` plays the
+episodes.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ REFERENCE_ROWS = (ZERO, RANDOM, SCRIPT, SELF_PLAY)  # that stand beside methods 
 
 @dataclasses.dataclass(frozen=True)
 class References:
-    """Returns of reference egos with the same partners and episodes; None where nobody played."""
+    """Returns of reference egos with the same partners and episodes; None if not played."""
 
     zero_action: Estimate | None
     uniform_random: Estimate | None
@@ -58,7 +58,7 @@ class WorstRegret:
 
 @dataclasses.dataclass(frozen=True)
 class BoundsUsed:
-    """Where the bounds of the relative figures come from."""
+    """Sources of the bounds of the relative figures."""
 
     low: str  # the ego whose returns are the low bound
     best: dict[str, int]  # partners by the source of their best response
@@ -67,7 +67,7 @@ class BoundsUsed:
 
 @dataclasses.dataclass(frozen=True)
 class Relative:
-    """Figures on the scale from low bound to best response; None where no partner is scorable."""
+    """Figures on the scale from low bound to best response; None if no partner is scorable."""
 
     normalised_return: Estimate | None
     br_prox: Estimate | None
@@ -81,9 +81,9 @@ class Relative:
 def bounds_table(references: pl.DataFrame, crossplay: pl.DataFrame | None = None) -> pl.DataFrame:
     """Return low and best return of each partner with their sources, one row a partner.
 
-    `best` is the higher of self-play and, where the table of pairs `crossplay` is given, its best
-    robot: a lower bound of the true best response, though the maximum of noisy means is optimistic.
-    Without either it is null.
+    `best` is the higher return of self-play and, if the table of pairs `crossplay` is given, of its
+    best robot. It is a lower bound of the true best response, apart from the optimism of a maximum
+    of noisy means. If there is neither, it is null.
     """
     means = references.group_by("partner", COLUMN, maintain_order=True).agg(
         pl.col("return").cast(pl.Float64).mean(),
@@ -114,12 +114,12 @@ def summarise_references(
 ) -> tuple[References, Relative]:
     """Return the reference egos' returns, and the egos' figures relative to the bounds.
 
-    All are about the partners of the evaluated side.
+    All are with the partners of the evaluated side.
 
     Args:
-        record: Episodes of the policies.
-        references: What `evaluation.play.baselines.play_references` returned first.
-        bounds: What `bounds_table` returned.
+        record: Record of the egos.
+        references: The table of `evaluation.play.baselines.play_references`.
+        bounds: The table of `bounds_table`.
     """
     returns = record.returns.evaluated_side
     partners = returns.partners.select("partner")

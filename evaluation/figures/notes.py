@@ -1,4 +1,4 @@
-"""What a reader has to know of figures: how few they are of, and what they leave out."""
+"""Notes for readers of figures: small samples, and what the figures leave out."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,14 @@ ENOUGH = 16
 
 
 def seed_notes(egos: int) -> list[str]:
-    """Say how few seeds an interval is of."""
+    """Return a note if intervals are of few seeds."""
     if egos == 1:
         return ["one ego: intervals speak about new partners, not about new training seeds"]
     return _few(egos, f"{egos} seeds", " seeds")
 
 
 def group_notes(returns: Returns) -> list[str]:
-    """Say how few partners the smallest group has."""
+    """Return a note if the smallest group of partners is small."""
     columns = ("partner_algorithm", "partner_disability")
     counts = [Counter(returns.partners[name]) for name in columns]
     smallest = min(count for groups in counts for count in groups.values())
@@ -29,7 +29,7 @@ def group_notes(returns: Returns) -> list[str]:
 
 
 def preference_notes(returns: Returns, sides: Mapping[str, Sequence[str]]) -> list[str]:
-    """Say which partners played under preferences that are not their side's of the split."""
+    """Return notes on partners that played under preferences of another side of the split."""
     if returns.preferences is None:
         return []
     notes = []
@@ -44,13 +44,13 @@ def preference_notes(returns: Returns, sides: Mapping[str, Sequence[str]]) -> li
 
 
 def team_notes(returns: Returns) -> list[str]:
-    """Say how few teams a matrix is of."""
+    """Return a note if a matrix is of few teams."""
     units = min(returns.egos.height, returns.partners.height)
     return _few(units, counted(units, "team"))
 
 
 def start_notes(returns: Returns) -> list[str]:
-    """Say which intervals leave out the luck of starts that all partners have in common."""
+    """Return a note on intervals without the variance of starts common to all partners."""
     if not returns.common_starts:
         return []
     return [
@@ -60,7 +60,7 @@ def start_notes(returns: Returns) -> list[str]:
 
 
 def clipping_notes(table: pl.DataFrame) -> list[str]:
-    """Say how much of what robots from outside did was beyond what there is."""
+    """Return notes on actions of robots from outside that were clipped to [-1, 1]."""
     if "clipped" not in table.columns or not (shares := table["clipped"].drop_nulls()).sum():
         return []
     return [
@@ -70,7 +70,7 @@ def clipping_notes(table: pl.DataFrame) -> list[str]:
 
 
 def episode_notes(returns: Returns) -> list[str]:
-    """Say which episodes broke, and whether egos met the same partners."""
+    """Return notes on non-finite episodes, and on egos that played different episodes."""
     broken = int(returns.nonfinite.sum())
     notes = []
     if broken:

@@ -1,4 +1,4 @@
-"""How many seeds, partners and episodes an interval of a wished width, or a contrast, takes.
+"""Plan the seeds and episodes that an interval of a given width, or a contrast, needs.
 
 A return J of seed s with partner p, a mean over K episodes, is taken for the sum of a mean, an
 effect of the seed, one of the partner, one of the pair, and over K the luck of the partner's
@@ -45,7 +45,7 @@ MEASURED: Mapping[str, Mapping[str, Spread]] = ByTask(
 
 @dataclasses.dataclass(frozen=True)
 class EvaluationPlan:
-    """What to play, and the interval that it will give."""
+    """A plan of an evaluation, and the half-width that its interval will have."""
 
     seeds: int
     partners: int
@@ -110,7 +110,7 @@ class ContrastSpread:
     episodes: float  # of one pair, beside its start, which both methods meet
 
     def test(self, seeds: int, partners: int, episodes: int) -> MeanTest:
-        """Return the test of no difference that so many would give."""
+        """Return the expected test of no difference for these numbers."""
         noise = 2 * (self.pairs**2 + self.episodes**2 / episodes) / (seeds * partners)
         parts = (2 * self.seeds**2 / seeds, self.partners**2 / partners, noise)
         freedoms = (2 * (seeds - 1), partners - 1, 2 * (seeds - 1) * (partners - 1))
@@ -122,7 +122,7 @@ class ContrastSpread:
 
 @dataclasses.dataclass(frozen=True)
 class ContrastPlan:
-    """What to play, and the true difference that is then found with a power of 80%."""
+    """A plan of a contrast, and the true difference that it finds with a power of 80%."""
 
     seeds: int  # of either method
     partners: int
@@ -131,14 +131,14 @@ class ContrastPlan:
 
 
 def measure_contrast(a: pl.DataFrame, b: pl.DataFrame) -> ContrastSpread:
-    """Return where the difference of two methods varies, from a pilot of each.
+    """Return the standard deviations of the difference of two methods, from a pilot of each.
 
     Args:
-        a: Episode table of a method, as `measure_spread` takes it.
-        b: That of the other method, with the same partners and as many episodes.
+        a: Episode table of a method, in the form of `measure_spread`.
+        b: Episode table of the other method, with the same partners and number of episodes.
 
     Raises:
-        ValueError: They are no such tables, or not of the same partners.
+        ValueError: The tables have another form or different partners.
 
     Examples:
         >>> columns = {"ego": "aabb", "partner": "xyxy", "return": [1.0, 2.0, 3.0, 5.0]}
@@ -176,20 +176,21 @@ def plan_contrast(
     contrasts: int = 1,
     alpha: float = 0.05,
 ) -> ContrastPlan:
-    """Return the fewest seeds, then the fewest episodes, with which a difference is seen.
+    """Return the fewest seeds, then the fewest episodes, that detect a difference.
 
-    A true difference of `effect` is then seen in 80% of repetitions, in a two-sided test at
+    A true difference of `effect` is then detected in 80% of repetitions, in a two-sided test at
     alpha / contrasts, which is Holm's strictest step.
 
     Args:
         effect: The true difference of the two methods' returns.
         spread: Of their difference, see `measure_contrast`.
         partners: Test partners that will be played.
-        contrasts: How many contrasts are named together.
-        alpha: Chance that any of them is found wrongly.
+        contrasts: Number of contrasts that are tested together.
+        alpha: Chance of any false detection.
 
     Raises:
-        ValueError: No number of seeds sees it with these partners; it says what is seen.
+        ValueError: No number of seeds detects it with these partners; the message has the least
+            detectable difference.
 
     Examples:
         >>> plan_contrast(60.0, ContrastSpread(45.0, 60.0, 20.0, 90.0), contrasts=8)

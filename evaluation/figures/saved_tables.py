@@ -1,4 +1,4 @@
-"""What is drawn from an episode table and saved beside it: partners, profile, matrix and order."""
+"""Tables made from an episode table and saved beside it: partners, profile, matrix and order."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ POINTS = 101  # of a performance profile
 
 
 def partner_table(record: Record) -> pl.DataFrame:
-    """Average over egos and episodes: one row a partner.
+    """Return the partners' means over egos and episodes, one row a partner.
 
     `return_low` and `return_high` are the ends of its mean's 95% interval over seeds and starts.
     """
@@ -50,7 +50,7 @@ def partner_table(record: Record) -> pl.DataFrame:
 
 
 def pair_table(record: Record) -> pl.DataFrame:
-    """Average the episodes of each pair: one row a pair, in the order of `record.returns`."""
+    """Return the pairs' means over episodes, one row a pair, in the order of `record.returns`."""
     returns, table = record.returns, with_safety(record.table)
     behaviour = [name for name in BEHAVIOUR if name in table.columns]
     measures = ("discounted_return", *term_columns(table), *outcome_columns(table), *behaviour)
@@ -77,7 +77,7 @@ def _means(names: Sequence[str]) -> list[pl.Expr]:
 def profile_table(record: Record) -> pl.DataFrame:
     """Return the performance profile of the evaluated side.
 
-    Threshold, share above it, low, high.
+    The columns are threshold, share above it, and the band's low and high.
     """
     scores = record.returns.evaluated_side.scores
     thresholds = np.linspace(min(0.0, scores.min()), scores.max(), POINTS)
@@ -106,15 +106,15 @@ def save_evaluation(
     met: MetPartners = NOTHING_KNOWN,
     notes: Sequence[str] = (),
 ) -> EvaluationSummary:
-    """Write every table drawn from an evaluation's episodes, and its summary, into its folder.
+    """Write every table made from an evaluation's episodes, and its summary, into its folder.
 
     Args:
-        record: The episodes, and where they are.
-        context: What they do not say of themselves.
+        record: The episodes and their folder.
+        context: The run's metadata that is not in the episodes.
         include_own: Whether figures count partners that were trained with one of the egos.
-        references: Episodes of the reference egos and the bounds drawn from them, if they played.
-        met: Which partners the egos met in training.
-        notes: What else a reader has to know.
+        references: Episodes of the reference egos and the table of bounds, if they played.
+        met: The egos' training partners.
+        notes: More notes for readers.
 
     Raises:
         ValueError: The egos met all partners, or all of the test side.

@@ -1,6 +1,4 @@
-"""Strategies of partners.
-
-How the best robot of a cross-play behaves with each of them, and who behaves alike.
+"""Strategies of partners: behaviour of the best robot with each partner, and its clusters.
 
 A partner's features are means over the episodes of the robot with the highest mean return with it,
 each scaled to [0, 1] over the partners (theta and phi of BR-Div, ZSC-Eval, arXiv 2310.05208).
@@ -33,7 +31,7 @@ _TOLERANCE = 1e-9  # of the largest eigenvalue; below it a direction counts as a
 
 @dataclasses.dataclass(frozen=True)
 class Responses:
-    """The best robot with each partner of a cross-play, and what happens then."""
+    """The best robot with each partner of a cross-play, and the behaviour of the pair."""
 
     partners: list[str]  # P ids
     robots: list[str]  # id of each partner's best robot
@@ -53,7 +51,7 @@ class Diversity:
 
 
 def best_responses(pairs: pl.DataFrame) -> Responses:
-    """Find the best robot with each partner in a table of pairs.
+    """Return the best robot with each partner in a table of pairs, and the pairs' features.
 
     Raises:
         ValueError: The table was written before behaviour was recorded.
@@ -114,7 +112,7 @@ def summarise_strategies(pairs: pl.DataFrame) -> dict[str, Any]:
 
 
 def br_diversity(features: np.ndarray) -> Diversity:
-    """Diversity of behaviour features theta [P, F] of best responses, each scaled to [0, 1]."""
+    """Return the BR-Div of behaviour features theta [P, F] of best responses, scaled to [0, 1]."""
     phi = scale_features(features)
     values = np.linalg.eigvalsh(phi @ phi.T).clip(min=0.0)
     rank = int(np.count_nonzero(values > _TOLERANCE * values.max())) if values.max() > 0 else 0
@@ -124,9 +122,9 @@ def br_diversity(features: np.ndarray) -> Diversity:
 
 
 def greedy_subset(features: np.ndarray, size: int) -> list[int]:
-    """Pick `size` diverse partners of features [P, F].
+    """Return the indices of `size` diverse partners of features [P, F], in the order of choice.
 
-    Each raises the log-determinant of the picked kernel the most.
+    Each choice increases the log-determinant of the kernel the most.
 
     Greedy Cholesky updates (Chen et al., arXiv 1709.05135); ties go to the first.
     """
@@ -150,7 +148,7 @@ def greedy_subset(features: np.ndarray, size: int) -> list[int]:
 
 
 def scale_features(features: np.ndarray) -> np.ndarray:
-    """Scale each feature of [P, F] to [0, 1] over the partners; a constant feature becomes 0."""
+    """Return features [P, F] scaled to [0, 1] over the partners; a constant feature becomes 0."""
     low, span = features.min(axis=0), np.ptp(features, axis=0)
     return np.divide(features - low, span, out=np.zeros_like(features), where=span > 0)
 
@@ -170,9 +168,9 @@ def _clusters(responses: Responses, clustering: Clustering) -> list[dict[str, An
 
 
 def _incompatible(responses: Responses) -> dict[str, Any] | None:
-    """Two partners whose best robots lose the most with each other.
+    """Return the two partners whose best robots lose the most if swapped; None for one partner.
 
-    The lesser of the two losses is the greatest.
+    It is the pair with the largest smaller loss.
     """
     own = np.diag(responses.returns)
     loss = own[None, :] - responses.returns  # [robot's partner b, played partner a]

@@ -1,4 +1,4 @@
-"""From an episode table to the figures of a study: typed, and written by `tables.to_json`."""
+"""Figures of a study from its episode table, as dataclasses that `tables.to_json` converts."""
 
 import dataclasses
 from pathlib import Path
@@ -45,7 +45,7 @@ from evaluation.record.verification import check_whole
 
 @dataclasses.dataclass(frozen=True)
 class SplitName:
-    """Which split the sides of the partners are of."""
+    """The split of the partners' sides."""
 
     id: str
     sha256: str
@@ -54,7 +54,7 @@ class SplitName:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Context:
-    """What an episode table does not say of its run."""
+    """Metadata of a run that is not in its episode table."""
 
     task: str
     env_version: int
@@ -68,7 +68,7 @@ class Context:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Summary(Context):
-    """What every study tells."""
+    """Figures of every study."""
 
     episodes: int
     episodes_per_pair: int
@@ -147,12 +147,11 @@ class CrossPlaySummary(MatrixFigures, Summary, CrossPlay):
 
 
 def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
-    """Return the summary of a folder, which somebody else may have written: every field checked.
+    """Return the summary of an untrusted folder, with every field checked.
 
     Raises:
-        FileNotFoundError: There is none, or it is not finished.
-        ValueError: A file of the folder is damaged, or it is neither an evaluation's nor a
-            cross-play's.
+        FileNotFoundError: The folder has no summary, or is not finished.
+        ValueError: A file is damaged, or the summary is neither an evaluation's nor a cross-play's.
     """
     check_whole(folder)
     content = tables.read_json(folder / tables.SUMMARY_FILE)
@@ -171,11 +170,10 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
 
 
 def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
-    """Summarise an evaluation; all egos of the record are seeds of one method.
+    """Return the summary of an evaluation, whose egos are all seeds of one method.
 
     Raises:
-        ValueError: the table is malformed or incomplete, or none of its partners is on a side of
-            the split.
+        ValueError: The table is malformed or incomplete, or no partner is on a side of the split.
     """
     returns, side = record.returns, record.returns.evaluated_side
     sides = returns.partners["side"].to_list()
@@ -216,7 +214,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
 
 
 def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
-    """Summarise a matrix of egos by partners."""
+    """Return the summary of a matrix of egos by partners."""
     returns = record.returns
     rows, columns = _traits(returns.egos, "ego"), _traits(returns.partners, "partner")
     figures = cross_play(returns.values, rows, columns, common_starts=returns.common_starts)
@@ -245,7 +243,7 @@ def _common(returns: Returns, context: Context) -> dict:
 
 
 def _preference_draws(returns: Returns) -> dict[str, Draws]:
-    """Replicate the return under each preference: over the partners that played under it."""
+    """Return mean and IQM with replicates under each preference, over its partners, by name."""
     if returns.preferences is None:
         return {}
     scores, names = [], []
@@ -258,7 +256,7 @@ def _preference_draws(returns: Returns) -> dict[str, Draws]:
 
 
 def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
-    """Estimate the return in each place of a series, over pairs."""
+    """Return the estimate of the return at each place of a series, over pairs, by place."""
     if "place" not in table.columns:
         return {}
     pairs = ["place", "ego", "partner"]
@@ -269,7 +267,7 @@ def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
 
 
 def _share(happened: np.ndarray | None, *, common_starts: bool) -> Estimate | None:
-    """Return in which share of episodes [E, P, K] it happened."""
+    """Return the estimated share of episodes [E, P, K] with an event; None without data."""
     return None if happened is None else estimate(happened, common_starts=common_starts)
 
 

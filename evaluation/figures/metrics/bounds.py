@@ -1,7 +1,4 @@
-"""Returns relative to what is possible with a partner.
-
-Normalised return, BR-Prox, regret, coverage.
-"""
+"""Returns relative to a partner's bounds: normalised return, BR-Prox, regret, coverage."""
 
 import dataclasses
 
@@ -39,10 +36,7 @@ class Bounds:
 
     @property
     def scorable(self) -> Bool[np.ndarray, " P"]:
-        """Partners with B > L.
-
-        With the others every ego would score alike: they are left out.
-        """
+        """Mask of the partners with B > L; with the others, scores do not separate egos."""
         return self.best > self.low
 
 
@@ -56,10 +50,10 @@ class Coverage(Interval):
 def share_of_range(
     scores: Num[np.ndarray, "S P"], low: Num[np.ndarray, " P"], high: Num[np.ndarray, " P"]
 ) -> Interval | None:
-    """Share of a range that scores reach: (mean of scores - low) / (mean of high - low).
+    """Return the share of a range that scores reach: (mean of scores - low) / (mean of high - low).
 
     Its interval resamples seeds, and partners of numerator and denominator together, so that a
-    partner with a wide range counts in both. None where the range is not above 0.
+    partner with a wide range counts in both. If the range is not positive, return None.
     """
     scores, gain = score_matrix(scores), np.asarray(high, float) - np.asarray(low, float)
     if not gain.mean() > 0:
@@ -74,10 +68,10 @@ def share_of_range(
 
 
 def best_of_robots(returns: Num[np.ndarray, "E P K"]) -> Float[np.ndarray, " P"]:
-    """Return of the robot that is best with each partner, chosen apart from where it is valued.
+    """Return the mean return of the best robot with each partner [P], by cross-validation.
 
-    It is chosen on even episodes and valued on odd ones, and the other way round: the maximum of
-    noisy means would be too high. Of one episode it is the maximum.
+    The robot is chosen on even episodes and valued on odd ones, and vice versa, because the maximum
+    of noisy means is too high. With one episode it is the maximum.
     """
     returns = np.asarray(returns, float)
     if returns.shape[2] < 2:
@@ -88,38 +82,32 @@ def best_of_robots(returns: Num[np.ndarray, "E P K"]) -> Float[np.ndarray, " P"]
 
 
 def normalised_return(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, "S P"]:
-    """X = (J - L) / (B - L) of scores, not clipped.
-
-    NaN in the columns of unscorable partners.
-    """
+    """Return X = (J - L) / (B - L) of scores, not clipped; NaN for unscorable partners."""
     span = np.where(bounds.scorable, bounds.best - bounds.low, np.nan)
     return (score_matrix(scores) - bounds.low) / span
 
 
 def br_prox(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Estimate | None:
-    """BR-Prox: min(1, (J - L) / (B - L)) over scores.
+    """Return BR-Prox: the estimate of min(1, (J - L) / (B - L)) over scores.
 
     ZSC-Eval (arXiv 2310.05208) has J / B; subtracting L makes it independent of a constant in the
-    reward. None where no partner is scorable.
+    reward. If no partner is scorable, return None.
     """
     capped = np.minimum(normalised_return(scores, bounds), 1.0)[:, bounds.scorable]
     return estimate(capped) if capped.size else None
 
 
 def regret(scores: Num[np.ndarray, "S P"], bounds: Bounds) -> Float[np.ndarray, " P"]:
-    """B - J for each partner, J averaged over seeds.
-
-    Negative where the ego is better than B.
-    """
+    """Return B - J for each partner, J averaged over seeds; negative if the ego exceeds B."""
     return bounds.best - score_matrix(scores).mean(axis=0)
 
 
 def coverage(
     scores: Num[np.ndarray, "S P"], bounds: Bounds, epsilon: float = 0.1
 ) -> Coverage | None:
-    """Share of scorable partners whose normalised regret is at most epsilon.
+    """Return the share of scorable partners whose normalised regret is at most epsilon.
 
-    The normalised regret is (B - J) / (B - L). None where no partner is scorable.
+    The normalised regret is (B - J) / (B - L). If no partner is scorable, return None.
     """
     regrets = 1.0 - normalised_return(scores, bounds)[:, bounds.scorable]
     if not regrets.size:

@@ -44,10 +44,10 @@ class Stability:
 def paired_difference(
     a: np.ndarray, b: np.ndarray, *, common_starts: bool = False, seed: int = 0
 ) -> Difference:
-    """Difference of returns a [S, P, K] and b [S', P, K], or of scores [S, P] and [S', P].
+    """Return the difference of returns a [S, P, K] and b [S', P, K], or scores [S, P], [S', P].
 
-    Seeds of either, the partners and, where they are common to all, the starts are resampled. Both
-    met the same partners in the same episodes, so the luck of a start cancels.
+    Seeds of both methods, the partners and, if they are common to all, the starts are resampled.
+    Both methods met the same partners in the same episodes, so effects of a start cancel.
     """
     a, b = returns_of(a), returns_of(b)
     if a.shape[1:] != b.shape[1:]:
@@ -78,7 +78,7 @@ def paired_difference(
 def rank_stability(
     scores: Num[np.ndarray, "E P"], *, halvings: int = 200, seed: int = 0
 ) -> Stability:
-    """Kendall's tau-b of the egos' ranking, by mean, between random halves of partners.
+    """Return Kendall's tau-b of the egos' ranking, by mean, between random halves of partners.
 
     A halving on which all egos tie has no ranking and is left out.
     """

@@ -24,7 +24,7 @@ from evaluation.figures.bootstrap import (
 
 @dataclasses.dataclass(frozen=True)
 class Traits:
-    """What is known of the policies along one axis of the matrix; None where it is unknown."""
+    """Traits of the policies along one axis of the matrix; None if unknown."""
 
     teams: Sequence[str | None]
     algorithms: Sequence[str | None]
@@ -33,7 +33,7 @@ class Traits:
 
 @dataclasses.dataclass(frozen=True)
 class CrossPlay:
-    """Figures of a cross-play matrix; None where the matrix has no such pair."""
+    """Figures of a cross-play matrix; None if the matrix has no such pair."""
 
     self_play: Estimate | None
     cross_play: Estimate | None
@@ -56,9 +56,9 @@ def cross_play(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> CrossPlay:
-    """SP = mean_a X[a, a], XP = mean_{a != b} X[a, b] of X [R, C], with intervals over teams.
+    """Return SP = mean_a X[a, a], XP = mean_{a != b} X[a, b] of X [R, C], with team intervals.
 
-    A team on both axes is one unit: resampled with its robot and its human. A pair of a team with
+    A team on both axes is resampled as one unit, its robot with its human. A pair of a team with
     itself is self-play, however often the team is drawn, and never enters XP.
 
     Args:
@@ -66,8 +66,8 @@ def cross_play(
         rows: The robots.
         columns: The humans.
         common_starts: Whether all humans played the same K starts.
-        resamples: How many.
-        seed: Of the resamples.
+        resamples: Number of resamples.
+        seed: Seed of the resamples.
     """
     scores, rng = returns_of(scores), np.random.default_rng(seed)
     row_counts, column_counts = _team_counts(rows.teams, columns.teams, resamples, rng)
@@ -101,12 +101,12 @@ def cross_play(
 
 
 def same_teams(rows: Traits, columns: Traits) -> Bool[np.ndarray, "R C"]:
-    """Return which robots and humans were trained together."""
+    """Return a mask [R, C] of the robots and humans that were trained together."""
     return _equal(rows.teams, columns.teams)
 
 
 def _self_play(scores: np.ndarray, own: np.ndarray, counts: Counts) -> Draws | None:
-    """Replicate self-play: a team drawn twice counts twice, not four times."""
+    """Return self-play with replicates; a team drawn twice counts twice, not four times."""
     rows, columns = np.nonzero(own)
     if not rows.size:
         return None
@@ -131,7 +131,7 @@ def _team_counts(
     resamples: int,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of rows [B, R] and columns [B, C].
+    """Return random counts of rows [B, R] and columns [B, C].
 
     Teams on both axes are drawn together, the others on their own axis.
     """

@@ -18,16 +18,16 @@ COLUMNS = {
 def learning_curves(metrics: pl.DataFrame, *, points: int = 100) -> pl.DataFrame:
     """Return curves with columns disability, steps, iqm, low, high and seeds.
 
-    No band for a single seed.
+    A single seed has no band.
 
     Args:
-        metrics: a run's metrics: steps, disability, seed, and return, which is null where no
-            episode ended.
-        points: number of bins of equal width over the steps; a bin counts where every seed has an
-            episode.
+        metrics: A run's metrics: steps, disability, seed, and return, which is null if no episode
+            ended.
+        points: Number of bins of equal width over the steps. A bin is used if every seed has an
+            episode in it.
 
     Raises:
-        ValueError: a column is missing, or no episode has ended yet.
+        ValueError: A column is missing, or no episode has ended yet.
     """
     missing = [
         name for name in ("steps", "disability", "seed", "return") if name not in metrics.columns

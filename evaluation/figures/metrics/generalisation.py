@@ -1,4 +1,4 @@
-"""Over partners: M_test, M_train and their gap, the same by groups, and the lower tail."""
+"""Metrics over partners: M_test, M_train and their gap, figures by group, the lower tail."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ class WorstPartner:
 def zero_shot(
     scores: np.ndarray, sides: Sequence[str | None], *, common_starts: bool = False
 ) -> ZeroShot:
-    """M(s) = mean over partners p of J[s, p], separately for the partners of each side.
+    """Return M(s) = mean over partners p of J[s, p], separately for the partners of each side.
 
     Args:
         scores: Returns [S, P, K], or mean returns J [S, P].
@@ -79,17 +79,18 @@ def group_draws(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> dict[str, Draws]:
-    """Replicate mean and IQM for each group of partners [P], in order of names; None is left out.
+    """Return mean and IQM with replicates for each group of partners, sorted by name.
 
-    Seeds are resampled once for all groups, and so are starts that all partners have in common;
-    partners are resampled within each group: groups subtract to paired differences.
+    Seeds are resampled once for all groups, and so are starts that all partners have in common.
+    Partners are resampled within each group. So groups subtract to paired differences. Partners of
+    group None are left out.
 
     Args:
         scores: Returns [S, P, K], or mean returns [S, P].
         groups: The group of each partner.
         common_starts: Whether all partners played the same K starts.
-        resamples: How many.
-        seed: Of the resamples.
+        resamples: Number of resamples.
+        seed: Seed of the resamples.
     """
     scores = returns_of(scores)
     if len(groups) != scores.shape[1]:
@@ -120,9 +121,9 @@ def group_draws(
 
 
 def fairness(draws: dict[str, Draws]) -> Fairness:
-    """Compare groups by their mean.
+    """Return the worst group and the gap of the groups' means.
 
-    `gap = max_g M_g - min_g M_g`, taken anew in every draw for its interval.
+    The gap is max_g M_g - min_g M_g, computed in every draw for its interval.
     """
     means = {name: draw.mean for name, draw in draws.items()}
     worst, best = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
@@ -134,7 +135,7 @@ def fairness(draws: dict[str, Draws]) -> Fairness:
 
 
 def worst_partner(returns: Num[np.ndarray, "S P K"]) -> WorstPartner:
-    """Find the partner with which the mean over seeds and episodes is lowest."""
+    """Return the partner with the lowest mean over seeds and episodes."""
     means = returns.mean(axis=(0, 2))
     crossfit = None
     if returns.shape[2] > 1:
@@ -151,11 +152,11 @@ def cvar_crossfit(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """CVaR_alpha: mean of the lowest share alpha of partner means.
+    """Return CVaR_alpha, the mean of the lowest share alpha of partner means; None for K = 1.
 
-    The tail is chosen on even episodes and valued on odd ones, and the other way round, because the
-    lowest of noisy means are low by chance too; the boundary partner counts with the fraction that
-    is left. Starts that all partners have in common are resampled within each half.
+    The tail is chosen on even episodes and valued on odd ones, and vice versa, because the lowest
+    of noisy means are low by chance too. The partner at the boundary counts with a fraction. Starts
+    that all partners have in common are resampled within each half.
     """
     if returns.shape[2] < 2:
         raise ValueError(

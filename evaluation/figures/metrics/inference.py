@@ -1,4 +1,4 @@
-"""Testing a method against a baseline: p-values, Holm's correction, the effect that can be seen."""
+"""Tests of a method against a baseline: p-values, Holm's correction, the detectable effect."""
 
 import dataclasses
 import math
@@ -14,7 +14,7 @@ POWER = 0.8  # of the effect that is called detectable
 
 @dataclasses.dataclass(frozen=True)
 class MeanTest:
-    """A test that two methods have one mean over new seeds and new partners."""
+    """A test of equal means of two methods over new seeds and new partners."""
 
     difference: float
     error: float  # standard error of the difference
@@ -32,7 +32,7 @@ class MeanTest:
 
 
 def mean_test(a: Num[np.ndarray, "S P"], b: Num[np.ndarray, "T P"]) -> MeanTest:
-    """Test the difference of two methods that met the same partners in the same episodes.
+    """Return the test of the difference of two methods with the same partners and episodes.
 
     Seeds of either method are random, and so is how the methods differ with a partner. With MS the
     mean squares of seeds and of what is left beside seeds and partners, and V the variance of the

@@ -1,10 +1,10 @@
-"""Which methods are certainly better than which, and the range of ranks that leaves to each.
+"""Rank methods by tests of all pairs, with simultaneous confidence sets for the ranks.
 
-Two intervals that overlap say little of whose mean is higher, and a place in a sorted list says
-less. Here every pair of methods is tested, and with 95% confidence no claim of the whole list is
-wrong; ranks follow from the claims, as in Mogstad, Romano, Shaikh and Wilhelm, "Inference for
-Ranks" (Review of Economic Studies, 2024). A pair is tested with the scores of its two methods and
-nothing else, so no other row can move it but by being one more.
+Overlapping intervals do not decide which mean is higher, nor does a place in a sorted list. Here
+every pair of methods is tested, and with 95% confidence no claim of the whole list is wrong. Ranks
+follow from the claims, as in Mogstad, Romano, Shaikh and Wilhelm, "Inference for Ranks" (Review of
+Economic Studies, 2024). A pair's test uses only the scores of its two methods, so other rows change
+it only by their number.
 
 **The test of a pair.** Methods a and b with seeds S_a and S_b met the same P partners. The
 difference of their means over seeds and partners has two sources of chance: which seeds were
@@ -78,7 +78,7 @@ class Ranks:
 
     @property
     def places(self) -> Int[np.ndarray, " M"]:
-        """Best rank of each method: methods that nothing tells apart share a place."""
+        """Best rank of each method; methods without a significant difference share it."""
         return 1 + self.better.sum(axis=0)
 
     @property
@@ -93,18 +93,18 @@ def rank_methods(
     seed_sd: float | None = None,
     confidence: float = CONFIDENCE,
 ) -> Ranks:
-    """Rank methods by their mean over partners.
+    """Return the ranks of methods by their mean over partners.
 
     Args:
-        scores: for each method its mean returns [S, P]: its seeds, and the same P partners in the
-            same order and on the same episodes as every other method's.
-        seed_sd: standard deviation between seeds of one method, known before the methods were
-            seen, such as `SEED_SDS[task]`; None if nothing is known.
-        confidence: that no claim of the result is wrong.
+        scores: Mean returns [S, P] of each method: its seeds, and the same P partners in the same
+            order and on the same episodes for every method.
+        seed_sd: Standard deviation between seeds of one method, known beforehand, such as
+            `SEED_SDS[task]`; None if unknown.
+        confidence: Confidence that no claim of the result is wrong.
 
     Raises:
-        ValueError: fewer than two partners, methods with different numbers of them, or a `seed_sd`
-            that is not positive.
+        ValueError: There are fewer than two partners, methods have different numbers of partners,
+            or `seed_sd` is not positive.
     """
     matrices = _check(scores)
     if seed_sd is not None and not 0 < seed_sd < np.inf:
@@ -125,7 +125,7 @@ class _Pairs:
     rounding: float
 
     def apart(self, level: float) -> np.ndarray:
-        """Return which pairs [M, M] differ at this level, two-sided."""
+        """Return a mask [M, M] of the pairs that differ at this level, two-sided."""
         from scipy.special import stdtrit  # Student's quantiles; not loaded at every start
 
         # Convex between the nodes, so what is read off is no less than the quantile.
@@ -181,7 +181,7 @@ def _summed_df(variances: np.ndarray, df: np.ndarray, total: np.ndarray) -> np.n
 
 
 def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:
-    """Test all pairs at once, then those that are left against what may still be equal."""
+    """Return a mask [M, M] of the differing pairs, by Shaffer's step-down test at level alpha."""
     is_open = ~np.eye(len(pairs.difference), dtype=bool)
     most = np.inf
     while is_open.any():
@@ -195,11 +195,11 @@ def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:
 
 
 def _most_equal(is_open: np.ndarray) -> float:
-    """Return no less than the number of pairs that can be equal at once, if only open ones can.
+    """Return an upper bound of the number of pairs that can be equal at once.
 
-    Equal methods form groups in which every pair is open. The group of a method has no more members
-    than the method's core number, plus 1; and a method that is left out, such as one that nothing
-    tells from anybody, was equal to no more than that number of others.
+    Equal methods form groups in which every pair is open. A method's group has at most its core
+    number of other members. A method that is left out of the count is equal to at most that number
+    of others.
     """
     left_out, cores = 0.0, _core_numbers(is_open)
     bound = cores.sum() / 2
@@ -217,7 +217,7 @@ def _most_equal(is_open: np.ndarray) -> float:
 
 
 def _core_numbers(graph: np.ndarray) -> np.ndarray:
-    """Core number [M] of each node: of the last part of the graph in which all have so many."""
+    """Return the core number [M] of each node of a graph given by its adjacency matrix."""
     links = graph.astype(np.float32)
     degrees, cores, core = links.sum(axis=1), np.zeros(len(graph)), 0.0
     left = np.ones(len(graph), bool)
@@ -231,7 +231,7 @@ def _core_numbers(graph: np.ndarray) -> np.ndarray:
 
 
 def _close(better: np.ndarray) -> np.ndarray:
-    """Add what follows: if a is better than b and b than c, then a is better than c."""
+    """Return the transitive closure of a relation [M, M]."""
     while True:
         closed = better | (better.astype(np.float32) @ better.astype(np.float32) > 0)
         if (closed == better).all():

@@ -1,4 +1,4 @@
-"""Where returns vary: robots, partners, who meets whom, starts, and the rest of an episode."""
+"""Variance components of returns: robots, partners, pairs, starts, and the rest of an episode."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ Z = statistics.NormalDist().inv_cdf(0.975)
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Standard deviations of a return, in its units, by what they come from."""
+    """Standard deviations of a return, in its units, by source."""
 
     seeds: float
     partners: float
@@ -34,10 +34,10 @@ class Spread:
 
     @property
     def interaction_index(self) -> float | None:
-        """Share of the pairs in the variance between mean returns, 0 to 1; None of no variance.
+        """Share of pair effects in the variance between mean returns; None without variance.
 
-        pairs^2 / (seeds^2 + partners^2 + pairs^2): 0 where robots are more or less skilled and
-        partners more or less easy, 1 where all depends on who meets whom.
+        pairs^2 / (seeds^2 + partners^2 + pairs^2) is 0 if returns are sums of a robot's and a
+        partner's effect, and 1 if all depends on the pair.
         """
         parts = (self.seeds**2, self.partners**2, self.pairs**2)
         return self.pairs**2 / sum(parts) if sum(parts) > 0 else None
@@ -56,11 +56,11 @@ class Variance:
 def variance_components(
     returns: Num[np.ndarray, "E P K"], cells: Bool[np.ndarray, "E P"] | None = None
 ) -> Variance | None:
-    """Return the variance components of returns; None where there are too few pairs.
+    """Return the variance components of returns, or None if there are too few pairs.
 
     Args:
-        returns: Of E robots with P partners in K episodes, which all robots met alike.
-        cells: Which pairs count, such as those that were not trained together; default all.
+        returns: Returns of E robots with P partners in the same K episodes.
+        cells: Mask of the pairs to use, such as those not trained together; by default all.
     """
     from scipy import stats  # half a second, hence not at every start
 
@@ -84,14 +84,14 @@ def variance_components(
 
 
 def measure_spread(episodes: pl.DataFrame) -> Spread:
-    """Return where the returns of an episode table vary, by analyses of variance.
+    """Return the standard deviations of an episode table's returns by source, from ANOVA.
 
     Args:
         episodes: Columns `ego`, `partner`, `episode`, `return`: every ego with every partner in the
             same episodes, at least two egos and two partners.
 
     Raises:
-        ValueError: It is not such a table.
+        ValueError: The table has another form.
 
     Examples:
         >>> columns = {"ego": "aabb", "partner": "xyxy", "return": [1.0, 2.0, 3.0, 5.0]}
