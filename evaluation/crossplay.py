@@ -36,12 +36,12 @@ def cast_population(
 ) -> Cast:
     """Return the cast of a population: robots and humans by globs over policy or team ids.
 
-    They are of a release, the task's default if not given; a glob that names a release is taken at
-    its word. In place of humans there may be persons, "persons" for those of the test side, at most
-    `persons` of them. None are all humans; of a task that has persons alone, persons.
+    They are of `release`, by default the task's, unless a glob names a release. Humans may also be
+    "persons", at most `persons` of the test side. If `humans` is None, all humans are cast, or
+    persons if the task has no other humans.
 
     Raises:
-        ZooError: The registry cannot give them.
+        ZooError: The registry lacks a policy, or policies do not fit together.
     """
     share_cores()
     egos = in_release(registry, robots, release, task=task, role="robot")
@@ -69,15 +69,15 @@ def cross_play(
     replace: bool = False,
     on_progress: OnProgress = None,
 ) -> CrossPlaySummary:
-    """Evaluate the robots of a population with its humans.
+    """Play the robots of a population with its humans, write the results, return the summary.
 
     Args:
         cast: Robots and humans, see `cast_population`.
-        how: How they play.
+        how: Settings of play.
         folder: As in `evaluation.evaluate.evaluate`.
-        cluster: Spread the chunks over it, in as many blocks as it runs at once.
+        cluster: A cluster that simulates the chunks, in as many blocks as it runs at once.
         replace: As in `evaluation.evaluate.evaluate`.
-        on_progress: Told how far the run is.
+        on_progress: Called with the progress of the run.
 
     Raises:
         ValueError: The folder holds another job, or cannot be written.
@@ -103,9 +103,9 @@ def cross_play(
 def _split(
     registry: Registry, task: str, humans: Sequence[PolicyEntry], release: str | None
 ) -> Split | None:
-    """Return the default split of the humans' release; None if it has none.
+    """Return the default split of the humans' release, or None if it has no split.
 
-    Humans of several releases have that of the task's, or of the one that was asked for.
+    For humans of several releases, it is that of the requested release, or of the task's default.
     """
     releases = {human.release for human in humans}
     if len(releases) == 1:
@@ -120,7 +120,7 @@ def _split(
 
 
 def _draw(folder: Path, summary: CrossPlaySummary) -> None:
-    """Draw the matrix of the saved pairs."""
+    """Draw the matrix of the saved pairs into the folder."""
     from evaluation.plots.heatmap import crossplay_heatmap
     from evaluation.plots.matrix import arrange
     from evaluation.plots.style import save_figure

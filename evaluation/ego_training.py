@@ -31,7 +31,7 @@ POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, 
 
 @dataclasses.dataclass(frozen=True)
 class EgoTraining:
-    """What is to be trained, and with whom."""
+    """Settings of a training of robots, and its partners."""
 
     config: TrainConfig
     partners: "FrozenPartners"
@@ -41,7 +41,7 @@ class EgoTraining:
 
     @property
     def summary(self) -> str:
-        """How the simulations are shared out, in a line."""
+        """One line of text on the simulations of each partner."""
         envs, count = self.config.trainer.num_envs, len(self.partners)
         if self.split.rule == PERSONS:
             return f"a new person each episode, of the {len(self.split.train)} of {self.split.id}"
@@ -79,19 +79,19 @@ def prepare(
     updates_per_call: int | None = None,
     told: Told = False,
 ) -> EgoTraining:
-    """Return what is to be trained with the partners of a split's training side.
+    """Return the training of robots with the partners of a split's training side.
 
     Every partner gets the same share of the simulations. Unless `num_envs` is among the
-    hyperparameters, it is the number nearest to the preset's that all of them can share.
+    hyperparameters, it is the number nearest to the preset's that can be divided equally.
 
     Args:
-        registry: Where the partners are.
+        registry: The registry of the partners.
         task: Task.
-        split: Split whose training side are the partners: an id or the beginning of one, or the
-            split itself; default the release's own.
+        split: Split whose training side are the partners: an id or its beginning, or the split
+            itself; by default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
         algorithm: "ppo", "sac", or a method: `population.hyperparameters.METHODS`.
-        seeds: How many, numbered from 0, or which.
+        seeds: Number of seeds, from 0, or the seeds themselves.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
         preferences: What the humans of a gentle task like, in turns; if none are given, those of
@@ -136,18 +136,18 @@ def train_egos(
     snapshots: int = 0,
     progress: "Callable[[Progress], None] | None" = None,
 ) -> TrainedEgos:
-    """Train the robots and write a policy file for each.
+    """Train the robots, write a policy file for each, and return them.
 
-    The run folder is that of teams with the robot's role alone, and says which split it was trained
-    with. A run that was interrupted goes on to the same result.
+    The run's folder has the form of a run of teams, with only the robot's role and the split. An
+    interrupted run continues to the same result.
 
     Args:
-        training: What `prepare` returns.
-        folder: Folder of the run; default a new temporary one.
-        backend: Physics, or "auto" for the fastest one here.
-        resume: Whether to go on with a run that the folder holds.
+        training: The training of `prepare`.
+        folder: Folder of the run; by default a new temporary one.
+        backend: Physics backend, or "auto" for the fastest one here.
+        resume: Whether to continue a run in the folder.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
-        snapshots: At how many equal steps the robots are kept, for `evaluation.validation`.
+        snapshots: Number of evenly spaced snapshots, for `evaluation.validation`.
         progress: Called after every dispatch.
     """
     run = run_training(
@@ -164,12 +164,13 @@ def train_egos(
 
 
 def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:
-    """Return the digests of a split and of all that decides how its training side acts.
+    """Return the digests of a split and of everything that decides its training side's actions.
 
     Args:
-        registry: Has the partners' disability settings.
-        split: Whose training side it is.
-        met: Has the sha256 of each partner's parameters, or of a person's row and program.
+        registry: The registry with the partners' disability settings.
+        split: The split.
+        met: The training side, with the sha256 of each partner's parameters, or of a person's row
+            and program.
     """
     teams = () if split.rule == PERSONS else registry.known(f"{team}/human" for team in split.train)
     settings = [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
@@ -177,15 +178,15 @@ def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:
 
 
 def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerConfig:
-    """Return hyperparameters with simulations of which every partner gets the same share.
+    """Return hyperparameters whose number of simulations can be shared equally among partners.
 
     Args:
         trainer: Hyperparameters.
-        partners: How many partners.
-        keep: Whether the number of simulations was asked for, and is to be kept.
+        partners: Number of partners.
+        keep: Whether to keep the number of simulations, because the user chose it.
 
     Raises:
-        ValueError: It is to be kept, and has no such share.
+        ValueError: The number is to be kept and cannot be shared equally.
     """
     from population.trainers.frozen_partners import fitting_envs
 
@@ -224,7 +225,7 @@ def _chosen_split(
 
 
 def older_version(registry: Registry, split: Split) -> int | None:
-    """Return the version of the environment that a split's partners play; None for the newest."""
+    """Return the environment version of a split's partners, or None if it is the newest."""
     from evaluation.cast.cast import env_version
 
     entries = registry.known(f"{team}/human" for team in split.train)
@@ -269,7 +270,7 @@ def _player_and_rows(registry: Registry, split: Split) -> tuple[Any, Any]:
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
-    """Write the split of a finished run, and a policy file for each of its robots."""
+    """Write the split of a finished run and a policy file for each robot; return the robots."""
     split = training.split
     # What publishing reads: an ego's entry names the split it was trained with, and its sha256.
     atomic_write(run.folder / SPLIT, split.model_dump_json().encode())
@@ -285,7 +286,7 @@ def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:
 def ego_metadata(
     training: EgoTraining, seed: int, folder: Path, trained: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return what a robot's policy file says of it."""
+    """Return the metadata of a robot's policy file: task, algorithm, seed, split, training."""
     return {
         "task": training.config.task,
         "algorithm": training.config.algorithm,

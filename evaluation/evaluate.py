@@ -1,4 +1,4 @@
-"""M_test of robots: their returns with partners that they never met."""
+"""M_test of robots: their returns with partners that are new to them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,15 +40,15 @@ def cast_robots(
 
     Args:
         registry: The published partners.
-        robots: See `evaluation.cast.egos.read_egos`.
-        partners: Of `evaluation.cast.cast.choose_partners`.
-        trained_with: Whom the robots met in training, see `zoo.met.declared_met`.
-        baselines: Whether baselines are to be played.
+        robots: The robots, see `evaluation.cast.egos.read_egos`.
+        partners: The result of `evaluation.cast.cast.choose_partners`.
+        trained_with: The robots' training partners, see `zoo.met.claims.declared_met`.
+        baselines: Whether baselines will be played.
 
     Raises:
-        ValueError: What was asked for does not exist or does not fit the task, or one robot is
-            given under two names.
-        ZooError: The registry cannot give it.
+        ValueError: A policy does not exist or does not fit the task, or one robot is given under
+            two names.
+        ZooError: The registry lacks a policy, or policies do not fit together.
     """
     share_cores()
     if not robots:
@@ -79,23 +79,22 @@ def evaluate(
     replace: bool = False,
     on_progress: OnProgress = None,
 ) -> EvaluationSummary:
-    """Evaluate robots against the partners of a split.
+    """Play robots with the partners of a split, write the results, and return the summary.
 
     Args:
         cast: Robots and partners, see `cast_robots`.
-        how: How they play.
-        folder: Filled with the episodes and their tables; a run that was stopped goes on, and
-            another job is refused.
-        include_own: Count partners that were trained with one of the robots.
-        references: Folder that keeps the episodes of reference egos, see
-            `evaluation.play.baselines`; None plays none.
+        how: Settings of play.
+        folder: The folder of the results. A stopped run is continued; another job is refused.
+        include_own: Whether figures count partners that were trained with one of the robots.
+        references: Cache of the episodes of reference egos, see `evaluation.play.baselines`. If it
+            is None, no references are played.
         crossplay: Finished cross-play, whose best robots may be the partners' best responses.
         reuse: See `evaluation.play.evaluator.run_job`.
-        replace: Remove the job that the folder holds, whichever it is, and all drawn from it.
-        on_progress: Told how far the run is.
+        replace: Whether to remove a job that the folder has, with its results.
+        on_progress: Called with the progress of the run.
 
     Raises:
-        ValueError: What was asked for does not fit the task, or the folder holds another job.
+        ValueError: A setting does not fit the task, or the folder has another job.
         EgoError: A robot failed.
     """
     if reuse and replace:
@@ -127,7 +126,7 @@ def evaluate(
 
 
 def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
-    """Return the environment, the job, and the split that it is of; robots from outside answer."""
+    """Return the environment, the job and the split, after testing robots from outside."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
     if cast.robots.told and baselines:
@@ -142,7 +141,7 @@ def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
 
 
 def _crossplay_files(crossplay: Path | None) -> list[Path]:
-    """Return the files of a cross-play that figures are drawn from."""
+    """Return the files of a cross-play that figures use; empty if there is no cross-play."""
     if crossplay is None:
         return []
     return [crossplay / name for name in (tables.SUMMARY_FILE, tables.PAIRS_FILE)]

@@ -1,4 +1,4 @@
-"""Play one episode to look at, and film it: .mp4, .gif or .webp, or a .png sheet of moments."""
+"""Play one episode and film it: .mp4, .gif or .webp, or a .png sheet of moments."""
 
 import contextlib
 import errno
@@ -48,20 +48,20 @@ def play(
     partner: str | None = None,
     humans: EnvParams | None = None,
 ) -> Iterator[EnvState]:
-    """Yield the states of one episode, each [1], from its start on.
+    """Yield the states of one episode, each [1], beginning with the start.
 
     Args:
-        env: the environment.
-        robot: from the robot's observation [O] to its action [A].
-        human: the same for the human.
-        disability: the human's setting.
-        seed: of the evaluation whose episode it is.
-        steps: how many; the whole episode if not given.
-        on_step: called after each step.
-        episode: which episode of that evaluation.
-        preference: what the human of a gentle task likes; drawn if not given.
-        partner: the human's id, if it is a partner of the zoo: its starts are its own.
-        humans: a person's own body and wishes [1], in place of a setting and a preference.
+        env: The environment.
+        robot: Function from the robot's observation [O] to its action [A].
+        human: The same for the human.
+        disability: The human's disability setting.
+        seed: Seed of the evaluation that has the episode.
+        steps: Number of steps; by default the whole episode.
+        on_step: Called after each step.
+        episode: Number of the episode in that evaluation.
+        preference: The preference of a gentle task's human; by default drawn.
+        partner: The human's id, if it is a partner of the zoo, which has its own starts.
+        humans: A person's own `EnvParams` [1], in place of a setting and a preference.
     """
     key = key_of(np.array(episode_seeds(seed, [episode], partner)))
     preferences = None if preference is None else [preference]
@@ -86,7 +86,7 @@ def _observation(state: EnvState, role: str) -> np.ndarray:
 
 
 class Pair:
-    """A robot and a human by reference, who play episodes to be filmed or recorded."""
+    """A robot and a human by reference, for episodes to film or record."""
 
     def __init__(
         self,
@@ -100,17 +100,17 @@ class Pair:
         disability: str | None = None,
         preference: str | None = None,
     ) -> None:
-        """Check who plays and how long; see `play` for the rest.
+        """Load both policies and check that they fit; `play` plays the episodes.
 
         Args:
-            env: the environment.
-            robot: as in `seat_policy`.
-            human: likewise.
-            registry: read where a reference asks for it.
-            steps: of each episode; all of them if not given.
-            seed: of the evaluation whose episodes they are.
-            disability: the human's setting instead of its own.
-            preference: what the human of a gentle task likes; drawn if not given.
+            env: The environment.
+            robot: Reference of the robot, as in `seat_policy`.
+            human: Reference of the human, as in `seat_policy`.
+            registry: Returns the registry; called only if it is needed.
+            steps: Steps of each episode; by default all of them.
+            seed: Seed of the evaluation that has the episodes.
+            disability: The human's setting instead of its own.
+            preference: The preference of a gentle task's human; by default drawn.
         """
         if preference is not None:
             check_preferences(env.task, [preference])
@@ -128,7 +128,7 @@ class Pair:
         self.setting = disability or self.seats["human"].setting or "d1"
 
     def _seated(self, episode: int) -> dict[str, Seated]:
-        """Return policies that remember nothing of earlier episodes."""
+        """Return newly loaded policies, without memory of earlier episodes."""
         seed = self._seed + episode  # of random actions
         return {
             role: seat_policy(name, role, self.env, self._registry, self.env.task, seed)
@@ -142,9 +142,10 @@ class Pair:
         episode: int = 0,
         heard: Callable[[str, Act], Act] = lambda role, act: act,
     ) -> Iterator[EnvState]:
-        """Yield the states of one episode; `heard` may listen to what a role does.
+        """Yield the states of one episode.
 
-        After each step `check` is called, which may end it all, then `on_step`.
+        After each step `check` is called, which may raise to stop, then `on_step`. `heard` may wrap
+        each role's function of actions, to record them.
         """
 
         def stepped() -> None:
@@ -165,17 +166,17 @@ class Pair:
 
 @functools.lru_cache(1)
 def _programs(env: Env) -> tuple[Callable[..., EnvState], Callable[..., EnvState]]:
-    """Compile once for all episodes that follow each other."""
+    """Return the compiled reset and step of an environment, kept for the next episodes."""
     own = own_settings()
     return own(jax.jit(env.reset)), own(jax.jit(env.step))
 
 
 def check_film(path: Path, fps: int, width: int, height: int) -> None:
-    """Check, before any work is done, that a film can be written under this name.
+    """Check, before any work, that a film can be written under this name.
 
     Raises:
-        ValueError: the ending is unknown, the size or the rate is not possible, an .mp4 lacks its
-            package, or the place cannot be written to.
+        ValueError: The ending is unknown, the size or the rate is not possible, the package for
+            .mp4 is missing, or the place cannot be written to.
     """
     ending = path.suffix.lower()
     if ending not in ENDINGS:
@@ -199,10 +200,10 @@ def check_film(path: Path, fps: int, width: int, height: int) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Check, before any work is done, that a file can be written under this name.
+    """Check, before any work, that a file can be written under this name.
 
     Raises:
-        ValueError: It cannot.
+        ValueError: It cannot be written.
     """
     try:
         if path.is_dir():
@@ -227,13 +228,13 @@ def film(
     """Draw an episode and write it, in real time; return the number of frames.
 
     Args:
-        states: of the episode, `steps` + 1 of them.
-        draw: from a state to uint8 [H, W, 3].
-        path: ends in .mp4, .gif, .webp or .png; a .png holds moments, four in two rows, the last
-            one the end.
-        steps: of the episode.
-        fps: frames a second; a divisor of 50.
-        count: of the moments.
+        states: The `steps` + 1 states of the episode.
+        draw: Function from a state to an image, uint8 [H, W, 3].
+        path: A path that ends in .mp4, .gif, .webp or .png. A .png has `count` moments, the last
+            one at the end.
+        steps: Number of steps of the episode.
+        fps: Frames a second; a divisor of 50.
+        count: Number of moments.
     """
     ending = path.suffix.lower()
     shown = moments(steps, count) if ending == ".png" else range(0, steps + 1, RATE // fps)
@@ -245,7 +246,7 @@ def film(
 
 
 def moments(steps: int, count: int = MOMENTS) -> Sequence[int]:
-    """Return the steps of a strip: the first lie closer together, the last is the end."""
+    """Return the steps of a sheet's moments, denser at the beginning; the last is the end."""
     return sorted({round(steps * ((i + 1) / count) ** 2) for i in range(count)})
 
 
@@ -282,9 +283,9 @@ def _write_mp4(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
 
 
 def _write_gif(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
-    """Write a GIF whose frames share the first one's colours, so that only what moves is stored.
+    """Write a GIF whose frames share the first one's palette, so that only changes are stored.
 
-    The first frame has them all: what stands below it names each colour that can come.
+    The first frame has all colours, because the legend below it shows each of them.
     """
     first = Image.fromarray(next(frames)).quantize(method=Image.Quantize.MAXCOVERAGE)
     pictures = (
@@ -294,7 +295,7 @@ def _write_gif(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
 
 
 def _write_webp(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
-    """Write a moving picture for a page: a fifth of a GIF's bytes."""
+    """Write an animated WebP, with a fifth of a GIF's bytes."""
     first, *rest = map(Image.fromarray, frames)
     options = {"save_all": True, "append_images": rest, "duration": 1000 // fps, "loop": 0}
     first.save(path, "WEBP", quality=40, method=6, **options)

@@ -1,8 +1,8 @@
-"""Checkpoints and seeds, chosen by the partners of the validation side.
+"""Choose checkpoints and seeds by returns with the validation side.
 
-A training keeps its robots at some equal steps. All of them play with the validation side of the
-split that they trained with; each seed's best checkpoint is its choice, and the best of so many
-seeds is a row that another method has to beat at equal steps in all. The test side is not touched.
+A training keeps snapshots of its robots. All of them play with the validation side of their split.
+Each seed's best snapshot is its choice. The best of several seeds is a row of its own: another
+method should beat it at an equal sum of steps. The test side is not used.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ CHOSEN, PLAYED = "chosen", "validation"
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """A checkpoint that was chosen."""
+    """A chosen checkpoint."""
 
     seed: int
     steps: int
@@ -44,7 +44,7 @@ class Choice:
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """What was chosen of a run."""
+    """The choices of a run."""
 
     split: str
     partners: int  # of the validation side
@@ -55,7 +55,7 @@ class Choices:
 
 
 def check_validation(split: Split) -> None:
-    """Refuse a split by whose partners nothing can be chosen.
+    """Check that a split has a validation side.
 
     Raises:
         ValueError: It has no validation side.
@@ -77,20 +77,20 @@ def choose(
     persons: int | None = None,
     on_progress: OnProgress = None,
 ) -> Choices:
-    """Play a run's snapshots with the validation side, and write what is chosen into its folder.
+    """Play a run's snapshots with the validation side; write and return the choices.
 
     `validation/` has the evaluation of all snapshots, `validation.parquet` a row for each seed and
     step, `chosen/` each seed's best checkpoint, `best-of-N/` the best of each N seeds, and
     `choices.json` says which they are.
 
     Args:
-        registry: Where the partners are.
-        training: What was trained.
-        run: What became of it, with snapshots.
-        how: How they play.
-        best_of: Seeds of a group; a rest of fewer is no group.
-        persons: How many persons, where they are the partners.
-        on_progress: Told how far the evaluation is.
+        registry: The registry of the partners.
+        training: The training of the run.
+        run: The finished run, with snapshots.
+        how: Settings of play.
+        best_of: Number of seeds in a group; an incomplete group is ignored.
+        persons: Number of persons, if they are the partners.
+        on_progress: Called with the progress of the evaluation.
 
     Raises:
         ValueError: The split has no validation side, or the run no snapshots.
@@ -127,13 +127,13 @@ def choose(
 
 
 def best_of_each(by_seed: Sequence[Choice], size: int) -> tuple[Choice, ...]:
-    """Return the best choice of each so many seeds, in their order; a rest of fewer is no group."""
+    """Return the best choice of each full group of `size` consecutive seeds, in order."""
     starts = range(0, len(by_seed) - size + 1, size)
     return tuple(max(by_seed[i : i + size], key=lambda choice: choice.mean) for i in starts)
 
 
 def _scored(files: Mapping[Path, tuple[int, int, TrainedTeam]], returns: Returns) -> pl.DataFrame:
-    """Return seed, steps, mean return and file of each snapshot."""
+    """Return a table with seed, steps, mean return and file of each snapshot."""
     scores = dict(zip(returns.egos["ego"], returns.scores.mean(axis=1).tolist(), strict=True))
     rows = [
         {"seed": seed, "steps": steps, "return": scores[str(path)], "file": str(path)}
@@ -168,7 +168,7 @@ def _write(
     row: dict[str, Any],
     folder: str,
 ) -> Choice:
-    """Write a chosen checkpoint into a folder of the run."""
+    """Write a chosen checkpoint into a folder of the run, and return the choice."""
     place = Path(folder) / f"{training.config.algorithm}-s{row['seed']}.safetensors"
     _write_robot(run.folder / place, training, run, files[Path(row["file"])][2])
     return Choice(row["seed"], row["steps"], row["return"], str(place))

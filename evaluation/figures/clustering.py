@@ -143,12 +143,13 @@ def conventions(matrix: np.ndarray) -> np.ndarray:
     if not np.isfinite(matrix).all():
         raise ValueError("the cross-play has returns that are not finite; run it again")
     ranks = stats.rankdata(matrix, axis=0)
-    own = (ranks - ranks.mean(axis=1, keepdims=True)).T
-    usual = ~own.any(axis=1)  # who ranks the robots as everybody does
-    apart = distance.pdist(own, "correlation")
-    unlike = distance.squareform(usual[:, None] != usual, checks=False)
-    apart = np.where(np.isnan(apart), unlike, apart)  # of theirs there is no correlation
-    first = hierarchy.fcluster(hierarchy.average(apart), 2, "maxclust") == 1
+    deviations = (ranks - ranks.mean(axis=1, keepdims=True)).T
+    distances = distance.pdist(deviations, "correlation")
+    # Humans with the mean ranks have no correlation.
+    has_mean_ranks = ~deviations.any(axis=1)
+    unlike = distance.squareform(has_mean_ranks[:, None] != has_mean_ranks, checks=False)
+    distances = np.where(np.isnan(distances), unlike, distances)
+    first = hierarchy.fcluster(hierarchy.average(distances), 2, "maxclust") == 1
     if first.all():
         raise ValueError(
             f"the {len(first)} humans form no two groups: they rank the robots alike, or each in a "

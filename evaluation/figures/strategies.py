@@ -168,9 +168,9 @@ def _clusters(responses: Responses, clustering: Clustering) -> list[dict[str, An
 
 
 def _incompatible(responses: Responses) -> dict[str, Any] | None:
-    """Return the two partners whose best robots lose the most if swapped; None for one partner.
+    """Return the two partners whose best robots lose the most if exchanged, and these returns.
 
-    It is the pair with the largest smaller loss.
+    Pairs are compared by the smaller of the two losses. If it is never positive, return None.
     """
     own = np.diag(responses.returns)
     loss = own[None, :] - responses.returns  # [robot's partner b, played partner a]

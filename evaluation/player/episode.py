@@ -1,7 +1,6 @@
-"""An episode of a recorded table, checked, and as the player's page takes it.
+"""Read an episode of an untrusted recorded table, and convert it for the player's page.
 
-Whoever sends a table may have written anything into it: sizes, shapes and numbers are checked
-before anything is drawn.
+Sizes, shapes and numbers are checked before they are used.
 """
 
 import dataclasses
@@ -46,7 +45,7 @@ LEVEL_WORDS = ("a gentle touch", "more than a gentle touch", "more than a frail 
 
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """One recorded episode, up to its end: T moments, of which the first has earned nothing."""
+    """One recorded episode up to its end: T moments, of which the first has no reward yet."""
 
     about: Mapping[str, Any]  # task, robot, person, version, seed, setting, number
     poses: np.ndarray  # [T, nq] rad
@@ -61,10 +60,10 @@ class Episode:
 
 
 def read_episode(path: Path, number: int = 0) -> Episode:
-    """Read one episode of a file that `trajectories` wrote, received from anybody.
+    """Return one episode of an untrusted file of `trajectories`.
 
     Raises:
-        ValueError: It is damaged, too large, or has not what a player shows.
+        ValueError: The file is damaged, too large, or lacks data that a player shows.
     """
     if not path.is_file():
         raise ValueError(f"there is no file {path}; give one that `trajectories` wrote")
@@ -83,7 +82,7 @@ def read_episode(path: Path, number: int = 0) -> Episode:
 
 
 def episode_content(episode: Episode) -> dict[str, Any]:
-    """Return what the page plays: JSON of names and finite numbers."""
+    """Return the page's data of an episode, JSON-ready: names and finite numbers."""
     about, task = episode.about, TASK_CLASSES[episode.about["task"]]
     scene = scene_content(scene_of(episode), f"human {about['person']}")
     camera, points = scene["camera"], next(iter(episode.targets.values()))[:, :3]
@@ -132,26 +131,26 @@ def episode_content(episode: Episode) -> dict[str, Any]:
 
 
 def scene_of(episode: Episode) -> str:
-    """Return the name of the task whose scene an episode is played in."""
+    """Return the name of an episode's scene, which is that of a task."""
     return episode.about["task"]
 
 
 def seconds_of(episode: Episode) -> float:
-    """Return the length of a step."""
+    """Return the length of a step in seconds."""
     return SUBSTEPS * float(picture_model(scene_of(episode)).opt.timestep)
 
 
 def is_felt(episode: Episode) -> bool:
-    """Return whether the recorded force is of all touches, not of the tool on the arm alone."""
+    """Return whether the recorded force is that of all contacts, not only of tool and arm."""
     return REGISTERED[episode.about["task"]].felt
 
 
 class _UnplayableError(Exception):
-    """A table has not what a player shows: says what."""
+    """A table lacks data that a player shows; the message names it."""
 
 
 def _about(path: Path) -> dict[str, Any]:
-    """Return who plays what, from the file's metadata."""
+    """Return task, policies, version and seed from the file's metadata, checked."""
     text = read_metadata(path).get(METADATA_KEY, "")
     try:
         about = parse_json(text if len(text) <= LARGEST_ABOUT else "")
@@ -169,7 +168,7 @@ def _about(path: Path) -> dict[str, Any]:
 
 
 def _setting(described: Any) -> str:
-    """Return a disability setting in words, by its name where it has one; None of persons."""
+    """Return a disability setting as text, with its name if it has one."""
     if described is None:
         return "its own: a person of the zoo"
     names = {dataclasses.astuple(setting): name for name, setting in DISABILITY_SETTINGS.items()}
@@ -251,7 +250,7 @@ def _preferred(rows: pl.DataFrame, name: str) -> float:
 
 
 def _facts(episode: Episode) -> list[tuple[str, str]]:
-    """Return what stands beside the scene: a name and a text each."""
+    """Return the facts that are listed beside the scene, as pairs of name and text."""
     about = episode.about
     wishes = [
         PREFERENCE_WORDS[name][2].format(_short(name, v)) for name, v in episode.preferences.items()
@@ -274,7 +273,7 @@ def _short(name: str, value: float) -> str:
 
 
 def _touches(episode: Episode) -> list[list[list[float]]]:
-    """Return of each moment where the robot presses, which way, and with how many N."""
+    """Return each moment's contacts of the robot: place in m, direction, and force in N."""
     model = picture_model(scene_of(episode))
     data, touches = mujoco.MjData(model), []
     rows = zip(episode.poses, episode.velocities, episode.force, strict=True)
@@ -291,7 +290,7 @@ def _touches(episode: Episode) -> list[list[list[float]]]:
 
 
 def _gaps(episode: Episode) -> np.ndarray:
-    """Return how far the tool is from the first target, m [T]."""
+    """Return the distance of the tool from the first target [T], in m."""
     model = picture_model(scene_of(episode))
     data, tools = mujoco.MjData(model), []
     for pose in episode.poses:

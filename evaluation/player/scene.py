@@ -1,4 +1,4 @@
-"""A scene as the player's page draws it: bodies, joints, shapes and colours of the films' model."""
+"""Data of a scene for the player's page: bodies, joints, shapes and colours of the films' model."""
 
 from typing import Any
 
@@ -20,11 +20,11 @@ GRAIN = 1e-4  # m: points of meshes are whole numbers of it
 
 
 def scene_content(scene: str, person: str) -> dict[str, Any]:
-    """Return what the page needs to draw a scene: lengths in m, angles in rad.
+    """Return the page's data of a scene, JSON-ready: lengths in m, angles in rad.
 
     Args:
-        scene: The task whose scene it is.
-        person: Whose looks the human has, as in films.
+        scene: The task of the scene.
+        person: The name of the human's appearance, as in films.
     """
     model = picture_model(scene)
     wear(model, person)
@@ -87,7 +87,7 @@ def _mesh(model: mujoco.MjModel, index: int) -> dict[str, Any]:
 
 
 def _camera(model: mujoco.MjModel) -> dict[str, Any]:
-    """Return where the films' first camera stands, which way it looks, and its opening."""
+    """Return the position, the direction and the opening of the films' first camera."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     towards = -data.cam_xmat[0].reshape(3, 3)[:, 2]

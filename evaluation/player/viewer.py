@@ -1,4 +1,4 @@
-"""An episode in MuJoCo's own viewer, where there is a display."""
+"""Play an episode in MuJoCo's own viewer, on a machine with a display."""
 
 import importlib
 import os
@@ -21,7 +21,7 @@ LENGTH, LENGTH_A_NEWTON = 0.1, 0.012  # m of an arrow, as on the page
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened here: a display may be named and not be there."""
+    """Return whether a window can be opened; a display may be named but not exist."""
     named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     if not named and sys.platform.startswith("linux"):
         return False
@@ -38,9 +38,9 @@ def has_display() -> bool:
 
 
 def view(episode: Episode) -> None:
-    """Play an episode again and again in a window, until it is closed.
+    """Play an episode repeatedly in a window until it is closed.
 
-    Space stops and goes on, the left and right keys step.
+    The space key pauses and continues, the left and right keys step.
     """
     model = picture_model(scene_of(episode))
     wear(model, f"human {episode.about['person']}")
@@ -60,7 +60,7 @@ def view(episode: Episode) -> None:
 
 
 def look(model: mujoco.MjModel, data: mujoco.MjData, camera: Any) -> None:
-    """Bring a free camera to the scene's default one, about what it looks at."""
+    """Set a free camera to the pose of the scene's default camera."""
     away = data.cam_xmat[0].reshape(3, 3)[:, 2]
     camera.azimuth = np.degrees(np.arctan2(-away[1], -away[0]))
     camera.elevation = np.degrees(np.arcsin(-away[2]))
@@ -70,19 +70,19 @@ def look(model: mujoco.MjModel, data: mujoco.MjData, camera: Any) -> None:
 
 
 class Clock:
-    """Which moment is shown: in real time, stopped and stepped by keys."""
+    """The time of a playback, which runs in real time, and is paused and stepped by keys."""
 
     def __init__(self, count: int, seconds: float) -> None:
         self.count, self.seconds = count, seconds
         self._playing, self._at, self._before = True, 0.0, None
 
     def press(self, key: int) -> None:
-        """Take a key."""
+        """Handle a pressed key: pause, or step."""
         self._playing = not self._playing if key == SPACE else self._playing
         self._at += {RIGHT: 1.0, LEFT: -1.0}.get(key, 0.0)
 
     def step(self, now: float) -> int:
-        """Return the moment to show at a time in seconds."""
+        """Return the index of the moment to show at a time in seconds."""
         passed = 0.0 if self._before is None else now - self._before
         self._before = now
         self._at += passed / self.seconds if self._playing else 0.0
@@ -100,7 +100,7 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, episode: Episode, step: int
 def draw_marks(
     model: mujoco.MjModel, data: mujoco.MjData, scene: Any, episode: Episode, step: int
 ) -> None:
-    """Draw targets, and an arrow for each force, in place of what was drawn before."""
+    """Replace the drawn marks by the targets and an arrow for each force of a moment."""
     scene.ngeom = 0
     colours = TASK_CLASSES[episode.about["task"]].target_colours
     for name, points in episode.targets.items():

@@ -1,4 +1,4 @@
-"""The pair of a finished folder that earns least: worth a look first."""
+"""The pair of a finished folder with the lowest return, to look at first."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,11 +17,11 @@ from zoo.registry import Registry
 
 
 def worst_pair(folder: Path, registry: Registry, *, run_code: bool = False) -> dict[str, Any]:
-    """Return the pair of a folder that earns least, as arguments of `trajectories`.
+    """Return the pair of a folder with the lowest return, as arguments of `trajectories`.
 
     Args:
-        folder: Received from anybody.
-        registry: Has its humans, and the robots that are published.
+        folder: The folder, not trusted.
+        registry: The registry of its humans, and of its published robots.
         run_code: See `evaluation.replay.received.received_robots`.
 
     Raises:
@@ -45,7 +45,7 @@ def worst_pair(folder: Path, registry: Registry, *, run_code: bool = False) -> d
 
 
 def _check_human(folder: Path, identity: Mapping[str, Any], name: str, registry: Registry) -> None:
-    """Refuse a human that is another one in this registry than in the folder."""
+    """Raise a ValueError if a human of the folder differs from the registry's."""
     entry = registry.policy(name)
     version = env_version(registry, entry.task, [entry])
     here = [entry.task, version, [name, entry.sha256]]

@@ -1,1 +1,1 @@
-"""Figures: each draws a saved table and computes nothing but its layout."""
+"""Figures of saved tables; they compute only their layout."""

@@ -1,4 +1,4 @@
-"""Captions: the evaluations behind a figure."""
+"""Captions of figures, with the evaluations that the figures are made from."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,9 +11,9 @@ Summaries = Mapping[str, Mapping[str, Any]]  # what `evaluate` saved, by the met
 
 
 def provenance(summaries: Summaries) -> str:
-    """Say how many robots, partners and episodes are behind a figure, of which release.
+    """Return a caption with a figure's numbers of robots, partners and episodes, and release.
 
-    Also where it is not known which partners the robots met in training.
+    It says if the robots' training partners are unknown.
     """
     lines = []
     for name, summary in summaries.items():

@@ -32,13 +32,13 @@ def zsc_dots(
 ) -> Figure:
     """Draw M_train beside M_test of each method, mean and 95% interval (paper, Figures 6, 14).
 
-    The axis holds the dots and, beside each, the references of its own folder; it may not hold 0.
+    The axis includes the dots and, beside each, the references of its own folder, but not always 0.
 
     Args:
-        summaries: of `evaluate`.
-        lines: other returns to draw as lines, by name, beside those of the reference egos.
-        width: of the figure, in inches.
-        note: the caption's end.
+        summaries: Summaries of `evaluate`, by the method's name.
+        lines: Other returns to draw as lines, by name, beside those of the reference egos.
+        width: Width of the figure, in inches.
+        note: The caption's end.
     """
     references = _references(summaries, lines)
     room = style.room_for(references)
@@ -81,7 +81,7 @@ _SIDES = (("m_train", -0.13, "white"), ("m_validation", 0.0, style.GRID))  # bes
 
 
 def _limits(summaries: Summaries, references: References) -> tuple[float, float]:
-    """Return limits that hold the dots with their intervals, and the references."""
+    """Return axis limits that include the dots with their intervals, and the references."""
     values = [s[key] for s in summaries.values() for key in _MEANS if s.get(key)]
     ends = [end for value in values for end in (value["mean_ci"] or [value["mean"]])]
     ends += [height for heights in references.values() for height in heights.values()]
@@ -91,7 +91,7 @@ def _limits(summaries: Summaries, references: References) -> tuple[float, float]
 
 
 def _references(summaries: Summaries, lines: Mapping[str, float]) -> References:
-    """Return what to compare with: means of each method's own references, which may differ."""
+    """Return the means of each method's own references, and of `lines`, by name and method."""
     means = {name: dict.fromkeys(range(len(summaries)), value) for name, value in lines.items()}
     for place, summary in enumerate(summaries.values()):
         for name, value in (summary.get("references") or {}).items():
@@ -110,8 +110,8 @@ def trait_points(
 ) -> Figure:
     """Draw each method's return by a trait of the partners: mean with its 95% interval.
 
-    The trait is their "disability" setting or, of a gentle task, their "preference"; the width that
-    of the figure, in inches; the note the caption's end.
+    The trait is "disability" or, for a gentle task, "preference". The width is in inches, and the
+    note ends the caption.
     """
     settings = sorted({n for summary in summaries.values() for n in summary.get(f"by_{trait}", ())})
     if summaries and not settings:
@@ -144,10 +144,10 @@ def performance_profile(
     """Draw the share of ego-partner pairs above each return, with 95% bands.
 
     Args:
-        profiles: columns threshold, share, low and high, by the method's name.
-        task: named in the title.
-        caption: written below.
-        width: of the figure, in inches.
+        profiles: Tables with columns threshold, share, low and high, by the method's name.
+        task: The task, for the title.
+        caption: Text below the figure.
+        width: Width of the figure, in inches.
     """
     figure, axes = _lines(f"Performance profile: {task}", caption, "return of an episode", width)
     colours = style.algorithm_colours(profiles)
@@ -162,7 +162,7 @@ def performance_profile(
 def _label_falls(
     axes: Axes, profiles: Mapping[str, pl.DataFrame], colours: Mapping[str, str]
 ) -> None:
-    """Write each profile's name where it falls through a share of its own: all end at 0."""
+    """Write each profile's name at a different share, because all profiles end at 0."""
     shares = np.linspace(0.85, 0.15, len(profiles)) if len(profiles) > 1 else [0.5]
     best_last = sorted(profiles, key=lambda name: -profiles[name]["share"].sum())
     for name, share in zip(best_last, shares, strict=True):
@@ -180,10 +180,10 @@ def learning_curves(
     """Draw the IQM over seeds with its 95% band, one line for each disability setting.
 
     Args:
-        curves: columns disability, steps, iqm, low and high.
-        title: written above.
-        caption: written below.
-        width: of the figure, in inches.
+        curves: Table with columns disability, steps, iqm, low and high.
+        title: Text above the figure.
+        caption: Text below the figure.
+        width: Width of the figure, in inches.
     """
     colours = style.disability_colours(curves["disability"])
     x = "environment steps of one member"
@@ -204,10 +204,10 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
     """Draw environment steps per second against the batch size, both axes logarithmic.
 
     Args:
-        measured: columns task, backend, device, batch and env_steps_per_second, as
+        measured: Table with columns task, backend, device, batch and env_steps_per_second, as
             `python -m benchmarks env --json` prints them.
-        caption: written below.
-        width: of the figure, in inches.
+        caption: Text below the figure.
+        width: Width of the figure, in inches.
     """
     title = "Open loop: environment steps per second"
     tasks = sorted(set(measured["task"]))
@@ -245,9 +245,9 @@ def speed(measured: pl.DataFrame, *, caption: str, width: float | None = None) -
 def _returns(
     summaries: Summaries, title: str, width: float, note: str, right: float = 0.2, marks: int = 2
 ) -> tuple[Figure, Axes]:
-    """Return axes for the returns of evaluations, which are of one task.
+    """Return axes for the returns of evaluations of one task.
 
-    Right of them are `right` inches for names of lines, above them a legend of so many marks.
+    There are `right` inches beside them for names of lines, and room above for a legend.
     """
     if not summaries:
         raise ValueError("there is nothing to draw; give at least one folder that evaluate filled")
@@ -272,7 +272,7 @@ def _returns(
 def _lines(
     title: str, caption: str, x: str, width: float | None, head: float = 0.0, right: float = 0.2
 ) -> tuple[Figure, Axes]:
-    """Return axes for lines; `head` inches above and `right` inches beside them are kept."""
+    """Return axes for lines, with `head` inches above and `right` inches beside them."""
     size = width or 6.2 + right, 4.2 + head, 0.15
     figure, axes = _axes(title, caption, size, (0.55, 3.1, right), "lines")
     axes.tick_params(labelsize=8)
@@ -289,10 +289,10 @@ def _axes(
     span: tuple[float, float, float],
     label: str,
 ) -> tuple[Figure, Axes]:
-    """Return a figure with axes.
+    """Return axes in a new figure.
 
-    In inches its size and the room above the caption; the axes' bottom above that, their height,
-    and the room right of them.
+    All sizes are in inches: the figure's, the room above the caption, the axes' bottom above that
+    room, their height, and the room beside them.
     """
     style.check_width(size[0], _LEFT + _NARROWEST + span[2])
     width, foot = size[0], size[2] + style.caption_height(caption, size[0])
@@ -321,5 +321,5 @@ def _name_places(axes: Axes, names: list[str]) -> None:
 
 
 def _columns(inches: float) -> int:
-    """Return how many columns a legend above axes of this width has."""
+    """Return the number of columns of a legend above axes of a width in inches."""
     return max(1, min(3, int(inches // 1.3)))

@@ -1,4 +1,4 @@
-"""Figures of finished folders: read what was saved, draw it, write the file."""
+"""Figures of finished folders: read the saved tables, draw them, write the file."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -31,17 +31,17 @@ def evaluation_figure(
     width: float | None = None,
     bare: bool = False,
 ) -> Figure:
-    """Draw evaluations, one a method, named as their folders.
+    """Draw evaluations, one for each method, named as their folders, and write the figure.
 
     Args:
-        folders: That `evaluate` filled.
+        folders: Folders of `evaluate`.
         kind: "zsc", "disability", "preference" or "profile".
         path: File to write.
-        width: Of the figure, in inches.
-        bare: Leave out title and caption.
+        width: Width of the figure, in inches.
+        bare: Whether to leave out title and caption.
 
     Raises:
-        ValueError: A folder holds something else, or two have one name.
+        ValueError: A folder has other content, or two folders have the same name.
     """
     check_path(path)
     if not folders:
@@ -75,7 +75,7 @@ def evaluation_figure(
 
 
 def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
-    """Draw which numbers of persons matter, as `summarise_parameters` returns it."""
+    """Draw the effects of persons' numbers, a result of `summarise_parameters`, to a file."""
     return save_figure(described_panels(summary), path)
 
 
@@ -87,12 +87,13 @@ def crossplay_figure(
     width: float | None = None,
     bare: bool = False,
 ) -> Figure:
-    """Draw the clustered matrix of a cross-play, `width` inches wide, bare of title and caption.
+    """Draw the clustered matrix of a cross-play, `width` inches wide, to a file.
 
-    The order is that of its pairs. Nothing of its file of the order is drawn.
+    A bare one has no title and caption. The order is computed from the pairs, not read from the
+    file of the order.
 
     Raises:
-        ValueError: The folder holds something else, or its axes share no order.
+        ValueError: The folder has other content, or the axes have no shared order.
     """
     check_path(path)
     _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE)
@@ -105,7 +106,7 @@ def crossplay_figure(
 def curves_figure(
     run: Path, path: Path, *, width: float | None = None, bare: bool = False
 ) -> Figure:
-    """Draw the learning curves of a folder that `train` filled, or is filling."""
+    """Draw the learning curves of a finished or running folder of `train`."""
     check_path(path)
     _require(run, "train", "metrics.parquet", "config.json")
     table = curves.learning_curves(tables.read_parquet(run / "metrics.parquet"))
@@ -146,7 +147,7 @@ def sweep_figure(
 def speed_figure(
     measured: Sequence[Path], path: Path, *, width: float | None = None, bare: bool = False
 ) -> Figure:
-    """Draw what `python -m benchmarks env --json` printed, one file or more."""
+    """Draw the measurements in one or more outputs of `python -m benchmarks env --json`."""
     check_path(path)
     printed = "`python -m benchmarks env` printed as JSON"
     if not measured:
@@ -178,7 +179,7 @@ def population_figure(
 
 
 def _require(folder: Path, command: str, *names: str) -> None:
-    """Refuse a folder that the command did not fill; say what it holds instead."""
+    """Raise a ValueError if a folder lacks the files of a command; say which command made it."""
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder; run `assistax-zoo {command}` into it first")
     held = {tables.PAIRS_FILE: "a cross-play", tables.PROFILE_FILE: "an evaluation"}

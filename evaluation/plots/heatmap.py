@@ -49,7 +49,7 @@ _BELOW = 0.05  # of pairs that may lie below the first colour
 
 @dataclasses.dataclass(frozen=True)
 class _Layout:
-    """Places in inches from the top left corner."""
+    """Positions in inches from the top left corner."""
 
     cells: tuple[float, float]  # height of a row, width of a column
     left: float  # where the matrix begins
@@ -66,9 +66,9 @@ class _Layout:
 def crossplay_heatmap(
     matrix: Matrix, summary: Mapping[str, Any], *, width: float | None = None
 ) -> Figure:
-    """Draw a matrix in its order with what its summary says.
+    """Draw a matrix in its order, with the figures of its summary.
 
-    In a width in inches that leaves the matrix small, its legend stands below it.
+    If the width in inches leaves the matrix small, the legend is below the matrix.
     """
     palettes = {
         "algorithm": style.algorithm_colours([*matrix.rows.algorithms, *matrix.columns.algorithms]),
@@ -104,7 +104,7 @@ def crossplay_heatmap(
 
 
 def _fitted(matrix: Matrix, lines: list[Line], width: float) -> _Layout:
-    """Return the largest layout of a width, its legend below where the matrix would be small."""
+    """Return the largest layout of a width, with the legend below if the matrix would be small."""
     least = _layout(matrix, lines, _SMALLEST, below=_SMALLEST).size[0]
     style.check_width(width, math.ceil(10 * least) / 10)
     below = width if _layout(matrix, lines, _MATRIX / 2).size[0] > width else None
@@ -120,9 +120,9 @@ def _fitted(matrix: Matrix, lines: list[Line], width: float) -> _Layout:
 def _layout(
     matrix: Matrix, lines: list[Line], longer: float = _MATRIX, below: float | None = None
 ) -> _Layout:
-    """Place everything around a matrix whose longer side has a length.
+    """Return the layout around a matrix whose longer side has a length.
 
-    The legend stands on the right, or below in a figure of the width `below`.
+    The legend is on the right, or below in a figure of the width `below`.
     """
     rows, columns = matrix.values.shape
     square = min(longer / max(rows, columns), 0.6)
@@ -155,12 +155,12 @@ def _draw_colour_bar(image: AxesImage, axes: Axes, below: bool) -> None:
 
 
 def _name_size(cell: float) -> float:
-    """Points of the policies' names beside cells of this size in inches."""
+    """Return the font size in points of names beside cells of this size in inches."""
     return min(7.5, 0.8 * 72 * cell)
 
 
 def _name_room(side: Side, size: float) -> float:
-    """Inches that the policies' names take beside the matrix."""
+    """Return the inches that the policies' names take beside the matrix."""
     return 0.05 + 0.62 * size / 72 * max(map(len, side.names)) if len(side) <= _MOST_NAMES else 0.05
 
 
@@ -192,10 +192,10 @@ def _draw_matrix(axes: Axes, matrix: Matrix, cells: tuple[float, float]) -> Axes
 
 
 def _colour_ends(values: np.ndarray) -> tuple[float, float]:
-    """Return the returns of the first and the last colour: those of all pairs but a few bad ones.
+    """Return the returns of the first and the last colour, without a few very bad pairs.
 
-    In gentle tasks some pairs press on the person for seconds, which costs thousands; colours that
-    reached down to them would make the others alike.
+    In gentle tasks some pairs press on the person for seconds, which costs thousands. A scale that
+    includes them would make all other colours alike.
     """
     low, most, high = (float(np.quantile(values, share)) for share in (0.0, _BELOW, 1.0))
     if most - low > high - most:
@@ -204,7 +204,7 @@ def _colour_ends(values: np.ndarray) -> tuple[float, float]:
 
 
 def _told_below(values: np.ndarray) -> str:
-    """Return what the caption says of returns without a colour of their own."""
+    """Return the caption's sentence on returns below the first colour; empty without any."""
     least = float(values.min())
     if _colour_ends(values)[0] == least:
         return ""
@@ -212,7 +212,7 @@ def _told_below(values: np.ndarray) -> str:
 
 
 def _marks(matrix: Matrix) -> str:
-    """Return how self-play is marked: not at all along a diagonal too fine for dots."""
+    """Return the caption's text for the mark of self-play; empty if cells are too small for it."""
     size = max(matrix.values.shape)
     if not matrix.self_play.any() or (matrix.shared and size > _MOST_NAMES):
         return ""
@@ -325,7 +325,7 @@ def _draw_tree(axes: Axes, side: Side, edge: Edge) -> None:
 
 
 def _span(axes: Axes, side: Side, edge: Edge, depth: float) -> None:
-    """Let bare axes beside the matrix go along its policies, and from it outwards to a depth."""
+    """Set the limits of margin axes: along the policies, and outwards to a depth."""
     style.bare(axes, ticks=False)
     limits = (-0.5, len(side) - 0.5)
     if edge == "left":

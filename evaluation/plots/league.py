@@ -14,7 +14,7 @@ def league_chart(tables: Mapping[str, pl.DataFrame]) -> Figure:
     """Draw the mean of each row with its 95% interval, the first row on top, a panel for each task.
 
     Args:
-        tables: By task, of `evaluation.figures.league.league_table`.
+        tables: Tables of `evaluation.figures.league.league_table`, by task.
     """
     each = 0.9 + 0.28 * max(table.height for table in tables.values())
     caption = "Mean, 95% interval. Squares: methods that are compared with PPO."
@@ -45,7 +45,7 @@ def panels_of(
     left: float,
     right: float = 0.15,
 ) -> tuple[Figure, list[tuple[float, float, float, float]]]:
-    """Return a figure, and where the panels of tasks stand in it, two side by side.
+    """Return a figure and the places of the tasks' panels in it, two side by side.
 
     Sizes in inches: `each` is the height of a panel with its labels, `left` is before each panel,
     and `right` beside all.

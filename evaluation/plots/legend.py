@@ -1,4 +1,4 @@
-"""Words beside a cross-play heatmap: legend, headline and caption."""
+"""Texts around a cross-play heatmap: legend, headline and caption."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ class Line:
 def legend_lines(
     matrix: Matrix, algorithms: Mapping[str, str], disabilities: Mapping[str, str]
 ) -> list[Line]:
-    """List algorithms and disability settings with their colours, then the clusters."""
+    """Return the legend's lines: algorithms and settings with colours, then clusters."""
     lines = [Line("algorithm", heading=True)]
     lines += [Line(style.spelled(name), colour) for name, colour in algorithms.items()]
     lines += [Line(), Line("disability", heading=True)]
@@ -57,7 +57,7 @@ def legend_lines(
 
 
 def in_columns(lines: list[Line], columns: int) -> list[list[Line]]:
-    """Deal the blocks between gaps into columns from left to right, each onto the shortest."""
+    """Return the lines in columns; each block between gaps goes to the shortest column."""
     blocks: list[list[Line]] = [[]]
     for line in lines:
         blocks[-1].append(line)
@@ -70,7 +70,7 @@ def in_columns(lines: list[Line], columns: int) -> list[list[Line]]:
 
 
 def draw_legend(axes: Axes, columns: list[list[Line]]) -> None:
-    """Write lines from the top of the axes, in columns of equal width."""
+    """Draw lines from the top of the axes, in columns of equal width."""
     axes.set_axis_off()
     box = axes.get_window_extent()
     height, width = (extent / axes.figure.dpi for extent in (box.height, box.width))
@@ -89,7 +89,7 @@ def _draw_line(axes: Axes, line: Line, x: float, y: float) -> None:
 
 
 def headline(summary: Mapping[str, Any]) -> str:
-    """Give self-play, cross-play and their gap with intervals."""
+    """Return the text with self-play, cross-play and their gap, with intervals."""
     named = {
         "self-play": summary["self_play"],
         "cross-play": summary["cross_play"],
@@ -101,7 +101,7 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 
 def caption(matrix: Matrix, summary: Mapping[str, Any], marked: str) -> str:
-    """Say what was played, how much of it, and how it is ordered."""
+    """Return the caption with the task, numbers of policies and episodes, and the order."""
     rows, columns = matrix.values.shape
     split = f", split {summary['split']['id']}" if summary["split"] else ""
     order = (

@@ -27,7 +27,7 @@ class Cluster:
 
 @dataclasses.dataclass(frozen=True)
 class Side:
-    """What is drawn along one axis, in order."""
+    """The policies, traits and clusters along one axis, in drawing order."""
 
     names: tuple[str, ...]  # short
     teams: tuple[str | None, ...]
@@ -52,7 +52,7 @@ class Matrix:
 
     @property
     def self_play(self) -> np.ndarray:
-        """Cells [R, C] of robots with the human of their own team."""
+        """Mask [R, C] of the robots with the human of their own team."""
         return np.array(
             [
                 [row is not None and row == column for column in self.columns.teams]
@@ -62,15 +62,15 @@ class Matrix:
 
 
 def arrange(pairs: pl.DataFrame, how: Order | None = None) -> Matrix:
-    """Put the saved pairs into their clustered order.
+    """Return the matrix of saved pairs in its clustered order.
 
     Args:
-        pairs: the table of pairs that `crossplay` saved.
-        how: "shared" is one order of teams on both axes; None takes it where both axes have the
+        pairs: The table of pairs that `crossplay` saved.
+        how: "shared" for one order of teams on both axes; None chooses it if both axes have the
             same teams.
 
     Raises:
-        ValueError: there is no shared order, or the table lacks a pair.
+        ValueError: There is no shared order, or the table lacks a pair.
     """
     if how is not None and how not in ORDERS:
         raise ValueError(f"order is {how!r}; allowed are {', '.join(ORDERS)}")
@@ -98,7 +98,7 @@ def arrange(pairs: pl.DataFrame, how: Order | None = None) -> Matrix:
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Shorten ids by what they share: task, role, and the release if it is the same.
+    """Return ids without their common parts: task, role, and the release if it is the same.
 
     The namespace of another zoo's policies stays.
     """
@@ -116,7 +116,7 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _namespace(text: str) -> str:
-    """Return "lab:" of "lab:scratch"; what stands before the colon of other names is none."""
+    """Return "lab:" of "lab:scratch"; empty if the text before a colon is not a namespace."""
     namespace, colon, task = text.rpartition(":")
     return namespace + colon if task in TASKS else ""
 

@@ -15,7 +15,7 @@ _WIDTH, _HEIGHT, _SIZE = 7.0, 6.6, 8  # inches, and points that are read at a pa
 
 
 def described_panels(summary: Mapping[str, Any]) -> Figure:
-    """Draw `person_panels` with a caption that says what they show."""
+    """Draw `person_panels` with a caption that explains them."""
     caption = (
         f"Robots: {summary['egos']}; episodes: {summary['episodes']}. Cells: means over persons, "
         f"in {summary['bins']} bins of equal counts of each number. Bars: omega squared of the "
@@ -27,10 +27,11 @@ def described_panels(summary: Mapping[str, Any]) -> Figure:
 
 @style.own_style()
 def person_panels(summary: Mapping[str, Any], *, caption: str) -> Figure:
-    """Draw what `evaluation.figures.by_parameter.summarise_parameters` returns.
+    """Draw a summary of `evaluation.figures.by_parameter.summarise_parameters`.
 
-    A column for the return and one for safe success: above, means in cells of two numbers, with
-    the persons in each; below, the share of variance that each number explains, with 95% intervals.
+    There is a column for the return and one for safe success. Above are means in cells of two
+    numbers, with the count of persons. Below is each number's share of the variance, with 95%
+    intervals.
     """
     title = f"{summary['task']}: {summary['persons']} persons by their numbers"
     figure = style.titled_figure(title, caption, _WIDTH, _HEIGHT)
@@ -74,7 +75,7 @@ def _surface(axes: Axes, surface: Mapping[str, Any], outcome: str) -> None:
 
 
 def _bars(axes: Axes, matter: Mapping[str, Any], outcome: str) -> None:
-    """Draw the share of variance of each number, the largest on top, and what chance reaches."""
+    """Draw the share of variance of each number, the largest on top, and the chance level."""
     effects = matter["parameters"]
     places = -np.arange(len(effects))
     shares = np.array([effect["share"] for effect in effects])

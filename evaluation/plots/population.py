@@ -18,9 +18,9 @@ def population_grid(teams: pl.DataFrame, *, caption: str, width: float | None = 
     """Draw the number of partners by task, algorithm and disability setting (paper, Figure 2).
 
     Args:
-        teams: columns task, algorithm and disability, one row a partner.
-        caption: written below.
-        width: of the figure, in inches.
+        teams: Table with columns task, algorithm and disability, one row a partner.
+        caption: Text below the figure.
+        width: Width of the figure, in inches.
     """
     if teams.is_empty():
         raise ValueError("the population is empty; there is nothing to draw")

@@ -1,4 +1,4 @@
-"""What all figures share: colours, and writing files without pyplot's global state."""
+"""Style of all figures: colours, and writing files without pyplot's global state."""
 
 import contextlib
 import io
@@ -66,10 +66,10 @@ _DISABILITY = {
 
 @contextlib.contextmanager
 def own_style() -> Generator[None]:
-    """Run a block, or a decorated function, under our settings of Matplotlib alone.
+    """Run a block, or a decorated function, with only this project's Matplotlib settings.
 
-    Whatever a matplotlibrc or the user's process says, equal figures give equal bytes. The user's
-    settings are back afterwards.
+    So equal figures give equal bytes under any matplotlibrc. The user's settings are restored
+    afterwards.
     """
     with matplotlib.style.context(_SETTINGS):
         yield
@@ -78,17 +78,17 @@ def own_style() -> Generator[None]:
 def titled_figure(
     title: str, caption: str, width: float, height: float, *, drop: float = 0.14, size: float = 12
 ) -> Figure:
-    """Return a white figure with a title at its head and a caption, broken into lines, at its foot.
+    """Return a white figure with a title at the top and a wrapped caption at the bottom.
 
-    For functions that draw in `own_style`.
+    It is for functions that draw in `own_style`.
 
     Args:
-        title: Written `drop` inches below the upper edge, in letters of `size` points.
-        caption: Takes `caption_height` inches; its own lines stay apart.
-        width: In inches.
-        height: In inches.
-        drop: In inches.
-        size: In points.
+        title: The title.
+        caption: The caption, `caption_height` inches high; line breaks in it are kept.
+        width: Width of the figure, in inches.
+        height: Height of the figure, in inches.
+        drop: Distance of the title from the upper edge, in inches.
+        size: Font size of the title, in points.
     """
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
@@ -101,12 +101,12 @@ def titled_figure(
 
 
 def caption_height(text: str, width: float) -> float:
-    """Return the height that a caption takes at the foot of a figure of a width, in inches."""
+    """Return the height of a caption in a figure of a width, both in inches."""
     return _CAPTION_LINE * len(_wrap(text, width))
 
 
 def check_width(width: float | None, least: float) -> None:
-    """Check that a figure can be drawn in a width in inches; None is its own width."""
+    """Raise a ValueError if a width in inches is too small or too large; None is allowed."""
     if width is not None and not least <= width <= WIDEST:
         raise ValueError(
             f"width is {width:g} inches; allowed for this figure are {least:g} to {WIDEST:g}"
@@ -114,9 +114,9 @@ def check_width(width: float | None, least: float) -> None:
 
 
 def spelled(name: str) -> str:
-    """Return the name of a method as figures write it: IPPO, whatever a folder or an id says.
+    """Return the name of a method in the spelling of figures, such as IPPO for "ippo".
 
-    What a folder's name has that is no UTF-8, and no font could write, becomes a question mark.
+    Characters of a folder's name that are not UTF-8 become question marks.
     """
     name = name.encode("utf-8", "replace").decode()
     return name.upper() if name.lower() in ALGORITHMS else name
@@ -125,14 +125,14 @@ def spelled(name: str) -> str:
 def label_ends(
     axes: Axes, ends: Mapping[str, tuple[float, float]], colours: Mapping[str, str]
 ) -> None:
-    """Write each line's name right of its end, moved up or down where names would meet.
+    """Write each line's name right of its end, moved up or down if names would overlap.
 
     The limits of the axes must be final.
 
     Args:
-        axes: That have the lines.
-        ends: x and y of each line's last point.
-        colours: Of each line.
+        axes: The axes of the lines.
+        ends: x and y of each line's last point, by name.
+        colours: The colour of each line, by name.
     """
     names = sorted(ends, key=lambda name: ends[name][::-1])
     if not names:
@@ -163,7 +163,7 @@ def room_for(names: Iterable[str]) -> float:
 
 
 def band(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: str) -> None:
-    """Draw a line, and from the columns low to high its band where there is one."""
+    """Draw a line, and its band between the columns low and high if they have values."""
     axes.plot(table[x], table[y], color=colour, linewidth=1.6, label=label)
     if not table["low"].null_count():
         ends = table[x], table["low"], table["high"]
@@ -177,7 +177,7 @@ def _wrap(text: str, width: float) -> list[str]:
 
 
 def check_path(path: Path) -> None:
-    """Check, before any work is done, that a figure can be written under its name."""
+    """Raise a ValueError, before any work, if a figure cannot be written under its name."""
     if path.suffix.lower() not in FORMATS:
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as "
@@ -187,9 +187,9 @@ def check_path(path: Path) -> None:
 
 @own_style()
 def save_figure(figure: Figure, path: Path, dpi: int = 200, *, bare: bool = False) -> Figure:
-    """Write a figure as PNG, PDF or SVG, by its ending, whole or not at all.
+    """Write a figure as PNG, PDF or SVG, by the path's ending, atomically, and return it.
 
-    A bare one has neither title nor caption, and no room for them.
+    A bare figure has neither title nor caption, and no room for them.
     """
     check_path(path)
     if bare:
@@ -201,7 +201,7 @@ def save_figure(figure: Figure, path: Path, dpi: int = 200, *, bare: bool = Fals
 
 
 def _without_head_and_foot(figure: Figure) -> Bbox:
-    """Return the part of a figure that holds what is drawn, in inches, as wide as the figure."""
+    """Return the part of a figure without title and caption, in inches, of the full width."""
     drawn = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
     return Bbox.from_extents(
         0.0, drawn.y0 - _MARGIN, figure.get_size_inches()[0], drawn.y1 + _MARGIN
@@ -221,14 +221,14 @@ def figure_bytes(figure: Figure, ending: str, dpi: int, part: Bbox | None = None
 
 
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:
-    """Give each algorithm its colour; other methods take turns, by their place in the alphabet."""
+    """Return the colours of algorithms, by name; other methods take theirs in alphabetical order."""
     known = sorted({name for name in names if name is not None})
     spare = iter(OTHERS * len(known))
     return {name: (ALGORITHMS | ROWS).get(name.lower()) or next(spare) for name in known}
 
 
 def disability_colours(names: Iterable[str | None]) -> dict[str, str]:
-    """Give each disability setting its colour; settings beyond d1..d9 take colours from a map."""
+    """Return the colours of disability settings, by name; those beyond d1..d9 from a colour map."""
     known = sorted({name for name in names if name is not None})
     others = [name for name in known if name not in _DISABILITY]
     spare = matplotlib.colormaps["PRGn"]
@@ -240,7 +240,7 @@ def disability_colours(names: Iterable[str | None]) -> dict[str, str]:
 
 
 def bare(axes: Axes, sides: Sequence[str] = (), *, ticks: bool = True) -> None:
-    """Hide the frame of the axes but for the named sides, and the ticks if they are not wanted."""
+    """Hide the frame of axes except the named sides, and the ticks if `ticks` is False."""
     for side, spine in axes.spines.items():
         spine.set_visible(side in sides)
         spine.set_color(FAINT)
@@ -250,7 +250,7 @@ def bare(axes: Axes, sides: Sequence[str] = (), *, ticks: bool = True) -> None:
 
 
 def whole_decades(axes: Axes, values: pl.Series) -> None:
-    """Let a logarithmic axis begin and end at a power of ten, so that nothing is cut."""
+    """Set the limits of a logarithmic axis to powers of ten around the values."""
     known = [value for value in values.to_list() if value and value > 0]
     if known:
         low, high = math.floor(math.log10(min(known))), math.ceil(math.log10(max(known)))
@@ -258,6 +258,6 @@ def whole_decades(axes: Axes, values: pl.Series) -> None:
 
 
 def ink_on(colour: ColorType) -> str:
-    """Return black or white, whichever is read better on a colour."""
+    """Return black or white, the one with more contrast to a colour."""
     red, green, blue = to_rgb(colour)
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"

@@ -24,14 +24,14 @@ def sweep_panels(
     The configuration with the best mean final return is marked in every panel.
 
     Args:
-        results: columns configuration, seed, final_return, diverged, and one for each
+        results: Table with columns configuration, seed, final_return, diverged, and one for each
             hyperparameter.
-        title: written above.
-        caption: written below.
-        width: of the figure, in inches.
+        title: Text above the figure.
+        caption: Text below the figure.
+        width: Width of the figure, in inches.
 
     Raises:
-        ValueError: there is nothing to draw.
+        ValueError: There is nothing to draw.
     """
     names = [name for name in results.columns if name not in NOT_HYPERPARAMETERS]
     shown = results.filter(pl.col("final_return").is_not_null())

@@ -1,4 +1,4 @@
-"""What the page's interactive matrix draws: saved pairs, their orders, and colours, as JSON."""
+"""Data of the page's interactive matrix: saved pairs, their orders, and colours, as JSON."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -114,7 +114,7 @@ def _clustered(policies: list[dict[str, Any]], key: str, order: Mapping[str, Any
 
 
 def _by_traits(policies: list[dict[str, Any]], traits: tuple[str, str]) -> Places:
-    """Order by two traits, with a line wherever the first changes; unknown comes last."""
+    """Return the order by two traits, and a line at each change of the first; unknown is last."""
 
     def known(i: int) -> list[tuple[bool, str]]:
         return [(policies[i][trait] is None, policies[i][trait] or "") for trait in traits]

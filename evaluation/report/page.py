@@ -1,7 +1,7 @@
-"""One page about a finished folder: what was found, the figures, the tables, how to repeat it.
+"""One page about a finished folder: its results, figures and tables, and how to repeat them.
 
-The words are in `templates/`. What enters one is text, and is escaped there: a template that is
-careless with an id shows its tags to the reader, and runs nothing.
+The texts are in `templates/`. All values are escaped there, so an id with tags is shown as text and
+never run.
 """
 
 import base64
@@ -51,19 +51,19 @@ def write_report(
     *,
     contrasts: ContrastFigures | None = None,
 ) -> None:
-    """Write the page about a folder that `evaluate` or `crossplay` filled, complete or not at all.
+    """Write the page about a folder of `evaluate` or `crossplay`, atomically.
 
-    A folder of folders that `evaluate` filled is a league, whose rows they are.
+    A folder with folders of `evaluate` is a league, and these are its rows.
 
     Args:
-        folder: What it is about.
+        folder: The folder to report.
         path: The page, .html.
-        episodes: To be played in it, of `evaluation.player.page.pack`; a league plays none.
-        contrasts: Of the league's methods.
+        episodes: Episodes to play on the page, of `evaluation.player.page.pack`; not for a league.
+        contrasts: Contrasts of the league's methods.
 
     Raises:
         FileNotFoundError: The folder, or a table in it, is missing.
-        ValueError: The folder holds neither an evaluation nor a cross-play nor a league.
+        ValueError: The folder has no evaluation, cross-play or league.
     """
     league = bool(row_folders(folder))
     if contrasts is not None and not league:
@@ -80,14 +80,14 @@ def write_report(
 def figures_html(
     figures: Mapping[str, Mapping[str, Any] | None], what: str, notes: Iterable[str]
 ) -> str:
-    """Return estimates as a table, with what a reader has to know of them."""
+    """Return estimates as an HTML table, with their notes."""
     template = templates().get_template("figures.html")
     return template.render(figures=list(figures.items()), what=what, notes=list(notes))
 
 
 @functools.cache
 def templates() -> jinja2.Environment:
-    """Return the page's templates, which escape whatever enters them."""
+    """Return the page's templates, which escape all values."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("evaluation.report"),
         autoescape=True,
@@ -196,7 +196,10 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _by_their_numbers(folder: Path) -> dict[str, Figure]:
-    """Return which numbers of persons matter, unless they are too few or a season's secret."""
+    """Return the figure of the effects of persons' numbers, by title; empty if it has no data.
+
+    Persons may be too few, or their numbers a season's secret.
+    """
     try:
         summary = summarise_parameters(Record.read(folder))
     except ValueError:
@@ -242,10 +245,10 @@ def _crossplay(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def film_of(folder: Path) -> dict[str, Any] | None:
-    """Return what films the first episode of a pair, by the manifest: command and preferences.
+    """Return the command that films the first episode of a pair, and the humans' preferences.
 
-    None where no manifest names the episodes, or where all humans had the same starts, as before
-    each had starts of its own: no command films those.
+    If the manifest does not name the episodes, or all humans had the same starts, return None: such
+    episodes cannot be filmed.
     """
     identity = (read_manifest(folder) or {}).get("identity")
     if not identity or not identity.get("apart"):
@@ -256,7 +259,7 @@ def film_of(folder: Path) -> dict[str, Any] | None:
 
 
 def first_preferences(folder: Path) -> dict[str, str]:
-    """Return under which preference each human of a gentle task played its first episode."""
+    """Return the preference of each human of a gentle task in its first episode, by id."""
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     first = table.filter(pl.col("episode") == 0)
     return dict(first.select("partner", "preference").unique().sort("partner").rows())
@@ -267,7 +270,7 @@ def _short(names: Sequence[str]) -> dict[str, str]:
 
 
 def _embedded(figure: Figure, kind: str = "svg") -> str:
-    """Return a figure as an address that holds it."""
+    """Return a figure as a data URL."""
     data = base64.b64encode(figure_bytes(figure, f".{kind}", dpi=150)).decode()
     return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{data}"
 

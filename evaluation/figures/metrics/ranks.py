@@ -181,7 +181,7 @@ def _summed_df(variances: np.ndarray, df: np.ndarray, total: np.ndarray) -> np.n
 
 
 def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:
-    """Return a mask [M, M] of the differing pairs, by Shaffer's step-down test at level alpha."""
+    """Return a mask [M, M], True if j is significantly better than k, by a step-down test."""
     is_open = ~np.eye(len(pairs.difference), dtype=bool)
     most = np.inf
     while is_open.any():
