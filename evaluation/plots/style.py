@@ -221,7 +221,7 @@ def figure_bytes(figure: Figure, ending: str, dpi: int, part: Bbox | None = None
 
 
 def algorithm_colours(names: Iterable[str | None]) -> dict[str, str]:
-    """Return the colours of algorithms, by name; other methods take theirs in alphabetical order."""
+    """Return the colours of algorithms, by name; other methods take colours in sorted order."""
     known = sorted({name for name in names if name is not None})
     spare = iter(OTHERS * len(known))
     return {name: (ALGORITHMS | ROWS).get(name.lower()) or next(spare) for name in known}

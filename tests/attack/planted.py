@@ -69,8 +69,7 @@ DEFECTS = {
         "evaluation/figures/summary.py",
         r"    check_whole\(folder\)\n",
         "",
-        "tests/evaluation/test_report.py"
-        "::test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written",
+        "tests/evaluation/test_report.py::test_changed_file_is_refused",
     ),
     "another job is not refused": Defect(
         "evaluation/play/evaluator.py",
@@ -107,7 +106,7 @@ DEFECTS = {
         "zoo/met/published.py",
         r"against = robot\.trained_against",
         "against = None",
-        "tests/evaluation/test_met_partners.py::test_m_test_leaves_out_whom_an_ego_was_trained_with",
+        "tests/evaluation/test_met_partners.py::test_m_test_omits_training_partners",
     ),
     "replay believes the figures of a folder": Defect(
         "evaluation/replay/rederive.py",
@@ -137,8 +136,7 @@ DEFECTS = {
         "evaluation/record/record.py",
         r"return self\.keys is not None and len\(self\.keys\) > 1",
         "return False",
-        "tests/evaluation/test_summary.py"
-        "::test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled",
+        "tests/evaluation/test_summary.py::test_own_starts_are_inside_interval",
     ),
     "the method with more seeds decides whether a contrast is the named one": Defect(
         "evaluation/figures/contrasts.py",

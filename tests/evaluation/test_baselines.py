@@ -52,7 +52,7 @@ def job_of(egos: Roster, partners: Roster, **options: Any) -> Job:
 
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("stochastic", [False, True])
-def test_own_robots_earn_what_the_diagonal_of_the_matrix_has(tmp_path: Path, stochastic: bool):
+def test_self_play_reference_equals_matrix_diagonal(tmp_path: Path, stochastic: bool):
     egos, partners = random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 2)
     whole = run_job(
         MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all"
@@ -71,7 +71,7 @@ def test_pairs_need_as_many_robots_as_humans():
         job_of(robots(-0.5, 0.5), humans(0.1, 0.2, 0.3), paired=True)
 
 
-def test_random_actions_are_uniform_and_depend_on_nothing_but_the_observation():
+def test_random_actions_are_uniform_functions_of_observations():
     policy = ReferencePolicy(ReferenceSpec("robot", 5, 3))
     obs = jnp.asarray(np.random.default_rng(0).normal(size=(4000, 5)).astype(np.float32))
     first = jnp.zeros(len(obs), bool)
@@ -158,7 +158,7 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
     assert shown.script_with_passive_human.mean == pytest.approx(means[SCRIPT, PASSIVE])
 
 
-def test_a_robot_from_outside_meets_the_passive_human_too(tmp_path: Path, scripted: None):
+def test_outside_robot_meets_passive_human(tmp_path: Path, scripted: None):
     host = HostEgo("host", lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
     job = job_of(Roster((host,), {"host": Member("host", "0")}), humans(-0.5, 0.5))
     assert "clipped" in run_job(MatrixGame(), job, tmp_path / "job").table.columns
@@ -241,7 +241,7 @@ def crossplay_pairs() -> pl.DataFrame:
     )
 
 
-def test_bounds_take_the_best_robot_known_and_say_where_it_is_from():
+def test_bounds_name_source_of_best_robot():
     bounds = bounds_table(played([0, 0, 10, 10], [50, 50, 5, None]), crossplay_pairs())
     assert bounds["low"].to_list() == [0, 0, 10, 10]
     assert bounds["best"].to_list() == [50, 90, 5, None]

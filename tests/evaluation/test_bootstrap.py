@@ -53,7 +53,7 @@ def holds(interval: tuple[float, float] | None, truth: float) -> bool:
     return interval is not None and interval[0] <= truth <= interval[1]
 
 
-def test_the_interval_is_of_the_iqm_and_the_means_has_its_own():
+def test_iqm_and_mean_have_own_intervals():
     scores = np.random.default_rng(0).exponential(size=(12, 20))
     figure = bootstrap.estimate(scores)
     assert figure.iqm == pytest.approx(scipy.stats.trim_mean(scores.ravel(), 0.25))
@@ -88,7 +88,7 @@ def test_cluster_draws_equal_resampling_whole_seeds_then_partners():
 
 
 @pytest.mark.parametrize(("partners", "common"), [(6, True), (1, False)])
-def test_starts_that_all_share_are_resampled_like_seeds_and_partners(partners: int, common: bool):
+def test_common_starts_are_resampled(partners: int, common: bool):
     returns = np.random.default_rng(0).normal(size=(4, partners, 5))
     counts = bootstrap.crossed_counts(returns.shape, common, 50, seed=3)
     draws = bootstrap.replicate_crossed(returns, counts)
@@ -126,7 +126,7 @@ def test_stratified_agrees_with_a_plain_loop():
     assert figure.iqm_ci == pytest.approx(tuple(np.quantile(draws, (0.025, 0.975))), abs=0.03)
 
 
-def test_the_same_seed_gives_the_same_interval_however_draws_are_chunked(
+def test_interval_depends_on_seed_not_chunks(
     monkeypatch: pytest.MonkeyPatch,
 ):
     scores = np.random.default_rng(0).normal(size=(5, 9))
@@ -172,7 +172,7 @@ def test_wrong_use_is_refused():
         bootstrap.estimate(np.zeros((2, 3, 4, 5)))
 
 
-def test_draws_on_the_same_resamples_subtract_to_a_paired_difference():
+def test_equal_resamples_subtract_to_paired_difference():
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(10, 20))
     counts = bootstrap.crossed_counts(scores.shape, False, 500, seed=0)
@@ -214,7 +214,7 @@ def test_cluster_intervals_cover(
 
 
 @pytest.mark.parametrize("repetitions", [300, pytest.param(2000, marks=pytest.mark.slow)])
-def test_stratified_intervals_cover_for_fixed_tasks_with_independent_runs(repetitions: int):
+def test_stratified_intervals_cover_independent_runs(repetitions: int):
     tasks = np.linspace(-1, 1, 8)
 
     def figure(rng: np.random.Generator, seed: int) -> Estimate:
@@ -257,7 +257,7 @@ def test_intervals_cover_the_luck_of_the_starts(
         assert 0.92 - margin <= covered <= 0.98 + margin, name
 
 
-def test_planted_defect_common_starts_that_are_not_resampled_are_caught():
+def test_planted_defect_fixed_common_starts_are_caught():
     """Nine starts that all 32 partners share are nine draws, however many partners there are."""
 
     def wrong(rng: np.random.Generator, seed: int) -> Estimate:
@@ -289,7 +289,7 @@ def test_planted_defect_episodes_resampled_as_seeds_are_caught():
     assert max(coverage(wrong, 200).values()) < 0.5
 
 
-def test_planted_defect_stratified_for_one_ego_with_every_partner_is_caught():
+def test_planted_defect_stratified_seeds_are_caught():
     """A seed's effect is common to its whole row; resampling columns apart averages it away."""
 
     def wrong(rng: np.random.Generator, seed: int) -> Estimate:

@@ -70,7 +70,7 @@ def test_intervals_cover_the_share_that_is_true() -> None:
     assert covered >= 34  # of 40, where 38 are expected
 
 
-def test_a_surface_has_the_means_and_counts_of_its_cells() -> None:
+def test_surface_has_means_and_counts() -> None:
     of = outcomes_of(400)
     cells = surface(of, ("strength", "tremor"), bins=4)
     place = index(TASK)
@@ -98,7 +98,7 @@ def test_an_empty_cell_is_none() -> None:
         (("strength", "strength"), "over strength twice"),
     ],
 )
-def test_a_surface_over_what_is_not_there_is_refused(over, message) -> None:
+def test_surface_refuses_unknown_number(over, message) -> None:
     with pytest.raises(ValueError, match=message):
         surface(outcomes_of(100), over)
 

@@ -69,7 +69,7 @@ def evaluate(zoo: az.Zoo, tmp_path: Path) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("study", [cross_play, evaluate])
-def test_no_module_of_the_zoo_is_entered_after_the_cast(
+def test_cast_needs_no_registry_afterwards(
     study: Callable[[az.Zoo, Path], Any], zoo: az.Zoo, tmp_path: Path, entered: Any
 ) -> None:
     (names, gone), registry = entered, zoo.registry

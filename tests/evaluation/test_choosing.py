@@ -22,7 +22,7 @@ def humans(pattern, release):
     }
 
 
-def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
+def test_glob_selects_one_release_by_default() -> None:
     assert humans("scratch/*", "v0") == {"v0"}
     assert humans("scratch/*", "v1") == {"v1"}
     assert humans("scratch/mappo-d1-s0-v1", "v0") == {"v1"}
@@ -31,7 +31,7 @@ def test_a_glob_is_looked_up_in_one_release_unless_it_names_its_own() -> None:
         humans("scratch/mappo-*", "v0")
 
 
-def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
+def test_crossplay_includes_egos_only_if_named() -> None:
     def robots(pattern):
         entries = in_release(load_registry(), pattern, "v1", task="scratch", role="robot")
         return {entry.id for entry in entries}
@@ -42,7 +42,7 @@ def test_egos_join_a_cross_play_only_where_they_are_meant() -> None:
     assert robots(["scratch/ippo-d1-s0-v1/robot", ego]) == {"scratch/ippo-d1-s0-v1/robot", ego}
 
 
-def test_a_cache_that_cannot_be_written_is_named_with_its_variable(tmp_path: Path) -> None:
+def test_unwritable_cache_error_names_variable(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file")
     settings, kept = How("scratch", 1), tmp_path / "cache" / "references"
     with pytest.raises(OSError, match=r"cannot write to .*references .*\$ASSISTAX_ZOO_CACHE"):
@@ -50,7 +50,7 @@ def test_a_cache_that_cannot_be_written_is_named_with_its_variable(tmp_path: Pat
         evaluate_policies(load_registry(), robots, settings, tmp_path / "out", references=kept)
 
 
-def test_policies_of_another_environment_version_are_refused_with_the_releases_that_fit() -> None:
+def test_other_version_error_names_fitting_releases() -> None:
     registry = load_registry()
     assert env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v1")) == 2
     with pytest.raises(
@@ -60,7 +60,7 @@ def test_policies_of_another_environment_version_are_refused_with_the_releases_t
         env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v0"))
 
 
-def test_a_release_of_egos_alone_is_no_way_out_of_another_version() -> None:
+def test_fitting_releases_exclude_those_without_partners() -> None:
     registry, task = load_registry(), "gentle_scratch"
     releases = registry.data.releases
     egos = releases["v3"].model_copy(update={"splits": {}, "persons": {}})
@@ -101,7 +101,7 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
 
 
 @pytest.mark.parametrize("side", ["test", "train"])
-def test_a_glob_over_partners_keeps_to_the_side_that_was_asked_for(side: str) -> None:
+def test_partner_glob_keeps_to_side(side: str) -> None:
     registry = load_registry()
     glob = "scratch/ippo-d1-s?-v0/human"
     split, chosen = choose_partners(registry, "scratch", side, glob)
@@ -119,7 +119,7 @@ def test_a_glob_over_partners_keeps_to_the_side_that_was_asked_for(side: str) ->
 @pytest.mark.parametrize(
     ("split", "near"), [("tset", "test"), ("half-s0-v2", "half-s0"), ("person", "persons")]
 )
-def test_a_split_that_is_not_there_is_told_with_its_nearest_names(split: str, near: str) -> None:
+def test_unknown_split_error_has_nearest_names(split: str, near: str) -> None:
     with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):
         choose_partners(load_registry(), "scratch", split, None)
 
@@ -133,9 +133,7 @@ def test_a_split_that_is_not_there_is_told_with_its_nearest_names(split: str, ne
     ],
 )
 @pytest.mark.parametrize("task", ["scratch", "gentle_feeding"])  # with teams, and persons alone
-def test_a_text_of_no_partner_is_told_with_what_was_meant(
-    task: str, partners: str, hint: str
-) -> None:
+def test_unknown_partner_error_has_suggestion(task: str, partners: str, hint: str) -> None:
     with pytest.raises(
         ValueError, match=rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
     ):

@@ -71,7 +71,7 @@ def test_without_structure_all_are_one_cluster():
     assert clusters.silhouette < clustering.MIN_SILHOUETTE
 
 
-def test_the_order_begins_with_the_higher_returns_and_agrees_with_the_tree():
+def test_order_begins_with_higher_returns():
     points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
     clusters = clustering.cluster_profiles(points)
     assert clusters.labels.tolist() == [1, 1, 1, 0, 0, 0]
@@ -118,7 +118,7 @@ def test_json_names_policies_in_order():
     assert clusters["leaves"] == ["a", "b", "c", "d"]
 
 
-def test_convention_groups_are_those_in_which_the_same_robots_suit() -> None:
+def test_convention_groups_share_suitable_robots() -> None:
     """Six teams of two groups: robots earn 900 within their group and 600 across."""
     matrix = clustered_matrix(6, 2)
     matrix[::2, ::2] += 100.0  # teams of this group do better with one another

@@ -92,7 +92,7 @@ def test_the_distance_is_that_of_its_authors(first: list, other: list, distance:
 
 
 @pytest.mark.parametrize("vision", COLOUR_VISION)
-def test_colours_of_a_strip_and_of_strips_side_by_side_differ(vision: str):
+def test_strip_colours_differ(vision: str):
     least = CLEAR if vision == "normal" else SEEN
     for strip in (OURS, SETTINGS, ROWS):
         for (one, first), (two, other) in itertools.combinations(strip.items(), 2):
@@ -128,7 +128,7 @@ def test_each_strip_is_told_apart_in_grey():
         assert min(lightness[1:] - lightness[0]) > 12
 
 
-def test_an_algorithm_has_one_colour_whatever_stands_beside_it():
+def test_algorithm_colour_is_constant():
     for names in (["masac"], ["ippo", "masac"], ["a", "masac", "z"]):
         assert style.algorithm_colours(names)["masac"] == style.ALGORITHMS["masac"]
     assert style.algorithm_colours(["PPO"])["PPO"] == style.ALGORITHMS["ippo"]

@@ -255,7 +255,7 @@ def test_other_software_and_processors_are_notes(tmp_path: Path) -> None:
     assert f"processor is x in {a}, y in {b}: returns may differ for that alone" in notes
 
 
-def test_told_robots_stand_beside_others_in_a_league_alone(tmp_path: Path) -> None:
+def test_told_robots_are_comparable_only_in_leagues(tmp_path: Path) -> None:
     engine = {"version": "3"}
     told = {**engine, "condition": "told"}
     method(tmp_path / "ppo", context={"engine": engine}, identity={"engine": engine})
@@ -266,7 +266,7 @@ def test_told_robots_stand_beside_others_in_a_league_alone(tmp_path: Path) -> No
             both(tmp_path / "ppo", tmp_path / "told-preference")
 
 
-def test_best_responses_of_some_partners_take_none_from_other_rows(tmp_path: Path) -> None:
+def test_partial_rows_keep_others_partners(tmp_path: Path) -> None:
     method(tmp_path / "ppo", 0)
     method(tmp_path / "gru", partners=slice(4))
     method(tmp_path / "best-response", partners=slice(1, 3))

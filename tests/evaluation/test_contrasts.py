@@ -121,7 +121,7 @@ def test_the_figures_are_those_of_the_test_side(rows: dict[str, Path], file: Pat
     assert gru.difference.partners == gru.partners == 8
 
 
-def test_methods_of_a_task_that_the_file_does_not_name_are_pairs_too(file: Path) -> None:
+def test_unnamed_methods_are_paired_too(file: Path) -> None:
     named, _ = read_contrasts(file)
     both = [(task, method) for task in ("bed_bath", "scratch") for method in ("gru", "ppo")]
     assert named_pairs(named, [*both, ("bed_bath", "told-preference")]) == [
@@ -130,7 +130,7 @@ def test_methods_of_a_task_that_the_file_does_not_name_are_pairs_too(file: Path)
     ]
 
 
-def test_a_contrast_that_was_not_named_is_called_so(rows: dict[str, Path], file: Path) -> None:
+def test_unnamed_contrast_is_marked(rows: dict[str, Path], file: Path) -> None:
     figures = compare_named(file, list(rows.values()))
     own = figures.contrasts[-1]
     assert (own.method, own.named, own.p_holm, own.found) == ("own", False, None, None)
@@ -141,9 +141,7 @@ def test_a_contrast_that_was_not_named_is_called_so(rows: dict[str, Path], file:
     ]
 
 
-def test_what_was_named_and_not_played_counts_against_the_others(
-    rows: dict[str, Path], file: Path
-) -> None:
+def test_missing_contrast_counts_in_correction(rows: dict[str, Path], file: Path) -> None:
     figures = compare_named(file, [rows["ppo"], rows["sac"]])
     assert figures.missing == ("gru less ppo on scratch, return",)
     assert figures.contrasts[0].p_holm == pytest.approx(min(1.0, 2 * figures.contrasts[0].p))
@@ -178,9 +176,7 @@ def test_two_folders_of_one_method_are_refused(
         ("schema = 1", "schema = = 1", "TOMLDecodeError"),
     ],
 )
-def test_a_file_that_is_none_of_contrasts_gets_one_line(
-    file: Path, old: str, new: str, words: str
-) -> None:
+def test_malformed_contrasts_file_gets_one_line(file: Path, old: str, new: str, words: str) -> None:
     file.write_text(NAMED.replace(old, new))
     with pytest.raises(FormatError, match=words):
         read_contrasts(file)

@@ -25,7 +25,7 @@ def metrics(seeds: int = 8) -> pl.DataFrame:
     return pl.DataFrame(rows)
 
 
-def test_a_point_is_the_iqm_over_seeds_of_the_means_in_its_bin():
+def test_curve_point_is_iqm_of_bin_means():
     curves = learning_curves(metrics(), points=10)
     assert curves["disability"].unique().sort().to_list() == ["d1", "d9"]
     first = curves.filter(disability="d9").row(0, named=True)
@@ -38,7 +38,7 @@ def test_a_point_is_the_iqm_over_seeds_of_the_means_in_its_bin():
     assert first["seeds"] == 8
 
 
-def test_more_bins_than_episodes_leave_the_empty_ones_out():
+def test_curve_omits_empty_bins():
     assert learning_curves(metrics(), points=1000).filter(disability="d1").height == 20
 
 

@@ -31,9 +31,7 @@ print(len(jax.local_devices()))
         ({}, "import jax; jax.devices()", 1),
     ],
 )
-def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
-    settings: dict[str, str], before: str, count: int
-) -> None:
+def test_jax_has_a_device_per_core(settings: dict[str, str], before: str, count: int) -> None:
     command = [sys.executable, "-c", START.format(before=before)]
     environment = {
         name: value for name, value in os.environ.items() if name != "XLA_FLAGS"
@@ -44,7 +42,7 @@ def test_jax_starts_with_a_device_for_each_core_unless_it_was_told(
     assert done.stdout.split() == [str(count)]
 
 
-def test_a_large_job_has_more_devices_and_a_gpu_is_always_used(
+def test_device_number_grows_with_job(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     three_times = jax.local_devices()[:1] * 3

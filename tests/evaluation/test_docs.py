@@ -66,7 +66,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     assert summary["episodes"] == 2
 
 
-def test_a_torch_module_is_called_with_what_torch_takes():
+def test_torch_example_runs():
     """Observations are float32 arrays that own their memory.
 
     `torch.as_tensor` takes them as they are.
@@ -85,7 +85,7 @@ def test_a_torch_module_is_called_with_what_torch_takes():
 
 
 @pytest.mark.slow
-def test_few_and_a_split_by_behaviour_of_release_v1(
+def test_docs_split_by_behaviour_is_reproduced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As docs/zoo.md prints it."""

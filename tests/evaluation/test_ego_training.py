@@ -58,7 +58,7 @@ def test_the_preset_is_fitted_to_the_partners(algorithm, partners, share, envs):
     assert trainer.num_envs % getattr(trainer, "minibatches", 1) == 0
 
 
-def test_a_training_is_prepared_and_says_how_simulations_are_shared():
+def test_preparation_reports_shared_simulations():
     training = prepare(load_registry(), "scratch", split="half-s0-v0", seeds=[3, 5], steps=1000)
     assert [member.seed for member in training.config.members] == [3, 5]
     assert training.config.partners == training.partners.ids
@@ -113,7 +113,7 @@ def test_partners_of_equal_ids_have_another_key(registries: tuple[Registry, Regi
     assert mine.config == prepare(registries[0], "scratch", **TINY).config
 
 
-def test_a_persons_run_has_the_key_of_its_rows() -> None:
+def test_training_key_includes_person_rows() -> None:
     persons = prepare(load_registry(), "gentle_scratch", partners="persons", **TINY)
     assert set(persons.config.key) == {"split", "partners"}
 

@@ -48,7 +48,7 @@ def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
     assert stack.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
 
 
-def test_a_glob_names_files_in_the_order_of_their_seeds(tmp_path: Path):
+def test_glob_sorts_files_by_seed(tmp_path: Path):
     paths = [str(tmp_path / f"ppo-s{seed}.safetensors") for seed in (0, 2, 10)]
     for path in paths:
         write_policy_file(path, SPEC, params(float(len(path))))
@@ -65,7 +65,7 @@ def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
         read_egos([str(tmp_path / "none.safetensors")], EMPTY, "scratch")
 
 
-def test_an_onnx_file_that_is_not_there_is_told(tmp_path: Path):
+def test_missing_onnx_file_is_reported(tmp_path: Path):
     with pytest.raises(ValueError, match=r"none.onnx.*no file"):
         read_egos([f"onnx:{tmp_path / 'none.onnx'}"], EMPTY, "scratch")
 
@@ -99,7 +99,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "my_robot_under_test"
 
 
-def test_a_python_factory_of_the_working_folder_is_found(module: str):
+def test_factory_of_working_folder_is_found(module: str):
     egos = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
     (ego,) = egos.stacks
     assert isinstance(ego, HostEgo)
@@ -157,13 +157,13 @@ def probed(robot: Any) -> None:
         (lambda obs: sys.exit(3), "failed: SystemExit: 3"),
     ],
 )
-def test_a_robot_that_cannot_play_is_told_both_sizes_and_the_task(robot: Any, message: str):
+def test_unfit_robot_error_has_sizes_and_task(robot: Any, message: str):
     sizes = r"robot of task scratch reads observations \[N, 34\] and gives actions \[N, 7\]"
     with pytest.raises(EgoError, match=f"given two rows of zeros it {message}.*{sizes}"):
         probed(robot)
 
 
-def test_a_robot_is_reset_before_and_after_it_is_probed():
+def test_probe_resets_robot_before_and_after():
     class Robot:
         told: list[int] = []  # noqa: RUF012
 
@@ -181,14 +181,14 @@ def test_a_robot_is_reset_before_and_after_it_is_probed():
 @pytest.mark.parametrize(
     "answer", [np.zeros((4, 3)), np.zeros(4), np.zeros((2, 4, 2)), [["a", "b"]] * 4, None]
 )
-def test_a_wrong_answer_is_told_with_what_was_expected(answer: Any):
+def test_wrong_answer_error_has_expected_shape(answer: Any):
     with pytest.raises(
         EgoError, match=r"2 partners from .*s0.* to .*s1.*, step 7: .*shape.*expected .*\(4, 2\)"
     ):
         ask(answer)
 
 
-def test_a_nan_is_told_with_its_partner_and_episode():
+def test_nan_error_names_partner_and_episode():
     answer = np.zeros((4, 2))
     answer[3, 1] = np.nan
     with pytest.raises(

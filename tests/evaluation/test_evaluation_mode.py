@@ -98,7 +98,7 @@ def test_a_flax_network_that_draws_comes_back() -> None:
     assert (flax_state(net), flax_state(drawing)) == (before, counts)
 
 
-def test_shared_chance_comes_back_and_goes_on_within_a_play(
+def test_global_generators_are_restored_after_play(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     robot = as_robot(lambda obs: np.random.normal(size=(len(obs), 7)) + random.random())
@@ -168,7 +168,7 @@ def test_a_network_comes_back_from_a_job(tmp_path: Any) -> None:
     assert set(modes) == {True} and flax_state(dropout) == before
 
 
-def test_a_linen_network_is_told_that_it_does_not_train() -> None:
+def test_linen_network_is_in_evaluation_mode() -> None:
     from flax import linen
 
     class Net(linen.Module):
@@ -217,7 +217,7 @@ def test_a_torch_module_plays_without_training(
     assert torch.equal(torch.get_rng_state(), chance)
 
 
-def test_a_torch_module_that_counts_and_draws_comes_back() -> None:
+def test_torch_buffers_and_generators_are_restored() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
 
     class Net(torch.nn.Module):
@@ -245,7 +245,7 @@ def test_a_torch_module_that_counts_and_draws_comes_back() -> None:
     (net.layer(torch.tensor(OBS)).sum() + (net.replaced * optimised).sum()).backward()  # trains on
 
 
-def test_a_module_that_merges_for_its_use_is_split_again() -> None:
+def test_merged_module_is_split_again() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
 
     class Merging(torch.nn.Module):
@@ -280,7 +280,7 @@ def test_a_module_that_merges_for_its_use_is_split_again() -> None:
         ([], "float32"),
     ],
 )
-def test_a_torch_module_reads_its_own_kind_of_floats(parameters: list[str], expected: str) -> None:
+def test_torch_module_gets_its_float_type(parameters: list[str], expected: str) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
 
     class Net(torch.nn.Module):

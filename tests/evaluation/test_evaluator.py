@@ -71,7 +71,7 @@ def _renamed(roster: Roster, prefix: str) -> Roster:
     return Roster((dataclasses.replace(stack, ids=tuple(members)),), members)
 
 
-def test_crossplay_of_the_matrix_game_is_its_payoff_matrix(tmp_path: Path):
+def test_crossplay_of_matrix_game_equals_payoffs(tmp_path: Path):
     table = run_job(
         MatrixGame(), make_job(sides={"matrix/hand-d1-s0-v0/human": "train"}), tmp_path
     ).table
@@ -113,9 +113,7 @@ def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_only_small_jobs_mix_networks_in_tiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     recurrent = dataclasses.replace(HUMAN, torso="gru", hidden=(4, 4))
     humans_ = joined(
         random_roster(HUMAN, 3, 3), _renamed(random_roster(recurrent, 1, 4), "recurrent")
@@ -132,9 +130,7 @@ def test_a_small_job_of_several_networks_is_one_tile_and_a_large_one_is_not(
     assert_frame_equal(cut, table, rel_tol=1e-5, abs_tol=1e-6)
 
 
-def test_a_folder_is_continued_in_the_tiles_in_which_it_was_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_folder_continues_with_its_tiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Another machine has larger tiles, as one with a GPU has on `fused`."""
     job = mixed_job(backend="native")
     monkeypatch.setitem(tiles.TILE_ENVS, "native", 6)
@@ -167,9 +163,7 @@ def test_a_robot_from_outside_shares_no_tile():
 
 @pytest.mark.parametrize("sizes", [(1, 99, 8), (198, 198, 16), (3, 5, 2), (7, 1, 40), (1, 1, 1)])
 @pytest.mark.parametrize("max_envs", [1, 30, 2048])
-def test_a_plan_covers_every_episode_once_within_its_bound(
-    sizes: tuple[int, int, int], max_envs: int
-):
+def test_plan_covers_every_episode_once(sizes: tuple[int, int, int], max_envs: int):
     e, p, k = shape = tile_shape(*sizes, max_envs)
     assert e * p * k <= max_envs
     assert all(1 <= width <= size for width, size in zip(shape, sizes, strict=True))
@@ -255,9 +249,7 @@ def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
     assert again.env_steps_per_second is not None  # that part alone was simulated
 
 
-def test_every_file_of_a_run_is_on_the_disk_when_it_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_files_are_synced_at_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     disk = Disk(monkeypatch)
     unfinished(tmp_path)
     parts = list((tmp_path / PARTS_FOLDER).glob("part-*"))
@@ -274,7 +266,7 @@ def test_undamaged_parts_are_not_simulated_again(tmp_path: Path):
 
 
 @pytest.mark.parametrize("damage", ["bit", "halved"])
-def test_a_damaged_table_is_not_taken_for_the_answer(tmp_path: Path, damage: str):
+def test_damaged_table_is_simulated_again(tmp_path: Path, damage: str):
     first = run_job(MatrixGame(), make_job(), tmp_path)
     path = tmp_path / tables.EPISODES_FILE
     data = bytearray(path.read_bytes())
@@ -296,7 +288,7 @@ def test_a_manifest_that_was_changed_is_refused(tmp_path: Path):
         run_job(MatrixGame(), make_job(seed=1), tmp_path)
 
 
-def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_path: Path):
+def test_undeclared_code_neither_answers_nor_replaces(tmp_path: Path):
     """Its source is the same, but a file of weights that it reads may not be."""
     weights = -0.5
 
@@ -319,7 +311,7 @@ def test_code_whose_dependencies_are_unknown_neither_answers_nor_replaces(tmp_pa
     assert not second.table["return"].equals(first.table["return"])
 
 
-def test_code_whose_dependencies_are_unknown_does_not_join_parts_of_another(tmp_path: Path):
+def test_undeclared_code_joins_no_other_parts(tmp_path: Path):
     def breaks(obs: np.ndarray) -> np.ndarray:
         raise RuntimeError("boom")
 
@@ -344,7 +336,7 @@ def test_a_cache_plays_such_code_again(tmp_path: Path):
     assert not second.table["return"].equals(first.table["return"])
 
 
-def test_what_makes_way_goes_with_all_that_was_drawn_from_it(tmp_path: Path):
+def test_cleared_results_include_derived_files(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
         (tmp_path / name).write_text("{}")
@@ -399,7 +391,7 @@ def test_a_table_without_its_manifest_is_not_overwritten(tmp_path: Path):
         run_job(MatrixGame(), make_job(seed=5), tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_found_before_the_run(tmp_path: Path):
+def test_unwritable_folder_is_found_before_run(tmp_path: Path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OSError, match=r"cannot write to .*file/out.*another folder"):
         check_folder(tmp_path / "file" / "out")
@@ -465,7 +457,7 @@ def host(act: Any, reusable: bool = True) -> Roster:
     return Roster((HostEgo(member.id, act),), {member.id: member})
 
 
-def test_a_stateful_host_ego_is_reset_at_episode_starts(tmp_path: Path):
+def test_stateful_host_ego_is_reset(tmp_path: Path):
     ego = Counting()
     table = run_job(
         MatrixGame(), make_job(joined(host(ego), robots(-0.5))), tmp_path, max_envs=6
@@ -491,7 +483,7 @@ def test_actions_beyond_the_range_are_counted_by_episode(tmp_path: Path):
     assert "clipped" not in run_job(MatrixGame(), make_job(), tmp_path / "own").table.columns
 
 
-def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Path):
+def test_host_ego_error_names_partner_and_step(tmp_path: Path):
     calls = 0
 
     def breaks(obs: np.ndarray) -> np.ndarray:
@@ -512,9 +504,7 @@ def test_errors_of_a_host_ego_name_partner_and_step_and_keep_chunks(tmp_path: Pa
     assert finished.table.height == 9
 
 
-def test_memory_that_runs_out_is_told_and_smaller_chunks_then_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_memory_error_advises_smaller_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def exhausted(*args: Any, **options: Any) -> None:
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory allocating")
 

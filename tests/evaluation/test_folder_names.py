@@ -110,7 +110,7 @@ def test_metrics_are_those_of_their_run(
     curves_figure(Path(name), tmp_path / "curves.png")
 
 
-def test_a_damaged_file_is_found_in_a_folder_of_two_lines(tmp_path: Path) -> None:
+def test_folder_name_with_newline_shows_damaged_file(tmp_path: Path) -> None:
     """Each file that could be read is counted once, however many lines its name has."""
     folder = tmp_path / "two\nlines"
     folder.mkdir()

@@ -24,9 +24,7 @@ DEFAULTS = {field.name: field.default for field in dataclasses.fields(How)}
         ({"episodes": 8, "series": 5}, "series is 5 of 8 episodes; .* a multiple of it"),
     ],
 )
-def test_numbers_are_refused_alike_by_whoever_is_given_them(
-    changes: dict[str, int], message: str
-) -> None:
+def test_invalid_numbers_are_refused_everywhere(changes: dict[str, int], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         How("scratch", **changes)
     with pytest.raises(ValueError, match=message):

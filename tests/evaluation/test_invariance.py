@@ -110,7 +110,7 @@ def test_neither_chunks_nor_their_order_change_a_value(backend: str):
 
 
 @pytest.mark.slow
-def test_other_policies_in_the_job_do_not_change_a_value():
+def test_other_policies_do_not_change_values():
     whole = played(Runner(scratch(200), real_job()), real_job(), 2048)
     for sizes in ((1, 1, 1), (1, 5, 4), (3, 1, 5)):
         job = real_job(sizes)
@@ -118,7 +118,7 @@ def test_other_policies_in_the_job_do_not_change_a_value():
 
 
 @pytest.mark.slow
-def test_the_check_sees_a_plan_whose_tiles_follow_max_envs(monkeypatch: pytest.MonkeyPatch):
+def test_planted_defect_tiles_by_max_envs_are_caught(monkeypatch: pytest.MonkeyPatch):
     """Planted: tiles by `max_envs`, and a program in which XLA fuses as it likes."""
     monkeypatch.setattr(rollout, "trip_count", lambda: None)
     monkeypatch.setattr(seats, "member_map", jax.vmap)
@@ -128,7 +128,7 @@ def test_the_check_sees_a_plan_whose_tiles_follow_max_envs(monkeypatch: pytest.M
 
 
 @pytest.mark.slow
-def test_batches_of_a_robot_from_outside_are_the_jobs_own():
+def test_outside_robot_batches_do_not_change():
     sizes: list[int] = []
 
     def act(obs: np.ndarray) -> np.ndarray:

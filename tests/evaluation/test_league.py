@@ -144,7 +144,7 @@ def test_the_interval_of_a_share_covers_it() -> None:
     assert 0.89 < covered / 300 < 0.99
 
 
-def test_the_best_robot_is_not_chosen_where_it_is_valued() -> None:
+def test_best_robot_is_cross_validated() -> None:
     returns = np.random.default_rng(3).normal(100, 50, (16, 200, 8))
     assert returns.mean(axis=2).max(axis=0).mean() > 120  # the maximum of noise
     assert best_of_robots(returns).mean() == pytest.approx(100, abs=5)
@@ -196,7 +196,7 @@ def test_figures_have_a_place_for_every_row(league: Path) -> None:
     assert [list(line.get_ydata()) for line in lines] == [[2.0, 3.0]] * 2
 
 
-def test_every_row_of_a_figure_has_a_look_of_its_own() -> None:
+def test_league_rows_have_distinct_styles() -> None:
     curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
     known = ["ppo", "sac", *METHODS, *LAST]
     names = ordered([*known, *(f"own-{place}" for place in range(24 - len(known)))])
@@ -205,7 +205,7 @@ def test_every_row_of_a_figure_has_a_look_of_its_own() -> None:
     assert len(set(looks)) == len(names) == 24
 
 
-def test_the_legend_of_learning_curves_lies_on_none_of_them() -> None:
+def test_learning_curve_legend_overlaps_no_line() -> None:
     curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
     rows = {"scratch": {"ppo": curve}, "lift": {"ppo": curve, "gru": curve}, "bath": {"gru": curve}}
     chart = validation_curves(rows)

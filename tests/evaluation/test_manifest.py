@@ -59,9 +59,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path(shutil.copytree(made, tmp_path / "out"))
 
 
-def test_a_finished_folder_is_whole_and_names_what_it_depends_on(
-    folder: Path, registry: Registry
-) -> None:
+def test_finished_folder_names_its_sources(folder: Path, registry: Registry) -> None:
     report = verify_folder(folder)
     assert (report.problems, report.files) == ((), 6)
     manifest = provenance.read_manifest(folder)
@@ -177,7 +175,7 @@ def test_missing_and_doubled_rows_are_found(folder: Path) -> None:
         assert "rows" in verify_folder(folder).problems[0]
 
 
-def test_a_table_of_other_policies_is_found_though_its_hash_is_right(folder: Path) -> None:
+def test_forged_table_of_other_policies_is_found(folder: Path) -> None:
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     other = table.with_columns(pl.lit("scratch/ippo-d1-s1-v0/robot").alias("ego"))
     tables.write_episodes(other, folder / tables.EPISODES_FILE)
@@ -185,9 +183,7 @@ def test_a_table_of_other_policies_is_found_though_its_hash_is_right(folder: Pat
     assert "other egos than the manifest" in verify_folder(folder).problems[0]
 
 
-def test_a_sample_played_again_is_the_same_to_the_last_bit(
-    folder: Path, registry: Registry
-) -> None:
+def test_replay_is_equal_to_last_bit(folder: Path, registry: Registry) -> None:
     report = replay_folder(folder, registry, sample=1)
     assert report.ok and report.exact, report
     assert (report.episodes, report.differing) == (8, 0)
@@ -215,9 +211,7 @@ def test_figures_that_nobody_played_are_found(
     assert "return of " in " ".join(replay_folder(folder, registry, sample=1).problems)
 
 
-def test_the_same_bits_are_taken_whatever_machine_is_named(
-    folder: Path, registry: Registry
-) -> None:
+def test_equal_bits_pass_on_any_machine(folder: Path, registry: Registry) -> None:
     manifest = provenance.read_manifest(folder) or {}
     for made in ({}, None, [7], {"versions": None, "processor": {}}):
         provenance.write_manifest(folder, {**manifest, "made_with": made})
@@ -234,7 +228,7 @@ def test_references_are_played_again_too(folder: Path, registry: Registry) -> No
     assert not report.ok and "other values" in report.problems[0]
 
 
-def test_the_sample_is_another_each_time_and_can_be_repeated(
+def test_replay_sample_is_random_and_repeatable(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A forger who knew it would leave those episodes as they were."""
@@ -352,7 +346,7 @@ def test_the_commands_say_what_they_found(
     assert "summary.json" in json.loads(capfd.readouterr().out)["problems"][0]
 
 
-def test_a_machine_names_the_settings_that_are_not_jaxs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machine_lists_changed_jax_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
     usual = provenance.describe_machine()["settings"]
     assert usual["XLA_FLAGS"] == "--xla_cpu_multi_thread_eigen=false"

@@ -95,9 +95,7 @@ def result(registry: Registry, tmp_path_factory: pytest.TempPathFactory) -> az.E
         return evaluate(EGO, registry, split=f"{D1}:both", out=out)
 
 
-def test_m_test_leaves_out_whom_an_ego_was_trained_with(
-    registry: Registry, result: az.EvaluationResult
-) -> None:
+def test_m_test_omits_training_partners(registry: Registry, result: az.EvaluationResult) -> None:
     """The ego saw half of the held-out setting; M_train is about such partners."""
     half = registry.split(TASK)
     met = humans(registry, half.train, "d1")
@@ -123,12 +121,12 @@ def test_met_partners_count_on_the_training_side_alone() -> None:
     assert met.left_out(sides) == ["b", "c", "d", "e"]
 
 
-def test_on_its_own_split_an_ego_is_measured_as_before(registry: Registry) -> None:
+def test_ego_on_own_split_is_unchanged(registry: Registry) -> None:
     assert left_out(registry, [EGO], "half")[0] == []
     assert left_out(registry, ["scratch/ppo-ego-s1-v0/robot"], D1)[0] == []
 
 
-def test_several_seeds_leave_out_whom_any_of_them_met(registry: Registry) -> None:
+def test_seeds_omit_partners_of_any_seed(registry: Registry) -> None:
     split = registry.split(TASK)
     own = f"{split.test[0]}/human"
     left, met = left_out(registry, [EGO, f"{split.test[0]}/robot"], D1)
@@ -136,7 +134,7 @@ def test_several_seeds_leave_out_whom_any_of_them_met(registry: Registry) -> Non
     assert met.known and not met.by_all
 
 
-def test_an_ego_that_met_the_whole_test_side_is_refused(registry: Registry) -> None:
+def test_ego_trained_with_test_side_is_refused(registry: Registry) -> None:
     met = humans(registry, registry.split(TASK).train, "d1")
     with pytest.raises(ValueError, match="every partner that matches was trained with one of"):
         evaluate(EGO, registry, split=D1, partners=met)
@@ -188,9 +186,7 @@ def test_a_file_says_what_its_robot_is_told(
     assert [read_egos([path], registry, TASK).told for path in (mine, graph)] == [told] * 2
 
 
-def test_files_of_before_name_their_policy_or_their_split(
-    registry: Registry, tmp_path: Path
-) -> None:
+def test_older_files_name_policy_or_split(registry: Registry, tmp_path: Path) -> None:
     team, half = registry.split(TASK).test[0], registry.split(TASK)
     entry = registry.policy(f"{team}/robot")
     named = claimed(tmp_path, {"id": entry.id, "sha256": entry.sha256})
@@ -216,7 +212,7 @@ def test_a_malformed_claim_is_no_knowledge(claim: Any, registry: Registry, tmp_p
     assert not met.known and "does not say it in a known form" in met.unknown[0]
 
 
-def test_of_an_ego_whose_split_is_elsewhere_nothing_is_known(registry: Registry) -> None:
+def test_ego_of_unknown_split_has_no_record(registry: Registry) -> None:
     lost = registry.policy("scratch/ppo-ego-s2-v0/robot")
     assert "split 'scratch/half-s7-v0-01234567'" in met_in_training(registry, lost).reason
     _, met = left_out(registry, [lost.id], "half")
@@ -227,7 +223,7 @@ def test_of_an_ego_whose_split_is_elsewhere_nothing_is_known(registry: Registry)
 
 
 @pytest.mark.slow
-def test_what_is_not_known_is_said_with_every_figure(
+def test_unknown_training_is_noted_everywhere(
     registry: Registry, tmp_path: Path, result: az.EvaluationResult
 ) -> None:
     unknown = evaluate(still, registry, split=f"{D1}:both", out=tmp_path / "a")
@@ -290,9 +286,7 @@ def test_a_declaration_takes_nothing_away(registry: Registry) -> None:
 @pytest.mark.parametrize(
     ("text", "meant"), [("nobdy", "nobody"), ("person", "persons"), ("persons:train", "persons")]
 )
-def test_a_declaration_that_is_nearly_a_word_is_told_with_it(
-    text: str, meant: str, registry: Registry
-) -> None:
+def test_misspelt_declaration_gets_suggestion(text: str, meant: str, registry: Registry) -> None:
     with pytest.raises(ValueError, match=f"trained_with is '{text}'; .* did you mean '{meant}'"):
         left_out(registry, [still], D1, text)
 
@@ -309,13 +303,13 @@ def test_a_python_module_declares_it(registry: Registry, tmp_path: Path) -> None
         read_egos([f"python:{module}:make"], registry, TASK)
 
 
-def test_a_partner_object_is_the_robot_that_it_is(registry: Registry) -> None:
+def test_partner_object_has_its_record(registry: Registry) -> None:
     team = registry.split(TASK).test[0]
     robot = az.open_zoo(registry.path).partner(team, role="robot")
     assert left_out(registry, [robot], "half")[0] == [f"{team}/human"]
 
 
-def test_another_zoos_ego_met_the_partners_of_its_own_zoo(
+def test_added_zoo_ego_met_own_partners(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its split has the name and the sha256 of one of ours, and other humans."""
@@ -344,7 +338,7 @@ def test_a_crossplay_says_whom_its_egos_met(registry: Registry) -> None:
 
 
 @pytest.mark.parametrize("release", ["v2", "v3"])
-def test_a_crossplay_has_the_split_of_its_humans_release(release: str) -> None:
+def test_crossplay_uses_split_of_humans_release(release: str) -> None:
     """Though another release is the task's default: the caption of a figure names the split."""
     official = load_registry(Path(__file__).parents[2] / "registry.json")
     team = f"gentle_scratch/ippo-d1-s0-{release}"
@@ -352,7 +346,7 @@ def test_a_crossplay_has_the_split_of_its_humans_release(release: str) -> None:
     assert cast.split == official.split("gentle_scratch", release=release)
 
 
-def test_a_board_measures_by_no_ego_that_met_its_panel(registry: Registry) -> None:
+def test_board_omits_egos_trained_with_panel(registry: Registry) -> None:
     """The second ego was trained with d9, of which two are on the half's test side."""
     rows = ZooCatalogue(registry, "native").references(TASK)
     assert "ppo-ego-s0-v0" in rows and "ppo-ego-s2-v0" in rows

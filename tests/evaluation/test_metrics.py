@@ -15,7 +15,7 @@ def same_traits(
     return Traits(teams, algorithms or ["ippo"] * len(teams), disabilities or ["d1"] * len(teams))
 
 
-def test_zero_shot_separates_the_sides_and_leaves_out_partners_on_neither():
+def test_zero_shot_separates_sides():
     scores = np.array([[1.0, 2, 3, 100], [5, 6, 7, 100]])
     figures = metrics.zero_shot(scores, ["test", "train", "test", None])
     assert figures.m_test is not None
@@ -45,7 +45,7 @@ def test_the_generalisation_gap_is_paired_by_seed():
     assert np.ptp(figures.m_test.mean_ci) > 400
 
 
-def test_groups_have_their_own_means_and_fairness_is_their_spread():
+def test_fairness_is_spread_of_group_means():
     scores = np.array([[10.0, 20, 30, 40, 7]])
     draws = metrics.group_draws(scores, ["d1", "d9", "d1", "d9", None])
     assert {name: draw.mean for name, draw in draws.items()} == {"d1": 20.0, "d9": 30.0}
@@ -75,7 +75,7 @@ def test_cross_play_of_two_teams_by_hand():
     )  # half of the draws are one team twice, which has no cross-play
 
 
-def test_cross_play_within_and_across_is_the_loop_over_pairs():
+def test_crossplay_equals_loop_over_pairs():
     rng = np.random.default_rng(0)
     traits = Traits(list("abcdef"), ["ippo", "isac"] * 3, ["d1"] * 3 + ["d9"] * 3)
     matrix = rng.normal(size=(6, 6))
@@ -96,7 +96,7 @@ def test_cross_play_within_and_across_is_the_loop_over_pairs():
         assert figure.iqm == pytest.approx(scipy.stats.trim_mean(pairs, 0.25))
 
 
-def test_teams_are_found_wherever_they_stand_and_outsiders_have_no_self_play():
+def test_self_play_matches_teams_by_name():
     matrix = np.array([[1.0, 2], [3, 4], [5, 6]])
     rows = Traits(["b", None, "a"], ["ippo", None, "ippo"], ["d1", None, "d1"])
     figures = metrics.cross_play(matrix, rows, same_traits(["a", "b"]))
@@ -113,7 +113,7 @@ def test_teams_are_found_wherever_they_stand_and_outsiders_have_no_self_play():
     assert apart.cross_play.generalises_to == "egos and partners"
 
 
-def test_a_figure_of_one_pair_has_no_interval_though_others_of_its_matrix_have():
+def test_single_pair_has_no_interval():
     humans = same_traits(list("abcdef"))
     figures = metrics.cross_play(np.array([[9.0, 1, 2, 3, 4, 5]]), same_traits(["a"]), humans)
     assert figures.self_play is not None
@@ -156,7 +156,7 @@ def test_intervals_over_teams_cover(repetitions: int):
         assert 0.89 <= count / repetitions <= 0.98, name
 
 
-def test_normalised_return_is_not_clipped_and_unscorable_partners_are_named():
+def test_normalised_return_is_nan_for_unscorable():
     bounds = Bounds(
         np.array([100.0, 50, 10]),
         np.array([0.0, 0, 10]),
@@ -176,7 +176,7 @@ def test_normalised_return_is_not_clipped_and_unscorable_partners_are_named():
     assert (covered.value, covered.epsilon, covered.n) == (0.5, 0.2, 4)
 
 
-def test_no_scorable_partner_gives_no_figure_rather_than_one():
+def test_without_scorable_partner_figures_are_none():
     bounds = Bounds(np.array([1.0]), np.array([2.0]))
     assert metrics.br_prox(np.ones((2, 1)), bounds) is None
     assert metrics.coverage(np.ones((2, 1)), bounds) is None
@@ -189,7 +189,7 @@ def test_bounds_are_checked():
         Bounds(np.array([np.inf]), np.array([0.0]))
 
 
-def test_worst_partner_is_valued_on_episodes_that_did_not_choose_it():
+def test_worst_partner_is_cross_validated():
     returns = np.array([[[10.0, 10], [0, 8], [4, 6]]])
     worst = metrics.worst_partner(returns)
     assert (worst.index, worst.mean) == (1, 4.0)
@@ -211,7 +211,7 @@ def test_cvar_crossfit_equals_its_definition():
         metrics.cvar_crossfit(returns[:, :, :1])
 
 
-def test_planted_defect_a_tail_valued_on_its_own_choice_is_too_low():
+def test_planted_defect_biased_tail_is_caught():
     """All partners are alike, so the tail's true value is 0.
 
     Cross-fitting finds it, the naive tail does not.
@@ -240,7 +240,7 @@ def test_paired_difference_cancels_what_both_share():
         metrics.paired_difference(a, b[:, 1:])
 
 
-def test_rank_stability_of_a_clear_order_is_one_and_of_noise_nothing():
+def test_rank_stability_separates_order_from_noise():
     rng = np.random.default_rng(0)
     clear = np.arange(5.0)[:, None] + 0.01 * rng.normal(size=(5, 40))
     assert metrics.rank_stability(clear).tau == pytest.approx(1.0)
@@ -266,7 +266,7 @@ def test_diversity_by_hand():
     assert (alike.rank, alike.participation_ratio) == (0, 0.0)
 
 
-def test_greedy_subset_raises_the_log_determinant_the_most_at_every_step():
+def test_greedy_subset_maximises_log_determinant():
     features = np.random.default_rng(0).uniform(size=(12, 5))
     phi = strategies.scale_features(features)
     picked = strategies.greedy_subset(features, 4)

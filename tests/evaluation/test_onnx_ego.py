@@ -68,9 +68,7 @@ def test_two_episodes_are_those_of_the_policy(tmp_path: Path, spec: PolicySpec) 
 
 
 @pytest.mark.parametrize("spec", [MLP, GRU])
-def test_a_file_that_a_service_takes_is_the_program_that_it_plays(
-    tmp_path: Path, spec: PolicySpec
-) -> None:
+def test_admitted_file_is_played_as_program(tmp_path: Path, spec: PolicySpec) -> None:
     write(tmp_path / "robot.onnx", spec)
     stack = read(tmp_path / "robot.onnx")
     program, params = admit_onnx((tmp_path / "robot.onnx").read_bytes(), 5, 2)
@@ -88,7 +86,7 @@ def test_other_files_play_in_their_process(tmp_path: Path) -> None:
     np.testing.assert_allclose(call_ego(ego, ("a",), 3, 5)(obs, 0), 0.5204999, rtol=1e-5)
 
 
-def test_what_a_file_claims_counts_also_where_onnxruntime_plays_it(tmp_path: Path) -> None:
+def test_onnxruntime_robot_keeps_claims(tmp_path: Path) -> None:
     node, path = onnx.helper.make_node("Erf", ["x"], ["y"]), tmp_path / "robot.onnx"
     save(path, [node])
     model = onnx.load(str(path))
@@ -132,7 +130,7 @@ def test_a_wrong_width_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"not a model", b"\x80\x04pickle."])
-def test_what_is_no_model_is_refused_in_one_line(
+def test_malformed_model_gets_one_line(
     tmp_path: Path, data: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "robot.onnx").write_bytes(data)
@@ -161,7 +159,7 @@ def save(path: Path, nodes: list[Any], inputs: list[Any] | None = None, **graph:
     path.write_bytes(model.SerializeToString())
 
 
-def test_a_fixed_batch_says_which_axis_must_be_dynamic(tmp_path: Path) -> None:
+def test_fixed_batch_error_names_axis(tmp_path: Path) -> None:
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     fixed = helper.make_tensor_value_info("obs", kind, [1, 5])
     save(tmp_path / "robot.onnx", [helper.make_node("Identity", ["obs"], ["y"])], [fixed])
@@ -209,9 +207,7 @@ def endless() -> list[Any]:
         ),
     ],
 )
-def test_what_is_no_plain_network_is_refused_by_name(
-    tmp_path: Path, nodes: Any, named: str
-) -> None:
+def test_forbidden_operators_are_named(tmp_path: Path, nodes: Any, named: str) -> None:
     save(tmp_path / "robot.onnx", nodes())
     with pytest.raises(ValueError, match=f"uses {named}; allowed are the operators of plain"):
         load(tmp_path / "robot.onnx")
@@ -269,9 +265,7 @@ def tensors(constants: dict[str, Any]) -> list[Any]:
         (sequence(), "mixes the rows of a batch, which are different episodes"),
     ],
 )
-def test_what_draws_or_looks_at_other_episodes_is_refused_by_name(
-    tmp_path: Path, made: Any, named: str
-) -> None:
+def test_random_or_mixing_models_are_refused(tmp_path: Path, made: Any, named: str) -> None:
     nodes, constants = made
     save(tmp_path / "robot.onnx", nodes, initializer=tensors(constants))
     with pytest.raises(EgoError, match=named):
@@ -312,7 +306,7 @@ def test_functions_are_refused(tmp_path: Path) -> None:
         load(tmp_path / "robot.onnx")
 
 
-def test_a_small_model_that_asks_for_12_gb_gets_none(tmp_path: Path) -> None:
+def test_model_memory_is_limited(tmp_path: Path) -> None:
     helper = onnx.helper
     nodes = [
         helper.make_node("ConstantOfShape", ["shape"], ["big"]),

@@ -45,7 +45,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     return load_registry(untrained.published(teams, tmp_path_factory.mktemp("zoo")))
 
 
-def test_a_zoo_partner_acts_as_its_network_and_brings_its_setting(registry: Registry):
+def test_zoo_partner_acts_as_its_network(registry: Registry):
     partner = zoo_partner(registry, "scratch/ippo-d9-s2-v0")
     assert partner.id == "scratch/ippo-d9-s2-v0/human"
     assert partner.setting == DISABILITY_SETTINGS["d9"]
@@ -89,7 +89,7 @@ def test_every_form_takes_its_seat(registry: Registry, tmp_path: Path):
     np.testing.assert_array_equal(from_file(obs["human"]), from_zoo(obs["human"]))
 
 
-def test_a_robot_from_outside_is_called_on_batches_of_one(
+def test_outside_robot_gets_batches_of_one(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     lines = [

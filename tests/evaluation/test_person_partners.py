@@ -64,7 +64,7 @@ def test_a_user_says_of_which_side(split, patterns, of, count) -> None:
 @pytest.mark.parametrize(
     ("split", "of"), [(None, "test"), ("validation", "validation"), ("train", "training")]
 )
-def test_a_task_without_teams_has_its_persons_by_default(split: str | None, of: str) -> None:
+def test_task_without_teams_defaults_to_persons(split: str | None, of: str) -> None:
     registry = load_registry()
     chosen, humans = choose_partners(registry, MOUTH, split, None, 20)
     assert chosen == registry.split(MOUTH, "persons" if of == "test" else chosen.id)
@@ -137,7 +137,7 @@ def test_preferences_and_company_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_film_shows_a_person_with_its_own_body_and_wishes() -> None:
+def test_film_uses_person_body_and_preference() -> None:
     registry = load_registry()
     name = "gentle_scratch/person-00042-v3"
     partner, row = zoo_partner(registry, name), persons(TASK)[[42]]
@@ -190,7 +190,7 @@ def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
     assert report.ok and report.exact, report.problems
 
 
-def test_teams_of_an_older_version_do_not_meet_persons(tmp_path: Path) -> None:
+def test_older_teams_do_not_meet_persons(tmp_path: Path) -> None:
     with pytest.raises(RegistryVersionError, match="version 2 of environment gentle_scratch"):
         cross_play(
             ["gentle_scratch/ippo-d1-s[01]-v2"], "persons", task=TASK, persons=3, out=tmp_path
@@ -203,7 +203,7 @@ def _robot_file(path: Path, version: Any) -> str:
     return str(path)
 
 
-def test_a_robots_file_says_in_which_version_it_was_trained(tmp_path: Path) -> None:
+def test_robot_file_has_environment_version(tmp_path: Path) -> None:
     older = _robot_file(tmp_path / "older.safetensors", {"env_version": 2})
     with pytest.raises(RegistryVersionError, match="says that it was trained in version 2"):
         evaluate(older, task=TASK, partners="persons", persons=3, progress=False)
@@ -226,7 +226,7 @@ def test_a_claim_of_no_known_form_is_none(claim: Any) -> None:
     assert claimed_version({"env_version": claim, "training": claim}) is None
 
 
-def test_a_robot_that_trains_with_persons_says_whom_it_meets() -> None:
+def test_person_trained_robot_records_partners() -> None:
     registry = load_registry()
     training = prepare(registry, TASK, partners="persons", steps=1)
     assert training.config.partners == (training.split.id,)

@@ -59,7 +59,7 @@ def test_the_bootstrap_gives_the_promised_width(shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("missing", ["seeds", "partners", "pairs", "episodes", "starts"])
-def test_a_formula_without_one_of_its_parts_is_caught(missing: str) -> None:
+def test_planted_defect_missing_variance_term_is_caught(missing: str) -> None:
     without = dataclasses.replace(TRUE, **{missing: 0.0})
     shape = {"seeds": (16, 60), "partners": (30, 8), "pairs": (1, 40), "episodes": (1, 40)}.get(
         missing, (30, 8)
@@ -95,7 +95,7 @@ def test_a_spread_is_measured_from_episodes() -> None:
         measure_spread(table.filter(pl.col("ego") == "1"))
 
 
-def test_a_plan_has_the_fewest_seeds_and_then_episodes() -> None:
+def test_plan_minimises_seeds_then_episodes() -> None:
     plan = plan_evaluation(15.0, spread=TRUE, partners=100)
     assert plan.half_width <= 15.0
     assert TRUE.half_width(plan.seeds - 1, 100, 32) > 15.0
@@ -134,7 +134,7 @@ def as_table(returns: np.ndarray) -> pl.DataFrame:
     return pl.DataFrame(columns)
 
 
-def test_the_spread_of_a_contrast_leaves_out_what_partners_bring_to_both() -> None:
+def test_contrast_spread_omits_partner_effects() -> None:
     rng = np.random.default_rng(8)
     found = [
         dataclasses.astuple(measure_contrast(*map(as_table, two_pilots(rng, (12, 40, 4)))))
@@ -144,7 +144,7 @@ def test_the_spread_of_a_contrast_leaves_out_what_partners_bring_to_both() -> No
     assert np.sqrt(squares) == pytest.approx(dataclasses.astuple(CONTRAST), rel=0.15)
 
 
-def test_a_planned_contrast_is_seen_in_four_of_five() -> None:
+def test_planned_contrast_has_power_80() -> None:
     plan = plan_contrast(60.0, CONTRAST, partners=40)
     assert plan.detectable <= 60.0
     assert plan_contrast(60.0, CONTRAST, partners=40, contrasts=10).seeds > plan.seeds

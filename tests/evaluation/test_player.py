@@ -196,14 +196,14 @@ def test_a_damaged_recording_is_refused(damage: str, recording: Path, tmp_path: 
         (lambda said: said.update(disability="d99"), "does not say who plays what"),
     ],
 )
-def test_a_recording_that_says_nonsense_of_itself_is_refused(
+def test_malformed_recording_is_refused(
     about: Callable[[dict[str, Any]], object], reason: str, recording: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError, match=reason):
         read_episode(changed(recording, tmp_path, lambda table: table, about))
 
 
-def test_a_cut_file_another_one_and_none_are_refused(recording: Path, tmp_path: Path) -> None:
+def test_cut_foreign_and_empty_files_are_refused(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.trajectory"
     cut.write_bytes(recording.read_bytes()[:-500])
     with pytest.raises(ValueError, match=r"cut\.trajectory is not a readable Parquet file"):
@@ -231,7 +231,7 @@ def test_no_name_breaks_out_of_the_page(recording: Path, tmp_path: Path) -> None
     assert json.loads(zlib.decompress(base64.b64decode(data[1])))["robot"] == HOSTILE
 
 
-def test_the_vendored_script_is_the_one_of_the_notice() -> None:
+def test_vendored_script_matches_notice() -> None:
     script = ROOT / "evaluation" / "report" / "assets" / "three.min.js"
     notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
     assert sha256(script.read_bytes()) in notice and script.stat().st_size < 800_000
@@ -313,7 +313,7 @@ def test_a_page_draws_bodies_where_mujoco_has_them(
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_a_page_is_played_by_keys_and_says_how_touches_are_liked(
+def test_page_handles_keys_and_shows_preferences(
     browser: Browser, episode: Episode, tmp_path: Path
 ) -> None:
     write_episode(episode_content(episode), tmp_path / "page.html")

@@ -81,7 +81,7 @@ def test_shared_order_keeps_self_play_on_the_diagonal():
     np.testing.assert_allclose(matrix.values, original[np.ix_(places, places)], rtol=1e-6)
 
 
-def test_separate_orders_move_rows_and_columns_with_their_values():
+def test_separate_orders_keep_values():
     population = teams(12)
     matrix, _ = draw(population, "separate")
     assert not matrix.shared
@@ -95,7 +95,7 @@ def test_separate_orders_move_rows_and_columns_with_their_values():
     assert matrix.self_play.sum() == 12
 
 
-def test_heatmap_has_its_parts_and_says_what_it_shows():
+def test_heatmap_has_all_parts():
     population = teams(32, ("ippo",), ("d1", "d3", "d7", "d9"))
     matrix, figure = draw(population, clusters=4)
     parts = axes_by_label(figure)
@@ -133,7 +133,7 @@ def test_heatmap_has_its_parts_and_says_what_it_shows():
         assert words in written
 
 
-def test_strips_show_each_policys_algorithm_and_disability_in_order():
+def test_strips_follow_order_of_policies():
     matrix, figure = draw(teams(12, ("ippo", "isac"), ("d1", "d5", "d9")))
     parts = axes_by_label(figure)
     for seat, side, axis in (("ego", matrix.rows, 0), ("partner", matrix.columns, 1)):
@@ -167,7 +167,7 @@ def test_strips_and_dendrograms_are_aligned_with_the_matrix():
     ("count", "how"),
     [(1, None), (2, None), (8, "separate"), (32, None), (80, "separate"), (80, "shared")],
 )
-def test_nothing_is_cut_off_or_written_over_something_else(count: int, how: Any):
+def test_texts_are_inside_and_apart(count: int, how: Any):
     population = teams(
         count, ("ippo", "isac", "mappo", "masac"), tuple(f"d{i}" for i in range(1, 10))
     )
@@ -206,7 +206,7 @@ def test_a_large_matrix_names_clusters_instead_of_policies():
     assert {text.get_text() for text in parts["clusters:ego"].texts} == {"A", "B", "C"}
 
 
-def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
+def test_small_matrix_shows_numbers():
     matrix, figure = draw(teams(4), clusters=2)
     shown = axes_by_label(figure)["matrix"].texts
     assert [text.get_text() for text in shown] == [
@@ -216,7 +216,7 @@ def test_a_small_matrix_shows_its_numbers_with_self_play_in_bold():
     np.testing.assert_array_equal(bold, np.eye(4, dtype=bool))
 
 
-def test_a_number_that_is_rounded_to_zero_has_no_sign():
+def test_rounded_zero_has_no_sign():
     values = np.array([-0.3, 0.3, -12.4, 7.0])
     table = episode_table(values.reshape(1, 4, 1), ["my robot"], teams(4))
     pairs = derived.pair_table(recorded(table))
@@ -228,7 +228,7 @@ def test_a_number_that_is_rounded_to_zero_has_no_sign():
 @pytest.mark.parametrize(
     ("least", "message"), [(0.0, None), (-5000.0, "5% of pairs, down to -5,000,")]
 )
-def test_a_few_very_bad_pairs_do_not_take_the_colours(least: float, message: str | None):
+def test_colours_ignore_few_bad_pairs(least: float, message: str | None):
     values = np.linspace(0.0, 500.0, 20)
     values[0] = least
     table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
@@ -255,7 +255,7 @@ def test_an_outsider_is_drawn_without_self_play():
         arrange(pairs, "shared")
 
 
-def test_planted_defect_a_table_that_lacks_a_pair_is_caught():
+def test_planted_defect_missing_pair_is_caught():
     pairs, _ = saved(teams(4), 2)
     unknown = pl.when(pl.int_range(pl.len()) == 3).then(float("nan")).otherwise("return")
     for table in (pairs[:-1], pairs.with_columns(unknown.alias("return"))):
@@ -264,7 +264,7 @@ def test_planted_defect_a_table_that_lacks_a_pair_is_caught():
 
 
 @pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
-def test_files_are_written_whole_and_equal_for_equal_figures(tmp_path: Path, ending: str):
+def test_equal_figures_give_equal_files(tmp_path: Path, ending: str):
     paths = [tmp_path / f"{name}.{ending}" for name in ("a", "b")]
     for path in paths:
         style.save_figure(draw(teams(4), clusters=2)[1], path)
@@ -287,7 +287,7 @@ def test_drawing_never_imports_pyplot():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_names_are_shortened_by_what_they_share_and_stay_apart():
+def test_short_names_drop_common_parts():
     same = ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s1-v0/robot"]
     assert short_names(same) == ("ippo-d1-s0", "ippo-d1-s1")
     releases = ["scratch/ippo-d1-s0-v0/robot", "scratch/ippo-d1-s0-v1/robot"]
@@ -321,7 +321,7 @@ def evaluations() -> dict[str, dict[str, Any]]:
     }
 
 
-def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
+def test_dots_show_mean_and_interval():
     summaries = evaluations()
     figure = zsc_dots(summaries)
     axes = axes_by_label(figure)["returns"]
@@ -342,7 +342,7 @@ def test_dots_stand_at_the_mean_with_whiskers_as_long_as_the_interval():
 
 
 @pytest.mark.parametrize("zero_action", [3.0, 990.0])
-def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
+def test_axis_includes_robots_and_references(zero_action):
     summaries = evaluations()
     summaries["ppo"]["references"] = {"zero_action": {"mean": zero_action}, "script": None}
     axes = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"]
@@ -356,7 +356,7 @@ def test_the_axis_holds_robots_and_references_however_far_apart(zero_action):
         assert named[name].xy == (axes.get_xlim()[1], value)  # right of the line's end
 
 
-def test_references_that_differ_between_folders_are_each_methods_own():
+def test_references_are_per_method():
     summaries = evaluations()
     for name, script, zero in (("ppo", 300.0, 10.0), ("fcp", 420.0, 10.2)):
         summaries[name]["references"] = {"script": {"mean": script}, "zero_action": {"mean": zero}}
@@ -369,7 +369,7 @@ def test_references_that_differ_between_folders_are_each_methods_own():
     assert named["zero action 10"].xy[1] == 10.2
 
 
-def test_in_a_column_no_number_lies_on_a_dot():
+def test_numbers_overlap_no_dot():
     summaries = evaluations()
     for figures in summaries.values():  # side by side, where a number is nearest to another's dot
         figures["m_train"] |= {"mean": figures["m_test"]["mean"]}
@@ -395,7 +395,7 @@ def test_the_axis_is_zoomed_where_references_are_near():
     assert min(ends) - 40 < low < min(ends) and max(ends) < high < max(ends) + 40
 
 
-def test_a_side_that_was_not_evaluated_has_no_dot():
+def test_missing_side_has_no_dot():
     summaries = {
         name: {**figures, "m_train": None, "gap": None} for name, figures in evaluations().items()
     }
@@ -469,7 +469,7 @@ def bars(draw: Callable[[dict], Figure]) -> Figure:
         partial(bars, trait_points),
     ],
 )
-def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]):
+def test_caption_fits_figure(draw: Callable[[], Figure]):
     figure = draw()
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -479,7 +479,7 @@ def test_the_caption_is_as_wide_as_the_figure_at_most(draw: Callable[[], Figure]
     assert ticks is not None and 0 < caption.y0 < caption.y1 < ticks.y0
 
 
-def test_the_grid_has_the_number_of_partners_in_each_cell():
+def test_grid_counts_partners():
     rows = (
         [("scratch", "ippo", "d1")] * 6
         + [("scratch", "ippo", "d9")] * 3
@@ -500,7 +500,7 @@ def test_the_grid_has_the_number_of_partners_in_each_cell():
         population_grid(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
 
 
-def test_speeds_lie_inside_their_axes_and_names_inside_the_figure():
+def test_speeds_and_names_are_inside_figure():
     columns = ["task", "backend", "device", "batch", "env_steps_per_second"]
     rows = [
         (task, backend, "NVIDIA H200", 2**n, 90.0 * 4**n)
@@ -524,7 +524,7 @@ def test_speeds_lie_inside_their_axes_and_names_inside_the_figure():
 
 
 @pytest.mark.parametrize("width", [4.5, 7.0])
-def test_a_matrix_is_as_wide_as_is_asked_and_a_bare_one_has_no_title(tmp_path: Path, width: float):
+def test_matrix_has_given_width(tmp_path: Path, width: float):
     pairs, figures = saved(teams(80), clusters=3)
     figure = crossplay_heatmap(arrange(pairs), figures, width=width)
     assert figure.get_size_inches()[0] == width
@@ -537,7 +537,7 @@ def test_a_matrix_is_as_wide_as_is_asked_and_a_bare_one_has_no_title(tmp_path: P
         assert all((word.split("\n")[0][:20] in text) != bare for word in words)
 
 
-def test_a_width_that_does_not_hold_the_figure_is_refused():
+def test_too_small_width_is_refused():
     pairs, figures = saved(teams(8))
     with pytest.raises(ValueError, match=r"width is 1 inches; allowed for this figure are \d"):
         crossplay_heatmap(arrange(pairs), figures, width=1.0)

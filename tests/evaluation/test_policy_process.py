@@ -87,7 +87,7 @@ def test_its_digest_covers_code_arguments_and_declared_files(folder: Path) -> No
     assert len(set(seen)) == len(seen)
 
 
-def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
+def test_undeclared_robot_is_not_reusable(folder: Path) -> None:
     write(folder / "mine.py", "def make(): return lambda obs: obs")
     assert not digest("python:mine.py:make")[1]
     write(folder / "mine.py", "DEPENDS = []\ndef make(): return lambda obs: obs")
@@ -106,9 +106,7 @@ def test_without_a_declaration_it_is_not_taken_for_known(folder: Path) -> None:
         ("3", "DEPENDS of mine.py is 3; expected a list of paths"),
     ],
 )
-def test_what_it_declares_is_a_list_of_regular_files(
-    folder: Path, depends: str, message: str
-) -> None:
+def test_depends_must_list_regular_files(folder: Path, depends: str, message: str) -> None:
     write(folder / "mine.py", f"DEPENDS = {depends}\ndef make(): return lambda obs: obs")
     with pytest.raises(EgoError, match=message):
         digest("python:mine.py:make")
@@ -130,9 +128,7 @@ def test_it_may_declare_paths_as_objects(folder: Path) -> None:
         (b"{}", "step 0: the robot's process answers in no form that is known"),
     ],
 )
-def test_what_its_process_says_beside_the_protocol_is_one_line(
-    folder: Path, message: bytes, error: str
-) -> None:
+def test_malformed_reply_is_one_line(folder: Path, message: bytes, error: str) -> None:
     """A robot may write to the pipe itself."""
     code = f"""\
         import os, struct
@@ -163,7 +159,7 @@ def test_what_its_process_says_beside_the_protocol_is_one_line(
         ("return obs[:, :2]", r"returned float32 of shape \(4, 2\)"),
     ],
 )
-def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, message: str) -> None:
+def test_every_failure_is_one_line(folder: Path, line: str, message: str) -> None:
     write(
         folder / "mine.py",
         f"""\
@@ -180,7 +176,7 @@ def test_whatever_it_does_is_an_error_of_one_line(folder: Path, line: str, messa
 
 
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit()])
-def test_a_robot_of_this_process_does_not_end_it_either(error: BaseException) -> None:
+def test_in_process_robot_does_not_end_run(error: BaseException) -> None:
     def act(obs: np.ndarray) -> np.ndarray:
         raise error
 
@@ -188,9 +184,7 @@ def test_a_robot_of_this_process_does_not_end_it_either(error: BaseException) ->
         ask(HostEgo("m", act))
 
 
-def test_what_it_prints_is_not_read_as_an_answer(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_printed_text_is_no_answer(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     code = "print('hello')\ndef act(obs):\n    print('act', flush=True)\n    return obs\n"
     write(folder / "mine.py", code + "make = lambda: act")
     np.testing.assert_array_equal(ask(read("python:mine.py:make")), OBS)
@@ -216,7 +210,7 @@ def gone(pid: int) -> bool:
 
 @pytest.mark.slow_for("time.sleep")
 @pytest.mark.parametrize("line", ["time.sleep(100)", "os.kill(os.getpid(), signal.SIGSTOP)"])
-def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -> None:
+def test_process_ends_with_robot_and_parent(folder: Path, line: str) -> None:
     code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"
     write(folder / "mine.py", code)
     robot = PolicyProcess("mine.py", "make", {})
@@ -244,7 +238,7 @@ def test_its_process_ends_with_it_and_with_its_parent(folder: Path, line: str) -
     assert gone(int(done.stdout))
 
 
-def test_a_library_may_have_a_module_without_a_file(folder: Path) -> None:
+def test_module_without_file_is_accepted(folder: Path) -> None:
     """As PyTorch has: `torch.classes` says that it is in "_classes.py"."""
     write(
         folder / "mine.py",

@@ -92,7 +92,7 @@ def test_each_partner_takes_turns_and_begins_elsewhere() -> None:
     np.testing.assert_array_equal(again, wishes[5:6, [3, 3]])
 
 
-def test_the_table_says_under_which_preference_an_episode_was_played(tmp_path: Path) -> None:
+def test_table_has_preference_of_each_episode(tmp_path: Path) -> None:
     job, table = job_of(), played(tmp_path / "job")
     validate_episodes(table)
     for row in table.iter_rows(named=True):
@@ -106,7 +106,7 @@ def test_the_table_says_under_which_preference_an_episode_was_played(tmp_path: P
     assert few.equals(whole)  # more episodes extend fewer
 
 
-def test_a_subset_is_another_job_and_none_is_the_job_that_it_was(tmp_path: Path) -> None:
+def test_preferences_are_part_of_job(tmp_path: Path) -> None:
     """Folders and episodes of the paper's tasks are found by the identity that they had."""
     without = job_of(preferences=())
     assert "preferences" not in without.identity()
@@ -136,7 +136,7 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
     assert hurt["success"].any() and not hurt["safe_success"].any()
 
 
-def test_partners_that_did_not_play_under_one_are_left_out_of_it(tmp_path: Path) -> None:
+def test_preference_figures_omit_other_partners(tmp_path: Path) -> None:
     summary = summarise_evaluation(recorded(played(tmp_path, episodes=2)), CONTEXT)
     counts = Counter(job_of().preferences_of(job_of().partners.ids, range(2)).ravel())
     assert {name: figure.n for name, figure in summary.by_preference.items()} == {
@@ -144,7 +144,7 @@ def test_partners_that_did_not_play_under_one_are_left_out_of_it(tmp_path: Path)
     }
 
 
-def test_a_folder_of_a_gentle_task_is_read_drawn_and_reported(tmp_path: Path) -> None:
+def test_gentle_folder_has_tables_and_report(tmp_path: Path) -> None:
     table = played(tmp_path / "job")
     summary = save_evaluation(Record(table, tmp_path), CONTEXT)
     assert read_summary(tmp_path) == summary
@@ -183,7 +183,7 @@ class Pressed(NamedTuple):
 
 
 @pytest.mark.slow
-def test_how_people_were_touched_is_in_tables_figures_and_pages(tmp_path: Path) -> None:
+def test_touch_columns_reach_tables_and_pages(tmp_path: Path) -> None:
     table = run_job(Pressing(), job_of(), tmp_path / "job").table
     one = table.filter(pl.col("preference") == "p8")
     assert one["together_peak"].to_list() == [12.0] * one.height
@@ -202,7 +202,7 @@ def test_how_people_were_touched_is_in_tables_figures_and_pages(tmp_path: Path) 
     assert TOUCHES["sustained_force"] in text and "sum at once" in text
 
 
-def test_a_summary_of_before_touches_were_measured_is_still_read() -> None:
+def test_older_summary_without_touches_is_read() -> None:
     """A field without a default would make every kept summary of a gentle task unreadable."""
     path = Path(__file__).parent / "golden/summary_before_touch.json"
     content = tables.read_json(path)
@@ -253,7 +253,7 @@ def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
     assert warning in wrong.notes
 
 
-def test_methods_whose_partners_liked_different_things_are_not_compared(tmp_path: Path) -> None:
+def test_comparison_refuses_other_preferences(tmp_path: Path) -> None:
     first, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
     assert summarise_comparison(recorded(first), recorded(first)).test is not None
     with pytest.raises(ValueError, match="liked different things with the second"):
@@ -274,7 +274,7 @@ def gentle(tmp_path_factory: pytest.TempPathFactory) -> Registry:
 
 
 @pytest.mark.slow
-def test_an_evaluation_plays_what_the_split_says_and_tells_it(
+def test_evaluation_uses_preferences_of_split(
     gentle: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("assistax_envs.make", lambda task, backend, version=None: Fond())
@@ -303,7 +303,7 @@ def test_an_evaluation_plays_what_the_split_says_and_tells_it(
     assert population.episodes == 16 * 9 and set(pairs["preference"]) == set(NAMES)
 
 
-def test_robots_train_under_the_preferences_of_the_training_half(gentle: Registry) -> None:
+def test_training_uses_preferences_of_training_side(gentle: Registry) -> None:
     prepared = prepare(gentle, "gentle_lift", steps=1)
     assert prepared.config.preferences == ("p2", "p3", "p4", "p6", "p7", "p8")
     assert "under p2, p3, p4, p6, p7, p8, " in prepared.summary

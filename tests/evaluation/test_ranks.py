@@ -80,7 +80,7 @@ def test_one_method_alone_is_first() -> None:
     assert (ranks.places.tolist(), ranks.lowest.tolist()) == ([1], [1])
 
 
-def test_partners_that_are_hard_for_everybody_do_not_blur_the_order() -> None:
+def test_hard_partners_do_not_blur_order() -> None:
     """Paired: both methods meet the same partners, whose ease varies a hundred times the gap."""
     rng = np.random.default_rng(3)
     ease = rng.normal(0, 100, 40)
@@ -116,7 +116,7 @@ def test_three_seeds_find_four_of_five_true_orders() -> None:
 
 
 @pytest.mark.slow
-def test_two_seeds_that_are_alike_by_luck_are_not_believed() -> None:
+def test_two_equal_seeds_are_not_trusted() -> None:
     """One method's seeds differ ten times as much as was known: at most 5% of lists are wrong."""
     world, rng = World(seeds=(10 * SEED, *(SEED,) * 5)), np.random.default_rng(0)
     lists = (rank_methods(world.draw(2, rng), seed_sd=SEED) for _ in range(6000))
@@ -135,7 +135,7 @@ def test_a_row_of_two_unlike_robots_erases_nobody() -> None:
     assert joined.lowest[8] == 9
 
 
-def test_what_another_row_earned_does_not_move_a_pair() -> None:
+def test_other_rows_do_not_change_pair() -> None:
     rng, decided = np.random.default_rng(12), set()
     for _ in range(60):
         scores = World(gap=GAP, seeds=(SEED, SEED)).draw(3, rng)
@@ -146,7 +146,7 @@ def test_what_another_row_earned_does_not_move_a_pair() -> None:
     assert decided == {True, False}  # some pairs are near their bar
 
 
-def test_pairs_that_can_be_equal_at_once_are_never_undercounted() -> None:
+def test_equal_pairs_are_never_undercounted() -> None:
     rng = np.random.default_rng(13)
     for share in (0.2, 0.5, 0.8):
         for _ in range(30):
@@ -170,7 +170,7 @@ def partitions(items: Sequence[int]) -> Iterator[list[list[int]]]:
             yield [*rest[:i], [items[0], *group], *rest[i + 1 :]]
 
 
-def test_a_chain_and_a_row_that_nothing_tells_apart_are_counted_exactly() -> None:
+def test_chain_and_open_row_counts_are_exact() -> None:
     chain = np.eye(7, k=1, dtype=bool) | np.eye(7, k=-1, dtype=bool)
     assert _most_equal(chain[:6, :6]) == 3  # three pairs of neighbours
     chain[6], chain[:, 6] = True, True
@@ -217,7 +217,7 @@ def test_seed_sds_are_those_of_the_egos() -> None:
 
 
 @pytest.mark.parametrize("seeds", [1, 2, 3, 10])
-def test_all_ranks_are_right_at_once_in_95_of_100_boards(seeds: int) -> None:
+def test_rank_sets_cover_95_percent(seeds: int) -> None:
     """Six methods, three of them equal: 300 boards, so 0.05 is exceeded by 3 errors at 0.09."""
     truth = np.array([0.0, 0.0, 0.0, 2.0, 2.5, 9.0])
     rng = np.random.default_rng(6)
@@ -231,7 +231,7 @@ def test_all_ranks_are_right_at_once_in_95_of_100_boards(seeds: int) -> None:
     assert rank_methods(played(truth, rng, seeds=10)).places[5] == 1  # and it is not idle
 
 
-def test_intervals_without_a_common_bar_would_be_wrong_too_often() -> None:
+def test_planted_defect_pairwise_level_is_caught() -> None:
     """The planted defect: pairwise tests at 5%, each for itself, on 8 equal methods."""
     truth, rng = np.zeros(8), np.random.default_rng(8)
     together, alone = 0, 0

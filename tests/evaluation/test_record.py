@@ -43,9 +43,7 @@ def layouts(monkeypatch: pytest.MonkeyPatch) -> list[pl.DataFrame]:
 
 
 @pytest.mark.slow
-def test_an_evaluation_and_a_crossplay_lay_their_table_out_once(
-    layouts: list[pl.DataFrame], tmp_path: Path
-) -> None:
+def test_studies_lay_out_table_once(layouts: list[pl.DataFrame], tmp_path: Path) -> None:
     """Though a partner is left out of the figures, and references and bounds are drawn as well."""
     registry = load_registry(small_zoo(tmp_path / "zoo"))
     robots = ["zoo:scratch/ippo-d1-s0-v0/robot"]
@@ -56,7 +54,7 @@ def test_an_evaluation_and_a_crossplay_lay_their_table_out_once(
     assert len(layouts) == 2 and layouts[1].height > summary.episodes
 
 
-def test_figures_of_a_record_lay_it_out_once_and_when_asked(layouts: list[pl.DataFrame]) -> None:
+def test_record_lays_out_lazily_and_once(layouts: list[pl.DataFrame]) -> None:
     returns = np.random.default_rng(0).normal(size=(2, 6, 3))
     record = recorded(episode_table(returns, ["mine", "other"], teams(6), ["test"] * 6))
     assert not layouts
@@ -67,7 +65,7 @@ def test_figures_of_a_record_lay_it_out_once_and_when_asked(layouts: list[pl.Dat
     assert len(layouts) == 1
 
 
-def test_a_record_without_partners_is_that_of_the_other_episodes() -> None:
+def test_record_without_partners_keeps_other_episodes() -> None:
     """The arrays are selected, and equal to those of a table that never had the others."""
     partners = teams(5, ("ippo", "mappo"))
     table = episode_table(
@@ -88,7 +86,7 @@ def test_a_record_without_partners_is_that_of_the_other_episodes() -> None:
     assert record.without([]) is record
 
 
-def test_a_family_of_columns_may_lack_and_no_other_column() -> None:
+def test_only_column_families_may_be_missing() -> None:
     table = episode_table(np.ones((2, 3, 2)), teams(2), teams(3))
     for name, column in COLUMNS.items():
         if name not in table.columns:

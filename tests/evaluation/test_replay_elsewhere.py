@@ -103,7 +103,7 @@ def test_the_figures_rows_have_its_mean(made: Path, zoo: Registry, forge: Any) -
         assert report.difference == pytest.approx(-1)
 
 
-def test_small_tiles_of_a_folder_hide_nothing_on_mjx(zoo: Registry, forge: Any) -> None:
+def test_small_tiles_hide_nothing_on_mjx(zoo: Registry, forge: Any) -> None:
     """The folder says tiles of one, so that two false episodes of 216 were seldom played."""
 
     def change(forger: Forger) -> None:

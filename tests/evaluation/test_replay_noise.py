@@ -48,7 +48,7 @@ def raised(table: pl.DataFrame, rows: pl.Expr, by: float) -> pl.DataFrame:
     return table.with_columns(value.alias("return"))
 
 
-def test_every_task_with_partners_was_measured_and_every_column_of_it() -> None:
+def test_noise_covers_all_tasks_and_columns() -> None:
     tasks = (*PAPER_TASKS, *GENTLE_TASKS)  # with nobody of the others anybody has played yet
     for task in [*tasks, *map(wild, tasks)]:
         noise = read_noise(task)

@@ -132,7 +132,7 @@ def test_a_pair_without_named_episodes_is_refused(crossplay: Path, tmp_path: Pat
         worst_pair(folder, load_registry())
 
 
-def test_a_crossplay_is_told_with_command_versions_and_hashes(crossplay: Path, tmp_path: Path):
+def test_crossplay_page_has_command_and_hashes(crossplay: Path, tmp_path: Path):
     text = page_of(crossplay, tmp_path)
     assert "--task scratch --seed 7 --out &#39;x &amp; &lt;y&gt;&#39;" in text
     for words in (
@@ -175,9 +175,7 @@ def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(("people", "shown"), [(40, True), (8, False)])
-def test_an_evaluation_with_persons_says_which_of_their_numbers_matter(
-    people: int, shown: bool, tmp_path: Path
-):
+def test_person_page_has_effects_of_numbers(people: int, shown: bool, tmp_path: Path):
     rng, partners = np.random.default_rng(0), teams(people)
     table = episode_table(
         rng.normal(100.0, 30.0, (1, people, 2)), ["a"], partners, ["test"] * people
@@ -229,7 +227,7 @@ def attack(folder: Path, name: str, path: tuple[str, ...], value: Any) -> None:
         ("evaluation", tables.SUMMARY_FILE, ("notes",)),
     ],
 )
-def test_no_field_of_a_received_folder_runs_in_the_page(
+def test_received_fields_never_run(
     kind: str, name: str, path: tuple[str, ...], request: pytest.FixtureRequest, tmp_path: Path
 ):
     folder = Path(shutil.copytree(request.getfixturevalue(kind), tmp_path / "received"))
@@ -242,18 +240,14 @@ def test_no_field_of_a_received_folder_runs_in_the_page(
 
 
 @pytest.mark.parametrize("field", ["side", "episodes_per_pair", "nonfinite"])
-def test_a_received_summary_with_a_wrong_field_is_refused_by_name(
-    field: str, evaluation: Path, tmp_path: Path
-):
+def test_wrong_summary_field_is_named(field: str, evaluation: Path, tmp_path: Path):
     folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
     attack(folder, tables.SUMMARY_FILE, (field,), HOSTILE)
     with pytest.raises(ValueError, match=rf"is damaged, or of another version: .*{field}"):
         page_of(folder, tmp_path)
 
 
-def test_a_figure_of_a_received_folder_with_strange_tables_names_the_folder(
-    evaluation: Path, crossplay: Path, tmp_path: Path
-):
+def test_strange_tables_error_names_folder(evaluation: Path, crossplay: Path, tmp_path: Path):
     folder = Path(shutil.copytree(crossplay, tmp_path / "matrix"))
     pairs = tables.read_parquet(folder / tables.PAIRS_FILE)
     tables.write_parquet(pairs.drop("ego_algorithm"), folder / tables.PAIRS_FILE)
@@ -271,9 +265,7 @@ def test_a_figure_of_a_received_folder_with_strange_tables_names_the_folder(
         evaluation_figure([folder], "zsc", tmp_path / "x.png")
 
 
-def test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written(
-    evaluation: Path, tmp_path: Path
-):
+def test_changed_file_is_refused(evaluation: Path, tmp_path: Path):
     folder = Path(shutil.copytree(evaluation, tmp_path / "received"))
     bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
     tables.write_parquet(bounds.head(bounds.height // 2), folder / tables.BOUNDS_FILE)
@@ -281,7 +273,7 @@ def test_no_figure_is_drawn_from_a_file_that_is_not_what_was_written(
         page_of(folder, tmp_path)
 
 
-def test_what_enters_a_template_is_escaped_and_none_says_otherwise():
+def test_templates_escape_values():
     environment = templates()
     assert environment.from_string("<p>{{ a }}</p>").render(a="<b>") == "<p>&lt;b&gt;</p>"
     with pytest.raises(jinja2.UndefinedError):
@@ -299,7 +291,7 @@ def test_what_enters_a_template_is_escaped_and_none_says_otherwise():
             assert text.count("Markup(") == (path.name == "page.py"), path
 
 
-def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
+def test_matrix_data_holds_saved_pairs(crossplay: Path):
     pairs = tables.read_parquet(crossplay / tables.PAIRS_FILE)
     data = matrix_data(pairs, tables.read_json(crossplay / tables.STRATEGIES_FILE))
     expected = {(row["ego"], row["partner"]): row["return"] for row in pairs.iter_rows(named=True)}
@@ -315,7 +307,7 @@ def test_the_matrix_holds_the_saved_pairs_in_every_order(crossplay: Path):
     ]
 
 
-def test_a_page_has_the_order_of_the_pairs_and_not_that_of_a_forged_file(tmp_path: Path):
+def test_page_ignores_forged_order(tmp_path: Path):
     population = teams(6)
     table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
     derived.save_crossplay(Record(table, tmp_path), CONTEXT)
@@ -361,7 +353,7 @@ def browse(page: str, home: Path, *options: str) -> str:
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_a_browser_draws_the_matrix_and_finds_a_pair(crossplay: Path, tmp_path: Path):
+def test_browser_draws_matrix_and_finds_pair(crossplay: Path, tmp_path: Path):
     page_of(crossplay, tmp_path)
     robot, human = (f"{team_id(teams(12, ('ippo', 'isac'), ('d1', 'd9'))[i])}" for i in (3, 7))
     pair = urlencode({"robot": f"{robot}/robot", "human": f"{human}/human"})
@@ -390,7 +382,7 @@ def film_of(page: str) -> dict[str, Any] | None:
 
 
 @pytest.mark.slow
-def test_a_film_is_of_the_episode_that_the_manifest_names(crossplay: Path, tmp_path: Path):
+def test_film_command_matches_manifest(crossplay: Path, tmp_path: Path):
     """Not of what somebody typed: from Python, nothing was."""
     film = {"command": "assistax-zoo render --task scratch --seed 5", "preferences": {}}
     assert film_of(page_of(crossplay, tmp_path)) == film
@@ -426,9 +418,7 @@ def browser() -> Generator[Browser]:
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_a_held_pair_has_its_address_and_the_command_that_films_it(
-    browser: Browser, crossplay: Path, tmp_path: Path
-):
+def test_held_pair_has_address_and_command(browser: Browser, crossplay: Path, tmp_path: Path):
     page_of(crossplay, tmp_path)
     page = browser.new_page(viewport={"width": 1280, "height": 1400})
     page.goto((tmp_path / "report.html").as_uri())
@@ -460,7 +450,7 @@ def test_a_held_pair_has_its_address_and_the_command_that_films_it(
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_find_scrolls_to_what_it_finds_and_enter_to_the_next(browser: Browser, tmp_path: Path):
+def test_find_scrolls_to_matches(browser: Browser, tmp_path: Path):
     population = teams(120, ("ippo", "isac"), ("d1", "d9"))
     table = episode_table(clustered_matrix(120, 3)[:, :, None], population, population)
     folder = tmp_path / "large"

@@ -52,7 +52,7 @@ def play(robot: str, out: Path, **options: Any) -> list[float]:
 
 
 @pytest.mark.slow
-def test_a_helper_that_is_loaded_late_is_not_reused_changed(folder: Path) -> None:
+def test_changed_late_helper_is_not_reused(folder: Path) -> None:
     (folder / "mine.py").write_text(LAZY % 2)
     (folder / "helper.py").write_text("GAIN = -0.5\n")
     first = play("python:mine.py:make", folder / "out")
@@ -76,7 +76,7 @@ def test_a_declared_helper_is_of_the_digest(folder: Path) -> None:
         play("python:mine.py:make", folder / "out")
 
 
-def test_parts_of_a_helper_that_changed_are_not_joined(folder: Path) -> None:
+def test_parts_of_changed_helper_stay_apart(folder: Path) -> None:
     (folder / "mine.py").write_text(LAZY % 2)
     (folder / "helper.py").write_text("GAIN = -0.5\n")
 
@@ -121,7 +121,7 @@ def test_a_file_that_changes_during_play_is_named(folder: Path, name: str) -> No
     assert play("python:mine.py:make", folder / "out") and not part.exists()  # it goes on
 
 
-def test_a_policy_file_that_changes_during_play_is_named(folder: Path) -> None:
+def test_policy_file_changed_during_play_is_named(folder: Path) -> None:
     path = folder / "own.safetensors"
     write_policy_file(path, ROBOT, params_of(ROBOT, 7))
 
@@ -198,7 +198,7 @@ def test_what_a_robot_answers_by_is_found(name: str) -> None:
     assert str(np.random.get_state()) == chance
 
 
-def test_notes_of_a_received_manifest_are_our_own_words() -> None:
+def test_received_notes_use_own_words() -> None:
     egos = Roster((HostEgo("host", lambda obs: obs),), {"host": Member("host", "0")})
     for about in (None, [], {"varies": 3, "loaded": []}, {"varies": {"host": "<b>", "x": "rows"}}):
         assert robot_notes(about, egos) == []

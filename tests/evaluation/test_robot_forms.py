@@ -81,12 +81,12 @@ def test_state_and_resets_arrive() -> None:
 
 
 @pytest.mark.parametrize("robot", [3, None, (1, 2), MODULE])
-def test_what_is_no_robot_is_told_what_one_is(robot: Any) -> None:
+def test_unknown_form_error_lists_forms(robot: Any) -> None:
     with pytest.raises(TypeError, match="is not a robot; expected a callable from observations"):
         as_robot(robot)
 
 
-def test_a_torch_module_is_a_robot_in_evaluation_mode_on_one_thread(
+def test_torch_module_evaluates_on_one_thread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
@@ -115,7 +115,7 @@ def test_a_torch_module_is_a_robot_in_evaluation_mode_on_one_thread(
 
 
 @pytest.mark.parametrize("name", ["act", "predict", "reset"])
-def test_a_layer_of_torch_that_is_called_like_a_method_is_none(name: str) -> None:
+def test_torch_layer_named_act_is_no_method(name: str) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
 
     class Net(torch.nn.Module):
@@ -131,7 +131,7 @@ def test_a_layer_of_torch_that_is_called_like_a_method_is_none(name: str) -> Non
     np.testing.assert_allclose(robot(OBS), np.tanh(OBS), rtol=1e-6)
 
 
-def test_a_torch_module_with_its_own_act_is_in_evaluation_mode() -> None:
+def test_torch_module_with_act_is_evaluated() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
 
     class Net(torch.nn.Module):
@@ -141,7 +141,7 @@ def test_a_torch_module_with_its_own_act_is_in_evaluation_mode() -> None:
     np.testing.assert_array_equal(as_robot(Net())(OBS), OBS)
 
 
-def test_a_user_who_says_how_many_threads_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thread_setting_of_user_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch, where it is installed")
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     before = torch.get_num_threads()

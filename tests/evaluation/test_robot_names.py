@@ -46,7 +46,7 @@ def test_every_form_is_read(text: str, parts: tuple) -> None:
         ("python:mod:make?weights", "unreadable arguments"),
     ],
 )
-def test_what_is_no_reference_says_what_it_may_have_been(text: str, message: str) -> None:
+def test_unknown_reference_gets_suggestion(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         parse_reference(text)
 

@@ -83,7 +83,7 @@ def test_discounting_force_and_success_follow_their_definitions():
     assert tally.success.tolist() == [[[False] * 3], [[True] * 3]]  # (1, 1) at the second step only
 
 
-def test_behaviour_is_summed_over_the_joints_and_steps_of_each_role():
+def test_behaviour_is_summed_per_role():
     tally = play(robots(-0.5), humans(0.5))
     np.testing.assert_allclose(tally.travel["robot"], 4 * (0.5 + 0.5))
     np.testing.assert_allclose(tally.travel["human"], 4 * 0.25)
@@ -163,7 +163,7 @@ def test_the_disability_check_sees_one_setting_for_all():
     assert not carries_its_own_setting(strengths(wrong.state, layout.block))
 
 
-def test_a_broken_episode_earns_nothing_from_then_on_and_is_marked():
+def test_nonfinite_episode_earns_nothing_afterwards():
     tally = play(robots(-0.5), humans(-0.5), env=MatrixGame(broken_from=2))
     np.testing.assert_allclose(tally.terms["payoff"], 2 * PAYOFF[0, 0])
     assert tally.nonfinite.all()
@@ -223,7 +223,7 @@ def play_stacks(
 
 @pytest.mark.slow_for("stochastic")
 @pytest.mark.parametrize("options", [{}, {"stochastic": True}, {"series": 2}], ids=str)
-def test_a_block_of_several_networks_is_what_each_two_of_them_give(options: dict[str, Any]):
+def test_mixed_block_equals_single_networks(options: dict[str, Any]):
     whole = play_stacks(*SEVERAL, THEIR_SETTINGS, **options)
     assert whole.returns.shape == (5, 5, 4)
     assert len(np.unique(whole.returns)) > 10
@@ -241,7 +241,7 @@ def test_a_block_of_several_networks_is_what_each_two_of_them_give(options: dict
         )
 
 
-def test_pairs_of_several_networks_are_each_robot_with_its_own_human():
+def test_paired_block_equals_own_pairs():
     own = play_stacks(*SEVERAL, THEIR_SETTINGS, paired=True)
     every = play_stacks(*SEVERAL, THEIR_SETTINGS)
     assert own.returns.shape == (1, 5, 4)
@@ -250,7 +250,7 @@ def test_pairs_of_several_networks_are_each_robot_with_its_own_human():
     assert len(np.unique(diagonal)) > 10
 
 
-def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role():
+def test_drawn_actions_depend_on_episode_step_role():
     env = MatrixGame(episode_length=1)
     tally = play(robots(0.0, 0.0), humans(0.0, 0.0), episodes=64, env=env, stochastic=True)
     force = tally.force_sum - 1  # |the robot's second action|
@@ -274,7 +274,7 @@ def test_drawn_actions_are_common_to_pairs_and_differ_by_episode_step_and_role()
     )
 
 
-def test_drawn_actions_are_a_partners_own_where_its_episodes_are():
+def test_own_episodes_draw_own_actions():
     env = MatrixGame(episode_length=1)
     seeds = np.arange(128).reshape(2, 64)
     own = play(robots(0.0, 0.0), humans(0.0, 0.0), seeds=seeds, env=env, stochastic=True).force_sum

@@ -81,7 +81,7 @@ def check(
     )
 
 
-def test_whole_teams_are_replayed_and_every_policy_is_stepped(registry: Registry) -> None:
+def test_complete_teams_are_replayed(registry: Registry) -> None:
     told: list[int] = []
     report = check(registry, on_progress=told.append)
     assert report.ok and report.policies == 9 and sum(told) == 4 and report.backend == "jax"
@@ -115,7 +115,7 @@ def test_another_return_is_a_problem_of_its_team(registry: Registry) -> None:
     }
 
 
-def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
+def test_failing_team_plays_more_episodes(
     registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     play, calls = self_play_check.play, []
@@ -135,7 +135,7 @@ def test_a_team_whose_few_episodes_hold_a_failure_is_judged_by_more(
 
 
 @pytest.mark.parametrize(("every", "ok"), [(8, True), (1, False)])
-def test_rare_episodes_that_were_not_recorded_are_no_difference(
+def test_rare_episodes_are_no_difference(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, every: int, ok: bool
 ) -> None:
     """One episode in eight, or each, earns ten times as much; of the recorded ones none did."""
@@ -151,7 +151,7 @@ def test_rare_episodes_that_were_not_recorded_are_no_difference(
     assert team.ok is ok and team.episodes == 32
 
 
-def test_a_drift_of_all_teams_is_found_where_each_alone_would_pass(registry: Registry) -> None:
+def test_common_drift_is_found(registry: Registry) -> None:
     """Physics that gives 3.8 % less to everyone."""
     data = json.loads(registry.path.read_text())
     for team in data["teams"].values():
@@ -177,7 +177,7 @@ def test_every_team_plays_under_its_own_disability(registry: Registry) -> None:
     np.testing.assert_allclose(seen[0], [1.0, 1.0, 0.4, 0.4], rtol=1e-6)
 
 
-def test_damage_and_misfits_are_problems_and_the_others_are_replayed(registry: Registry) -> None:
+def test_damaged_policies_are_problems(registry: Registry) -> None:
     lone = registry.policy("scratch/ippo-d1-s4-v0/robot")
     path = registry.shard_path(lone.shard)
     path.write_bytes(path.read_bytes()[:-1])
@@ -190,7 +190,7 @@ def test_damage_and_misfits_are_problems_and_the_others_are_replayed(registry: R
     )
 
 
-def test_parameters_that_are_not_of_their_spec_are_a_problem(tmp_path: Path) -> None:
+def test_misshapen_parameters_are_a_problem(tmp_path: Path) -> None:
     team = trained(0)
     human = {name: value for name, value in team.params["human"].items() if name != "Dense_1"}
     team = dataclasses.replace(team, params={**team.params, "human": human})
@@ -201,7 +201,7 @@ def test_parameters_that_are_not_of_their_spec_are_a_problem(tmp_path: Path) -> 
     assert "cannot be stepped" in report.problems[0] and report.teams == ()
 
 
-def test_teams_of_another_environment_version_are_stepped_and_named_not_replayed(
+def test_other_version_teams_are_only_stepped(
     tmp_path: Path,
 ) -> None:
     teams = [
@@ -227,7 +227,7 @@ def test_the_tolerance_is_the_documented_one() -> None:
 
 
 @pytest.mark.slow
-def test_a_team_of_release_v0_gives_its_recorded_return() -> None:
+def test_team_of_v0_reproduces_record() -> None:
     registry = load_registry(ROOT / "registry.json")
     entries = registry.select("scratch/ippo-d1-s0-v0")
     report = check_self_play(registry, entries, episodes=2)

@@ -70,7 +70,7 @@ def played(job: Job, max_envs: int = 64) -> pl.DataFrame:
     return in_order(play(MatrixGame(), job, max_envs), job)
 
 
-def test_a_robot_counts_its_episodes_and_the_human_forgets_them() -> None:
+def test_robot_remembers_series_and_human_forgets() -> None:
     table = played(job_of(counting(ROBOT), counting(HUMAN), series=3))
     assert sorted(table["place"]) == [1, 1, 2, 2, 3, 3]
     row = (table["place"].to_numpy() > 1).astype(int)
@@ -95,7 +95,7 @@ def test_summary_has_the_return_in_each_place(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-def test_a_feed_forward_robot_plays_as_without_and_a_recurrent_one_does_not() -> None:
+def test_series_change_only_recurrent_robots() -> None:
     def pair(spec: PolicySpec) -> tuple[pl.DataFrame, pl.DataFrame]:
         egos, partners = random_roster(spec, 2, 1), random_roster(HUMAN, 3, 2)
         together = played(job_of(egos, partners, series=3))
@@ -121,7 +121,7 @@ def test_values_do_not_depend_on_the_tile(monkeypatch: pytest.MonkeyPatch) -> No
     assert few.equals(whole.filter(pl.col("episode") < 4))  # more series extend fewer
 
 
-def test_a_robot_from_outside_is_reset_when_a_series_starts() -> None:
+def test_outside_robot_is_reset_per_series() -> None:
     class Host:
         told: list[int] = []  # noqa: RUF012
 
@@ -153,7 +153,7 @@ def test_what_is_clipped_is_counted_at_its_place() -> None:
     assert set(table.select("place", "clipped").rows()) == {(1, 0.0), (2, 1.0), (3, 1.0)}
 
 
-def test_each_partner_begins_with_another_start_and_stays_one_person() -> None:
+def test_partners_begin_series_at_different_starts() -> None:
     names = [f"matrix/hand-d1-s{seed}-v0/human" for seed in range(60)]
     job = job_of(robots(0.5), episodes=15, series=5, preferences=("p1", "p5", "p9"))
     order = job.order(names, 15)
@@ -165,7 +165,7 @@ def test_each_partner_begins_with_another_start_and_stays_one_person() -> None:
     assert all(sorted(row[:, 0]) == ["p1", "p5", "p9"] for row in wishes)
 
 
-def test_the_identity_knows_of_series_only_where_there_are_any() -> None:
+def test_identity_has_series_only_if_used() -> None:
     job = job_of(robots(0.5))
     assert "series" not in job.identity()
     assert dataclasses.replace(job, series=3).identity() == {**job.identity(), "series": 3}

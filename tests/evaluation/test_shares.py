@@ -20,7 +20,7 @@ from tests.evaluation.test_evaluator import make_job, mixed_job
 ROOT = Path(__file__).parents[2]
 
 
-def test_blocks_of_several_hosts_merge_to_the_table_of_one_run(tmp_path: Path):
+def test_blocks_merge_to_single_run_table(tmp_path: Path):
     job, whole = mixed_job(), run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     hosts = [tmp_path / f"host{i}" for i in range(3)]
     done = [run_share(MatrixGame(), job, hosts[i], (i + 1, 3), max_envs=7) for i in (2, 0, 1)]
@@ -100,7 +100,7 @@ def test_a_lock_ends_with_its_process(tmp_path: Path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_killed_at_any_moment_a_run_resumes_to_the_same_bytes(tmp_path: Path, seed: int):
+def test_killed_run_resumes_to_same_bytes(tmp_path: Path, seed: int):
     """SIGKILL from outside, at a moment drawn between the first part and the last."""
     script = (
         "import sys\nfrom pathlib import Path\n"

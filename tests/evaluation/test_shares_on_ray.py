@@ -36,9 +36,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_crossplay_on_ray_is_that_of_a_single_run_byte_for_byte(
-    published: Path, tmp_path: Path, capfd: Any
-):
+def test_crossplay_on_ray_equals_single_run(published: Path, tmp_path: Path, capfd: Any):
     words = [
         "crossplay",
         "--task",

@@ -158,7 +158,7 @@ def verified(path: Path) -> bool:
         return False
 
 
-def test_a_check_that_believes_the_shards_would_be_caught(
+def test_planted_defect_unhashed_shards_are_caught(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The planted defect: parameters that nobody holds against their hash."""
@@ -171,7 +171,7 @@ def test_a_check_that_believes_the_shards_would_be_caught(
     path.write_bytes(whole)
 
 
-def test_what_is_not_here_is_told_and_no_problem(home: Path, tmp_path: Path) -> None:
+def test_absent_sources_are_no_problem(home: Path, tmp_path: Path) -> None:
     """A received folder: of another machine, whose files and zoo are not this one's."""
     folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
     resealed(folder, registry="/gone/registry.json", files={"/gone/weights.npy": "0" * 64})
@@ -180,7 +180,7 @@ def test_what_is_not_here_is_told_and_no_problem(home: Path, tmp_path: Path) -> 
     assert "weights.npy" in report.absent[0] and "policies of '/gone/" in report.absent[1]
 
 
-def test_a_received_manifest_cannot_make_us_wait_or_read_on(home: Path, tmp_path: Path) -> None:
+def test_received_manifest_reading_is_bounded(home: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
     os.mkfifo(tmp_path / "pipe")
     names = ["/dev/zero", str(tmp_path / "pipe"), str(tmp_path), "x\0y", "\x1b[31m" * 1000]
@@ -202,7 +202,7 @@ def test_what_the_kernel_makes_up_is_not_read(home: Path, tmp_path: Path) -> Non
     assert report.problems == () and len(report.absent) == len(names) + 1
 
 
-def test_a_file_that_is_named_often_is_read_once(
+def test_repeated_file_is_read_once(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
@@ -219,7 +219,7 @@ def test_a_file_that_is_named_often_is_read_once(
     assert len(check_sources(folder).absent) == 40
 
 
-def test_a_registry_that_came_with_the_folder_is_not_believed(home: Path, tmp_path: Path) -> None:
+def test_registry_inside_folder_is_ignored(home: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
     zoo = Path(shutil.copytree(home / "zoo", folder / "zoo"))
     resealed(folder, registry=str((zoo / "registry.json").resolve()))
@@ -242,7 +242,7 @@ def test_the_registry_is_the_one_that_is_given(home: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_folder_of_code_files_and_a_cross_play_is_replayed_with_them(
+def test_folder_of_code_and_crossplay_is_replayed(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its best responses rest on the cross-play, which is checked as well."""
@@ -281,9 +281,7 @@ def evaluated(home: Path, robot: str, folder: Path) -> list[float]:
 
 
 @pytest.mark.slow
-def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
-    home: Path, tmp_path: Path
-) -> None:
+def test_changed_weights_are_not_answered_from_folder(home: Path, tmp_path: Path) -> None:
     """With the files declared it is another robot; undeclared, it may be, and is refused too."""
     robot, _ = write_robots(tmp_path / "mine")
     weights = tmp_path / "mine" / "weights.npy"
@@ -304,7 +302,7 @@ def test_a_robot_whose_weights_changed_is_not_answered_from_a_finished_folder(
     assert evaluated(home, robot, tmp_path / "elsewhere") == first != second
 
 
-def test_leaves_are_compared_by_name_and_what_cannot_be_read_says_why() -> None:
+def test_leaves_have_hashes_or_errors() -> None:
     """The one comparison of files, policies and a registry's entries."""
     here: dict[str, Any] = {"whole": "a", "other": "b", "absent": None}
 

@@ -33,7 +33,7 @@ def planted() -> pl.DataFrame:
     )
 
 
-def test_planted_groups_of_behaviour_are_found_with_a_member_as_medoid():
+def test_planted_behaviour_groups_are_found():
     strategies = summarise_strategies(planted())
     assert json.loads(json.dumps(strategies, allow_nan=False)) == strategies
     groups = [

@@ -52,7 +52,7 @@ def test_evaluation_has_the_promised_figures_and_is_json():
         assert figures[name] == getattr(CONTEXT, name)
 
 
-def test_groups_and_the_worst_partner_are_about_the_test_partners():
+def test_groups_use_test_partners():
     table = evaluation_table()
     figures = summarised(table)
     test = table.filter(side="test")
@@ -79,7 +79,7 @@ def test_only_training_partners_leave_m_test_empty():
     assert figures["m_train"]["n"] == 12
 
 
-def test_one_ego_and_one_episode_are_said_to_be_so():
+def test_single_ego_and_episode_are_noted():
     figures = summarised(evaluation_table(egos=1, k=1))
     assert figures["m_test"]["generalises_to"] == "partners"
     assert figures["cvar_10"] is None
@@ -115,7 +115,7 @@ def test_nonfinite_episodes_are_counted_and_never_left_out():
     assert derived.partner_table(recorded(table))["nonfinite"].sum() == 3
 
 
-def test_egos_from_outside_the_zoo_are_seeds_of_one_method():
+def test_outside_egos_are_seeds_of_method():
     returns = np.random.default_rng(0).normal(500, 50, (2, 12, 2))
     table = episode_table(returns, ["a.safetensors", "b.safetensors"], PARTNERS, SIDES)
     figures = summarised(table)
@@ -144,7 +144,7 @@ def test_crossplay_of_the_matrix_game():
     assert json.loads(json.dumps(content, allow_nan=False)) == content
 
 
-def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
+def test_crossplay_order_keeps_diagonal():
     population = teams(12)
     matrix = clustered_matrix(12, 3)
     shuffled = np.random.default_rng(0).permutation(12)
@@ -160,7 +160,7 @@ def test_crossplay_keeps_self_play_on_the_diagonal_of_the_shared_order():
     assert [len(cluster["members"]) for cluster in order["teams"]["clusters"]] == [4, 4, 4]
 
 
-def test_a_matrix_of_one_robot_is_of_one_team():
+def test_single_robot_matrix_has_one_team():
     table = episode_table(np.zeros((1, 20, 1)), teams(1), teams(20))
     notes = summary.summarise_crossplay(recorded(table), CONTEXT).notes
     assert any(note.startswith("1 team: intervals over fewer than 16") for note in notes)
@@ -173,7 +173,7 @@ def test_other_teams_on_the_axes_share_no_order():
     assert (len(order["rows"]["order"]), len(order["columns"]["order"])) == (2, 3)
 
 
-def test_comparison_is_paired_and_refuses_other_partners_or_keys():
+def test_comparison_refuses_other_partners_or_keys():
     table = evaluation_table()
     better = table.with_columns(pl.col("return") + 10.0)
     comparison = summarise_comparison(recorded(better), recorded(table))
@@ -191,7 +191,7 @@ def test_comparison_is_paired_and_refuses_other_partners_or_keys():
         summarise_comparison(recorded(better.with_columns(pl.col("key") + 1)), recorded(table))
 
 
-def test_starts_of_each_partners_own_are_in_the_interval_without_being_resampled():
+def test_own_starts_are_inside_interval():
     rng = np.random.default_rng(0)
     returns = rng.normal(size=(4, 12, 9)) + 5 * rng.normal(size=9)
     common = episode_table(returns, teams(4), teams(12), ["test"] * 12)
@@ -229,7 +229,7 @@ def test_saved_folders_hold_what_is_printed(tmp_path: Path):
     assert set(tables.read_json(tmp_path / "x" / tables.ORDER_FILE)) >= {"rows", "columns", "teams"}
 
 
-def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
+def test_training_partners_are_kept_not_counted(tmp_path: Path):
     """Of twelve partners one is the second ego's own: with it, every figure would be another."""
     table = evaluation_table(egos=1)
     own = f"{team_id(PARTNERS[0])}/human"
@@ -255,7 +255,7 @@ def test_partners_trained_with_an_ego_are_kept_but_not_counted(tmp_path: Path):
         derived.save_evaluation(Record(alone, tmp_path / "none"), CONTEXT)
 
 
-def test_the_validation_side_has_a_figure_of_its_own():
+def test_validation_side_has_own_figure():
     table = evaluation_table(egos=2)
     sides = dict(table.select("partner", "side").unique().rows())
     some = sorted(name for name, side in sides.items() if side == "test")[:2]

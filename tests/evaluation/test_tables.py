@@ -24,7 +24,7 @@ def small(k: int = 2) -> pl.DataFrame:
     return episode_table(np.arange(6.0 * k).reshape(2, 3, k), teams(2), teams(3))
 
 
-def test_every_return_is_put_in_its_cell_whatever_the_order_of_rows():
+def test_layout_ignores_order_of_rows():
     returns = np.random.default_rng(0).normal(size=(3, 4, 5))
     block = lay_out(
         episode_table(returns, teams(3), teams(4)).sample(fraction=1.0, shuffle=True, seed=1)
@@ -37,7 +37,7 @@ def test_every_return_is_put_in_its_cell_whatever_the_order_of_rows():
     assert block.common_starts
 
 
-def test_seeds_are_ordered_as_numbers_and_external_egos_come_last():
+def test_seeds_sort_as_numbers():
     egos = ["mine", ("ippo", "d1", 10), ("ippo", "d1", 9)]
     block = lay_out(episode_table(np.zeros((3, 1, 1)), egos, teams(1)))
     assert block.egos["ego"].to_list() == [
@@ -54,7 +54,7 @@ def test_keys_that_differ_between_pairs_are_noticed():
     assert lay_out(table).keys is None
 
 
-def test_starts_of_each_partners_own_are_told_from_common_ones():
+def test_own_and_common_starts_are_distinguished():
     own = small().with_columns(key=pl.col("key") + 10 * pl.col("partner_seed"))
     block = lay_out(own)
     assert block.keys is not None
@@ -124,7 +124,7 @@ def test_two_descriptions_of_one_partner_are_refused():
         ),
     ],
 )
-def test_a_malformed_table_is_refused_with_what_is_wrong(change, message: str):
+def test_malformed_table_error_names_fault(change, message: str):
     with pytest.raises(ValueError, match=message):
         validate_episodes(change(small()))
 
@@ -140,13 +140,13 @@ def test_parquet_gives_the_table_back(tmp_path: Path):
     assert [file.name for file in path.parent.iterdir()] == [tables.EPISODES_FILE]
 
 
-def test_a_table_without_columns_of_behaviour_is_still_read(tmp_path: Path):
+def test_table_without_behaviour_is_read(tmp_path: Path):
     old = small().drop(BEHAVIOUR)
     tables.write_episodes(old, tmp_path / tables.EPISODES_FILE)
     assert pair_table(Record.read(tmp_path)).height > 0
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path):
+def test_failed_write_keeps_old_file(tmp_path: Path):
     path = tmp_path / "file.json"
     tables.write_json({"a": 1}, path)
     with pytest.raises(ValueError, match="JSON compliant"):
@@ -182,9 +182,7 @@ def test_pair_table_averages_the_episodes_of_a_pair():
     assert pairs["ego_seed"].to_list() == [0, 0, 0, 1, 1, 1]
 
 
-def test_a_full_disk_is_called_so_and_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_full_disk_error_keeps_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / tables.EPISODES_FILE
     tables.write_episodes(small(), path)
 
@@ -197,7 +195,7 @@ def test_a_full_disk_is_called_so_and_leaves_the_old_file(
     assert tables.read_episodes(path).height == small().height
 
 
-def test_tables_are_readable_on_a_machine_of_many_cores(
+def test_tables_are_readable_with_many_cores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Polars would start a thread a core, each with addresses of its own, beyond the limit."""
@@ -237,7 +235,7 @@ def outcomes(path: Path, reader: str, places: Sequence[int]) -> tuple[int, list[
 
 
 @pytest.mark.slow
-def test_a_panic_or_an_abort_of_the_reader_is_a_damaged_file(tmp_path: Path):
+def test_reader_panic_is_a_damaged_file(tmp_path: Path):
     """Real ones, of Polars' Rust: of the first eight bits that are fields' headers of a page.
 
     A panic is no Exception and passes every handler; an abort asks none.
@@ -295,7 +293,7 @@ def test_a_small_file_that_claims_gigabytes_is_refused(tmp_path: Path):
     assert tables.read_parquet(path).shape == (200_000, 40)
 
 
-def test_ctrl_c_in_the_reader_is_no_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_interrupted_reader_is_no_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def read(path: Path, *, glob: bool) -> None:
         raise KeyboardInterrupt
 

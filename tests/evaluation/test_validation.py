@@ -29,7 +29,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_split_of_two_sides_is_refused_before_training(tmp_path: Path, capsys) -> None:
+def test_split_without_validation_is_refused_early(tmp_path: Path, capsys) -> None:
     words = ["train-ego", "--task", "scratch", "--split", "half-s0-v0", "--validate", "2"]
     assert run([*words, "--out", str(tmp_path / "run")]) == 1
     assert "has no validation side, by which checkpoints" in capsys.readouterr().err

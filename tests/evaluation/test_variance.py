@@ -58,7 +58,7 @@ def test_components_are_those_that_were_drawn(true: Spread, own: bool):
     assert np.abs(np.mean(found, axis=0) - expected).max() < allowed
 
 
-def test_own_partners_that_are_not_left_out_are_interaction():
+def test_planted_defect_own_partners_are_interaction():
     returns = drawn(np.random.default_rng(1), Spread(5.0, 5.0, 0.0, 5.0), (12, 12, 3))
     returns[np.arange(12), np.arange(12)] += 100.0
     counted, left = (
@@ -70,7 +70,7 @@ def test_own_partners_that_are_not_left_out_are_interaction():
     assert counted.interaction_index > 0.9 and left.interaction_index < 0.1
 
 
-def test_the_interaction_test_holds_its_level_and_finds_what_there_is():
+def test_interaction_test_holds_level_and_power():
     rng = np.random.default_rng(3)
 
     def shares(pairs: float) -> float:
@@ -82,7 +82,7 @@ def test_the_interaction_test_holds_its_level_and_finds_what_there_is():
     assert shares(30.0) > 0.9
 
 
-def test_one_robot_or_one_episode_has_no_components_or_no_test():
+def test_single_robot_or_episode_lacks_components():
     returns = np.arange(12.0).reshape(2, 3, 2)
     assert variance_components(returns[:1]) is None
     assert variance_components(returns, np.eye(2, 3, dtype=bool)) is None
@@ -99,7 +99,7 @@ def test_a_mean_test_of_one_partner_is_welchs():
     assert found.freedom == pytest.approx(welch.df)
 
 
-def test_a_mean_test_of_one_seed_each_is_the_paired_one():
+def test_mean_test_of_single_seeds_is_paired():
     rng = np.random.default_rng(4)
     a, b = rng.normal(3, 1, (1, 12)), rng.normal(2, 1, (1, 12))
     assert mean_test(a, b).p == pytest.approx(stats.ttest_rel(a[0], b[0]).pvalue)
