@@ -166,9 +166,7 @@ def test_of_a_single_seed_only_partners_are_resampled():
 
 
 def test_wrong_use_is_refused():
-    with pytest.raises(
-        ValueError, match=r"shape \(2, 3, 4, 5\); expected \[seeds, partners\].*not seeds"
-    ):
+    with pytest.raises(ValueError, match=r"shape \(2, 3, 4, 5\).*partners\].*not seeds"):
         bootstrap.estimate(np.zeros((2, 3, 4, 5)))
 
 

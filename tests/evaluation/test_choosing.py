@@ -53,10 +53,7 @@ def test_unwritable_cache_error_names_variable(tmp_path: Path) -> None:
 def test_other_version_error_names_fitting_releases() -> None:
     registry = load_registry()
     assert env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v1")) == 2
-    with pytest.raises(
-        RegistryVersionError,
-        match=r"version 2 .* trained on version 1; .* partners of version 2: split arm_assist/",
-    ):
+    with pytest.raises(RegistryVersionError, match=r"version 1; .* 2: split arm_assist/"):
         env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v0"))
 
 
@@ -93,10 +90,7 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
     assert (
         choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
     )  # of both releases
-    with pytest.raises(
-        ValueError,
-        match=r"none of the partners that match \(8\) is on the train or test side of .*half-s0-v1",
-    ):
+    with pytest.raises(ValueError, match=r"\(8\) is on the train or test side of .*half-s0-v1"):
         choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
 
 

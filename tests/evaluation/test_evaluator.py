@@ -425,10 +425,7 @@ def test_max_envs_below_one_is_refused(tmp_path: Path):
 
 def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
     other = random_roster(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
-    with pytest.raises(
-        ValueError,
-        match=r"observations of 47 numbers; the robot of task matrix has 3: .*another task",
-    ):
+    with pytest.raises(ValueError, match=r"47 numbers; .* task matrix has 3: .*another task"):
         run_job(MatrixGame(), make_job(other), tmp_path)
     with pytest.raises(ValueError, match="plays the human, not the robot"):
         run_job(MatrixGame(), make_job(humans(0.5)), tmp_path)
@@ -493,9 +490,7 @@ def test_host_ego_error_names_partner_and_step(tmp_path: Path):
             raise RuntimeError("boom")
         return np.zeros((len(obs), 2))
 
-    with pytest.raises(
-        EgoError, match=r"python:mine:robot with matrix/.*s1-v0/human, step 2: RuntimeError: boom"
-    ):
+    with pytest.raises(EgoError, match=r"mine:robot with .*s1-v0/human, step 2: .*: boom"):
         run_job(MatrixGame(), make_job(host(breaks)), tmp_path, max_envs=3)
     assert len(list((tmp_path / PARTS_FOLDER).glob("part-*"))) == 1
     finished = run_job(
@@ -510,9 +505,7 @@ def test_memory_error_advises_smaller_chunks(tmp_path: Path, monkeypatch: pytest
 
     with monkeypatch.context() as patch:
         patch.setattr("population.play.rollout.Rollout.run", exhausted)
-        with pytest.raises(
-            ValueError, match="out of memory with 18 simulations; give 9 or less as max_envs"
-        ):
+        with pytest.raises(ValueError, match="18 simulations; give 9 or less as max_envs"):
             run_job(MatrixGame(), make_job(), tmp_path)
     run_job(MatrixGame(), make_job(), tmp_path, max_envs=9)
     assert json.loads((tmp_path / MANIFEST_FILE).read_text())["max_envs"] == 9

@@ -107,17 +107,13 @@ def test_outside_robot_gets_batches_of_one(
 
 
 def test_refusals(registry: Registry, tmp_path: Path):
-    with pytest.raises(
-        ValueError, match="policy 'best' has an unknown form; allowed are an id such as"
-    ):
+    with pytest.raises(ValueError, match="policy 'best' has an unknown form; allowed are an id"):
         seat("best", "robot", registry)
     with pytest.raises(ValueError, match="policy 'python:a:b' cannot play the human"):
         seat("python:a:b", "human", registry)
     with pytest.raises(UnknownIdError, match="nearest: scratch/ippo-d9-s0-v0"):
         seat("zoo:scratch/ippo-d9-s0-v9/robot", "robot", registry)
-    with pytest.raises(
-        UnknownIdError, match="is not one policy: expected the id of one policy, found 4"
-    ):
+    with pytest.raises(UnknownIdError, match="is not one policy: .*, found 4"):
         zoo_partner(registry, "scratch/ippo-*")
     with pytest.raises(ZooError, match="no such file"):
         seat(str(tmp_path / "gone.safetensors"), "robot", registry)
@@ -127,9 +123,7 @@ def test_refusals(registry: Registry, tmp_path: Path):
         seat(str(path), "human", registry)
     other = PolicySpec("robot", observation_size=9, action_size=2, hidden=(4,))
     write_policy_file(path, other, params_of(other, 0))
-    with pytest.raises(
-        ValueError, match="reads observations of 9 numbers; the robot of task scratch has 6"
-    ):
+    with pytest.raises(ValueError, match="9 numbers; the robot of task scratch has 6"):
         seat(str(path), "robot", registry)
     with pytest.raises(ValueError, match=r"got observations \(4,\); expected \[..., 5\]"):
         zoo_partner(registry, "scratch/ippo-d9-s0-v0")(np.zeros(4))

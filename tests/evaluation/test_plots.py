@@ -249,9 +249,7 @@ def test_an_outsider_is_drawn_without_self_play():
     figure = crossplay_heatmap(matrix, content)
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
-    with pytest.raises(
-        ValueError, match="not the same teams, so they share no order; choose 'separate'"
-    ):
+    with pytest.raises(ValueError, match="so they share no order; choose 'separate'"):
         arrange(pairs, "shared")
 
 
@@ -272,9 +270,7 @@ def test_equal_figures_give_equal_files(tmp_path: Path, ending: str):
     begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
     assert paths[0].read_bytes().startswith(begin[ending])
     assert len(list(tmp_path.iterdir())) == 2
-    with pytest.raises(
-        ValueError, match=r"x\.eps ends in '\.eps'; figures are written as \.png, \.pdf, \.svg"
-    ):
+    with pytest.raises(ValueError, match=r"x\.eps ends in '\.eps'; figures are written as \.png"):
         style.save_figure(Figure(), tmp_path / "x.eps")
 
 

@@ -67,9 +67,7 @@ def test_own_and_common_starts_are_distinguished():
 
 
 def test_missing_and_doubled_episodes_are_refused():
-    with pytest.raises(
-        ValueError, match=r"1 of 12 episodes .*s1-v0/robot .* episode 1: found 0 times"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 12 .*s1-v0/robot .* episode 1: found 0 times"):
         lay_out(small()[:-1])
     with pytest.raises(ValueError, match=r"s0-v0/human, episode 0: found 2 times"):
         lay_out(pl.concat([small(), small()[:1]]))
@@ -82,10 +80,7 @@ def test_two_descriptions_of_one_partner_are_refused():
         .otherwise("partner_disability")
         .alias("partner_disability")
     )
-    with pytest.raises(
-        ValueError,
-        match=r"partner scratch/ippo-d1-s2-v0/human has several values of partner_disability",
-    ):
+    with pytest.raises(ValueError, match=r"d1-s2-v0/human has several values of partner_dis"):
         lay_out(table)
 
 
@@ -165,9 +160,7 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path):
         tables.read_json(tmp_path / "gone.json")
     for name, read in (("bad.parquet", tables.read_parquet), ("bad.json", tables.read_json)):
         (tmp_path / name).write_text("garbage that is neither")
-        with pytest.raises(
-            ValueError, match=rf"{name} is not (a )?readable .*; delete it and run again"
-        ):
+        with pytest.raises(ValueError, match=rf"{name} is not (a )?readable .*; delete it and run"):
             read(tmp_path / name)
 
 
