@@ -22,9 +22,8 @@ class Clustering:
     order: np.ndarray  # [n] indices from first to last leaf
     labels: np.ndarray  # [n] cluster of each, numbered from 0 along `order`
     medoids: np.ndarray  # [clusters] index of each cluster's member nearest to all its others
-    silhouette: (
-        float | None
-    )  # of the best cut, even if it was too low to be taken; None if none is possible
+    # Of the best cut, even if it was too low to be taken; None if none is possible.
+    silhouette: float | None
     linkage: np.ndarray  # [n - 1, 4] as SciPy has it, leaves ordered
 
     def to_json(self, names: list[str]) -> dict:
@@ -65,9 +64,8 @@ def cluster_profiles(profiles: np.ndarray) -> Clustering:
     linkage = optimal_leaf_order(hierarchy.average(condensed), distances)
     order = hierarchy.leaves_list(linkage)
     first, last = np.array_split(profiles.mean(axis=1)[order], 2)
-    if (
-        first.mean() < last.mean()
-    ):  # an order and its reverse are equally good: begin with the higher returns
+    # An order and its reverse are equally good: begin with the higher returns.
+    if first.mean() < last.mean():
         linkage[:, :2] = linkage[:, 1::-1]
         order = order[::-1]
     labels, score = _best_cut(linkage, distances)
@@ -213,9 +211,8 @@ def optimal_leaf_order(linkage: np.ndarray, distances: np.ndarray) -> np.ndarray
         best.append(np.block([[apart_a, across], [across.T, apart_b]]))
     ordered = linkage.copy()
     row, column = np.unravel_index(best[-1].argmin(), best[-1].shape)
-    ends = [
-        (len(linkage) - 1 + n, int(row), int(column))
-    ]  # nodes whose first and last leaf are decided
+    # Nodes whose first and last leaf are decided.
+    ends = [(len(linkage) - 1 + n, int(row), int(column))]
     while ends:
         node, first, last = ends.pop()
         if node < n:
@@ -264,10 +261,8 @@ def _best_cut(linkage: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, f
     if not cuts:
         return np.zeros(n, int), None
     scores = [silhouette(labels, distances) for labels in cuts]
-    score, labels = (
-        max(scores),
-        cuts[int(np.argmax(scores))],
-    )  # of equal ones that with the fewest clusters
+    # Among equal scores, the fewest clusters.
+    score, labels = (max(scores), cuts[int(np.argmax(scores))])
     return (labels if score >= MIN_SILHOUETTE else np.zeros(n, int)), score
 
 

@@ -142,9 +142,8 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
     steps = int(played["steps"][0])
     assert paid[SCRIPT, partners.ids[0]] == pytest.approx(steps * PAYOFF[1, 0])
     assert paid[SCRIPT, partners.ids[1]] == pytest.approx(steps * PAYOFF[1, 1])
-    assert paid[SCRIPT, PASSIVE] == pytest.approx(
-        steps * PAYOFF[1, 0]
-    )  # an action of 0 is column 0
+    # An action of 0 is column 0.
+    assert paid[SCRIPT, PASSIVE] == pytest.approx(steps * PAYOFF[1, 0])
     assert paid[job.egos.ids[1], PASSIVE] == pytest.approx(steps * PAYOFF[0, 0])
     means = {pair: float(rows["return"].mean()) for pair, rows in luck.items()}
     assert shown.script and shown.passive_human and shown.script_with_passive_human

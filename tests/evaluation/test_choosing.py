@@ -87,9 +87,8 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
     )
     older, both = choose_partners(registry, "scratch", "both", "scratch/ippo-d1-s?-v0/human")
     assert older == registry.split("scratch", release="v0") and len(both) == 8
-    assert (
-        choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
-    )  # of both releases
+    # The partners are of both releases.
+    assert choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
     with pytest.raises(ValueError, match=r"\(8\) is on the train or test side of .*half-s0-v1"):
         choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
 

@@ -29,9 +29,8 @@ def test_curve_point_is_iqm_of_bin_means():
     curves = learning_curves(metrics(), points=10)
     assert curves["disability"].unique().sort().to_list() == ["d1", "d9"]
     first = curves.filter(disability="d9").row(0, named=True)
-    expected = [
-        np.mean([20 + s, 40 + s]) for s in range(8)
-    ]  # updates 2 and 4 end in the first 400 steps
+    # Updates 2 and 4 end in the first 400 steps.
+    expected = [np.mean([20 + s, 40 + s]) for s in range(8)]
     assert first["steps"] == 400.0
     assert first["iqm"] == pytest.approx(scipy.stats.trim_mean(expected, 0.25))
     assert first["low"] < first["iqm"] < first["high"]

@@ -42,9 +42,8 @@ def test_only_the_training_half_is_loaded(monkeypatch):
     assert partners.settings(len(partners)) == [
         DISABILITY_SETTINGS[name.split("/")[1].split("-")[1]] for name in partners.ids
     ]
-    with pytest.raises(
-        OSError, match="is unreadable"
-    ):  # the guard bites: other halves would be seen
+    # The guard would notice rows of other halves.
+    with pytest.raises(OSError, match="is unreadable"):
         load_partners(registry, split.model_copy(update={"train": split.test}))
 
 

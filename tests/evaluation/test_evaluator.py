@@ -340,9 +340,8 @@ def test_cleared_results_include_derived_files(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
         (tmp_path / name).write_text("{}")
-    with pytest.raises(
-        ValueError, match="plays the human, not the robot"
-    ):  # nothing is lost to a mistake
+    # A mistake loses no files.
+    with pytest.raises(ValueError, match="plays the human, not the robot"):
         clear_results(MatrixGame(), make_job(humans(0.5)), tmp_path)
     assert tables.read_episodes(tmp_path / tables.EPISODES_FILE).height == make_job().rows
     clear_results(MatrixGame(), make_job(seed=1), tmp_path)

@@ -70,9 +70,8 @@ def test_cross_play_of_two_teams_by_hand():
     assert (figures.self_play.n, figures.cross_play.n) == (2, 2)
     assert figures.within_algorithm is None
     assert figures.across_algorithms == figures.within_disability
-    assert (
-        figures.cross_play.iqm_ci is None
-    )  # half of the draws are one team twice, which has no cross-play
+    # Half of the draws are one team twice, which has no cross-play.
+    assert figures.cross_play.iqm_ci is None
 
 
 def test_crossplay_equals_loop_over_pairs():
@@ -252,9 +251,8 @@ def test_rank_stability_separates_order_from_noise():
 
 
 def test_diversity_by_hand():
-    diverse = strategies.br_diversity(
-        np.array([[0.0, 5.0], [2.0, 3.0]])
-    )  # scaled to the rows (0, 1) and (1, 0)
+    # Scaled to the rows (0, 1) and (1, 0).
+    diverse = strategies.br_diversity(np.array([[0.0, 5.0], [2.0, 3.0]]))
     assert (diverse.log_determinant, diverse.rank, diverse.participation_ratio) == (
         pytest.approx(0.0),
         2,

@@ -29,9 +29,8 @@ class Seats:
 
 
 def params_of(spec: PolicySpec, seed: int) -> dict[str, Any]:
-    return jax.tree.map(
-        lambda leaf: leaf + 0.3, untrained.params_of(spec, seed)
-    )  # an untrained head acts around zero
+    # An untrained head acts around zero.
+    return jax.tree.map(lambda leaf: leaf + 0.3, untrained.params_of(spec, seed))
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +112,7 @@ def test_refusals(registry: Registry, tmp_path: Path):
         seat("python:a:b", "human", registry)
     with pytest.raises(UnknownIdError, match="nearest: scratch/ippo-d9-s0-v0"):
         seat("zoo:scratch/ippo-d9-s0-v9/robot", "robot", registry)
-    with pytest.raises(UnknownIdError, match="is not one policy: .*, found 4"):
+    with pytest.raises(UnknownIdError, match=r"is not one policy: .*, found 4"):
         zoo_partner(registry, "scratch/ippo-*")
     with pytest.raises(ZooError, match="no such file"):
         seat(str(tmp_path / "gone.safetensors"), "robot", registry)

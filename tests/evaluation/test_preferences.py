@@ -233,9 +233,10 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
     for side, names in SIDES.items():
         assert set(table.filter(side=side)["preference"]) == set(names)
     alone = dataclasses.replace(mixed, preferences=SIDES["train"])
+    # A partner's preferences do not depend on other partners.
     np.testing.assert_array_equal(
         both.preferences_of(partners[:1], range(9)), alone.preferences_of(partners[:1], range(9))
-    )  # whoever plays beside it
+    )
     assert set(both.preferences_of(["passive"], range(9))[0]) == {"p1", "p2", "p3", "p5", "p9"}
 
 
@@ -263,10 +264,11 @@ def test_comparison_refuses_other_preferences(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def gentle(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     """A registry of untrained teams of gentle lift, whose default split holds preferences out."""
+    # Scaled, so that no two policies act alike.
     teams = [
         dataclasses.replace(team, params=jax.tree.map(lambda leaf: 100 * leaf, team.params))
         for team in untrained.teams_of(2, ROBOT, HUMAN, "gentle_lift")
-    ]  # farther apart, so that no two act alike
+    ]
     path = untrained.published(teams, tmp_path_factory.mktemp("zoo"))
     rule: dict[str, Any] = {"rule": "leave-one-disability-out", "held_out": "d9", "default": True}
     create_split(path, task="gentle_lift", test_preferences=SIDES["test"], **rule)

@@ -217,9 +217,8 @@ def test_other_version_teams_are_only_stepped(
 
 
 def test_the_tolerance_is_the_documented_one() -> None:
-    recorded = SelfPlay(
-        mean=1000.0, iqm=1000.0, mean_ci=(990.2, 1009.8), n=16
-    )  # standard error 5, deviation 20
+    # Standard error 5, deviation 20.
+    recorded = SelfPlay(mean=1000.0, iqm=1000.0, mean_ci=(990.2, 1009.8), n=16)
     assert tolerance(recorded, 4) == pytest.approx(50.0 + 4.0 * 20.0 * np.sqrt(1 / 16 + 1 / 4))
     with pytest.raises(ValueError, match="episodes is 0"):
         check_self_play(Registry(None, Path(), []), [], episodes=0)

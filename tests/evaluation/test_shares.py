@@ -54,9 +54,8 @@ def test_blocks_may_share_a_folder(tmp_path: Path):
     first, second = (run_share(MatrixGame(), job, tmp_path, (i, 2), max_envs=3) for i in (1, 2))
     assert (first.missing, second.missing) == (first.all_chunks - first.chunks, 0)
     assert run_job(MatrixGame(), job, tmp_path).table.height == job.rows
-    assert (
-        run_share(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks
-    )  # merged: nothing to do
+    # The folder is merged, so nothing is simulated.
+    assert run_share(MatrixGame(), job, tmp_path, (1, 2), max_envs=3).chunks == first.chunks
 
 
 @pytest.mark.parametrize("share", [(0, 2), (3, 2)])

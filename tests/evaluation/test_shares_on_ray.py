@@ -55,9 +55,8 @@ def test_crossplay_on_ray_equals_single_run(published: Path, tmp_path: Path, cap
     assert "found finished" in printed.out  # the parts came from the workers
     for name in ("episodes.parquet", "pairs.parquet"):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
-    assert (
-        run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray"]) == 0
-    )  # finished: no cluster is started
+    # Finished: no cluster is started.
+    assert run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray"]) == 0
 
 
 def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -70,14 +69,12 @@ def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.
         humans(1.0, -1.0),
         episodes=2,
     )
-    monkeypatch.setattr(
-        blocks, "run_blocks", lambda *_: None
-    )  # workers that wrote to a disk of their own
+    # All workers wrote to their own disks.
+    monkeypatch.setattr(blocks, "run_blocks", lambda *_: None)
     with pytest.raises(ValueError, match=r"has 0 of 2 parts here; write to a folder that all"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
-    monkeypatch.setattr(
-        blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3])
-    )  # one of two did not
+    # One worker of two wrote to its own disk.
+    monkeypatch.setattr(blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3]))
     with pytest.raises(ValueError, match=r"has 1 of 2 parts here; write to a folder that all"):
         run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
 

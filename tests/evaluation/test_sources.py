@@ -70,9 +70,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     settings = How("scratch", 1, backend="native")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
-        patch.setattr(
-            "evaluation.play.baselines.SCRIPTS", {}
-        )  # they read the true tasks' observations
+        # They read the true tasks' observations.
+        patch.setattr("evaluation.play.baselines.SCRIPTS", {})
         cross_play(registry, "scratch/*", "scratch/*", settings, home / "crossplay")
         robots = ["zoo:scratch/ippo-d1-s0-v0/robot", *write_robots(home / "mine")]
         others = {"references": home / "kept", "crossplay": home / "crossplay"}

@@ -48,9 +48,8 @@ def test_planted_behaviour_groups_are_found():
 def test_a_partner_is_described_with_its_best_robot():
     pairs = planted()
     responses = best_responses(pairs)
-    assert responses.robots == [
-        f"{team_id(team)}/robot" for team in TEAMS
-    ]  # self-play is planted highest
+    # Self-play is planted highest.
+    assert responses.robots == [f"{team_id(team)}/robot" for team in TEAMS]
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
     np.testing.assert_allclose(responses.features[:, 2], own["force_mean"])
     matrix = clustered_matrix(12, 3)

@@ -38,9 +38,8 @@ class CrossPlay:
     self_play: Estimate | None
     cross_play: Estimate | None
     gap: Estimate | None  # self-play - cross-play
-    relative_gap: (
-        Interval | None
-    )  # gap of the means / mean self-play; None unless self-play is positive
+    # Gap of the means / mean self-play; None unless self-play is positive.
+    relative_gap: Interval | None
     within_algorithm: Estimate | None
     across_algorithms: Estimate | None
     within_disability: Estimate | None

@@ -47,9 +47,8 @@ class WorstPartner:
 
     index: int  # along the axis of partners
     mean: float  # over seeds and episodes; the minimum of noisy means is too low
-    crossfit: (
-        float | None
-    )  # chosen on even episodes and valued on odd ones, and the reverse; None with one episode
+    # Chosen on even episodes and valued on odd ones, and the reverse; None with one episode.
+    crossfit: float | None
 
 
 def zero_shot(
