@@ -156,7 +156,7 @@ def test_every_figure_says_what_it_generalises_to(shape: tuple[int, ...], genera
     assert (figure.iqm_ci is None) == (figure.mean_ci is None) == (generalises_to == "nothing")
 
 
-def test_of_a_single_seed_only_partners_are_resampled():
+def test_single_seed_resamples_only_partners():
     scores = np.random.default_rng(0).normal(size=(1, 30))
     figure = bootstrap.estimate(scores, resamples=4000)
     plain = scipy.stats.bootstrap(
@@ -180,7 +180,7 @@ def test_equal_resamples_subtract_to_paired_difference():
     assert figure.mean == pytest.approx(1.0)
 
 
-def test_a_band_holds_its_curve():
+def test_band_contains_curve():
     values = np.random.default_rng(0).normal(size=(8, 30)) + np.linspace(0, 100, 30)
     band = bootstrap.curve_band(values)
     assert band is not None

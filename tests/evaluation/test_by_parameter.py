@@ -37,7 +37,7 @@ def outcomes_of(count: int = 1000, *, slope: float = 1.0, noise: float = 0.0, se
     return Outcomes(TASK, rows, values, 4 * count, 1)
 
 
-def test_what_one_number_decides_is_found() -> None:
+def test_effect_of_one_number_is_found() -> None:
     ordered, chance = effects(outcomes_of(noise=1.0), "return")
     first, second = ordered[:2]
     assert first.parameter == "strength" and len(ordered) == len(PARAMETERS[TASK])
@@ -85,7 +85,7 @@ def test_surface_has_means_and_counts() -> None:
     assert json.loads(json.dumps(cells.values)) == cells.values
 
 
-def test_an_empty_cell_is_none() -> None:
+def test_cell_without_persons_is_none() -> None:
     cells = surface(outcomes_of(24), ("strength", "pace"), bins=12)
     empty = [(x, y) for x, row in enumerate(cells.count) for y, n in enumerate(row) if n == 0]
     assert empty and all(cells.values["return"][x][y] is None for x, y in empty)
@@ -144,7 +144,7 @@ def test_a_folder_without_persons_is_refused(folder: Path) -> None:
         outcomes(Record.read(folder))
 
 
-def test_the_command_says_it_and_draws_it(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_command_notes_and_draws(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     drawn = folder / "persons.png"
     assert run(["persons", str(folder), "--over", "strength,pace", "--out", str(drawn)]) == 0
     printed = capfd.readouterr().out

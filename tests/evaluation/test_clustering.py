@@ -79,7 +79,7 @@ def test_order_begins_with_higher_returns():
     assert clusters.order.tolist() == hierarchy.leaves_list(clusters.linkage).tolist()
 
 
-def test_silhouette_is_its_definition():
+def test_silhouette_equals_definition():
     points = np.random.default_rng(0).normal(size=(9, 2))
     labels = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2])
     distances = distance.squareform(distance.pdist(points))

@@ -86,7 +86,7 @@ def closest(colours: Iterable[object], others: Iterable[object], vision: str = "
         ([2.0776, 0.0795, -1.135], [0.9033, -0.0636, -0.5514], 0.9082),
     ],
 )
-def test_the_distance_is_that_of_its_authors(first: list, other: list, distance: float):
+def test_colour_distance_matches_published_values(first: list, other: list, distance: float):
     measured = ciede2000(np.array(first, float), np.array(other, float))
     assert float(measured) == pytest.approx(distance, abs=1e-4)
 
@@ -116,11 +116,11 @@ def test_other_methods_differ_from_ours_and_among_themselves(vision: str):
     ("algorithm", "setting"),
     [("#690f00", "#690000"), ("#1e0ff0", "#5a4bff"), ("#e17800", "#ff7800")],
 )
-def test_the_colours_of_before_would_be_too_near(algorithm: str, setting: str):
+def test_planted_defect_similar_colours_are_caught(algorithm: str, setting: str):
     assert closest([algorithm], [setting]) < CLEAR
 
 
-def test_each_strip_is_told_apart_in_grey():
+def test_strips_differ_in_grey():
     for strip, step in ((OURS, 9.0), (SETTINGS, 5.0)):
         assert min(np.diff(np.sort(lab(strip.values())[:, 0]))) > step
     for first in (1, 4, 7):  # lighter as strength falls

@@ -238,7 +238,7 @@ def test_a_folder_without_a_manifest_is_told(reader: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_series_beside_single_episodes_are_told(reader: str, tmp_path: Path) -> None:
+def test_different_series_are_noted(reader: str, tmp_path: Path) -> None:
     """Both play the same episodes: the difference is what a memory is worth."""
     method(tmp_path / "a", identity={"series": 3})
     method(tmp_path / "b", identity={})

@@ -60,12 +60,9 @@ def test_glob_sorts_files_by_seed(tmp_path: Path):
     assert list(read_egos([glob], EMPTY, "scratch").members) == [glob]
 
 
-def test_a_missing_file_is_a_zoo_error(tmp_path: Path):
+def test_missing_files_are_reported(tmp_path: Path):
     with pytest.raises(ZooError, match="no such file"):
         read_egos([str(tmp_path / "none.safetensors")], EMPTY, "scratch")
-
-
-def test_missing_onnx_file_is_reported(tmp_path: Path):
     with pytest.raises(ValueError, match=r"none.onnx.*no file"):
         read_egos([f"onnx:{tmp_path / 'none.onnx'}"], EMPTY, "scratch")
 
@@ -78,7 +75,7 @@ def test_missing_onnx_file_is_reported(tmp_path: Path):
         ("zero", "is not a robot to evaluate"),
     ],
 )
-def test_what_cannot_play_says_why(reference: str, message: str):
+def test_unplayable_reference_error_has_reason(reference: str, message: str):
     with pytest.raises(ValueError, match=message):
         read_egos([reference], EMPTY, "bed_bath")
 
@@ -195,7 +192,7 @@ def test_nan_error_names_partner_and_episode():
         ask(answer)
 
 
-def test_an_exception_is_told_in_one_line():
+def test_exception_is_one_line():
     def act(obs: np.ndarray) -> np.ndarray:
         raise ZeroDivisionError("two\nlines")
 

@@ -143,7 +143,7 @@ def test_a_play_that_fails_gives_all_back() -> None:
     assert flax_state(net) == before
 
 
-def test_a_probe_leaves_a_network_as_it_was() -> None:
+def test_probe_does_not_change_network() -> None:
     net = FlaxNet(nnx.Rngs(0))
     before = flax_state(net)
     egos = Roster((HostEgo("host", net),), {"host": Member("host", "0")})

@@ -104,7 +104,7 @@ def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
         )
 
 
-def test_padded_chunks_drop_what_was_padded(tmp_path: Path):
+def test_padding_is_dropped(tmp_path: Path):
     job = make_job(random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 3), episodes=2)
     chunks = plan(job, 8)
     assert any(tile.rows < np.prod(tile.shape) for chunk in chunks for tile in chunk.tiles)
@@ -510,7 +510,7 @@ def test_memory_error_advises_smaller_chunks(tmp_path: Path, monkeypatch: pytest
     assert json.loads((tmp_path / MANIFEST_FILE).read_text())["max_envs"] == 9
 
 
-def test_the_manifest_tells_what_was_run(tmp_path: Path):
+def test_manifest_describes_run(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     manifest = json.loads((tmp_path / MANIFEST_FILE).read_text())
     identity = manifest["identity"]

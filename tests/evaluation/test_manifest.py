@@ -86,7 +86,7 @@ def test_one_bit_of_any_file_is_found(folder: Path) -> None:
     assert verify_folder(folder).ok
 
 
-def test_missing_unknown_and_foreign_files_are_told(folder: Path, tmp_path: Path) -> None:
+def test_missing_unknown_and_foreign_files_are_reported(folder: Path, tmp_path: Path) -> None:
     (folder / tables.BOUNDS_FILE).unlink()
     assert "bounds.parquet is missing" in verify_folder(folder).problems[0]
     provenance.seal(folder)
@@ -196,7 +196,7 @@ def changed(folder: Path, registry: Registry, factor: float) -> None:
     forger.close()
 
 
-def test_figures_that_nobody_played_are_found(
+def test_forged_figures_are_found(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Planted: consistent hashes over returns that nobody played, and figures drawn of them."""
@@ -282,14 +282,14 @@ def test_a_column_that_no_episode_has_is_found(folder: Path, registry: Registry)
     assert not report.ok and "term_bonus" in report.problems[0]
 
 
-def test_a_part_of_the_partners_is_said(folder: Path, registry: Registry) -> None:
+def test_partial_partners_are_noted(folder: Path, registry: Registry) -> None:
     forger = Forger(folder, registry, random.Random(0), folder)
     forging.partner_dropped(forger)
     report = replay_folder(folder, registry, sample=1)
     assert "3 of 4 test partners" in report.unchecked[0]
 
 
-def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> None:
+def test_unplayable_folder_error_has_reason(folder: Path, registry: Registry) -> None:
     manifest = provenance.read_manifest(folder) or {}
     identity = manifest["identity"]
     robot = identity["egos"][0][0]
@@ -327,7 +327,7 @@ def test_what_cannot_be_replayed_says_why(folder: Path, registry: Registry) -> N
         replay_folder(folder, registry, sample=0)
 
 
-def test_the_commands_say_what_they_found(
+def test_commands_print_findings(
     folder: Path, registry: Registry, capfd: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--registry", str(registry.path)]

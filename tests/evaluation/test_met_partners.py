@@ -1,4 +1,4 @@
-"""Partners that a robot met in training: known, said, and left out of what is about new ones."""
+"""Training partners of robots: records, notes, and figures of new partners without them."""
 
 import dataclasses
 import json
@@ -38,8 +38,9 @@ def trained_ego(seed: int, against: dict[str, str]) -> TrainedTeam:
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    """Four teams of d1 and of d9, a second split, and three egos: trained with the half's training
-    side, with that of the second split, and with that of a split which is nowhere.
+    """Four teams of d1 and of d9, two splits, and three egos.
+
+    The egos were trained with the training sides of the two splits and of a missing split.
     """
     path = published(teams_of(4), tmp_path_factory.mktemp("zoo"))
     data = load_registry(path).data
@@ -73,7 +74,7 @@ def humans(registry: Registry, side: tuple[str, ...], disability: str = "d") -> 
 
 
 def left_out(registry: Registry, robots: list[Any], split: str, trained_with: Any = None) -> Any:
-    """Return what would be left out, without playing; and what is said of it."""
+    """Return the partners that an evaluation would leave out, and the robots' record."""
     egos = declare(read_egos(robots, registry, TASK), registry, TASK, trained_with)
     met = met_partners(egos, registry.select(task=TASK, role="human"))
     chosen = registry.split(TASK, split)
@@ -96,7 +97,7 @@ def result(registry: Registry, tmp_path_factory: pytest.TempPathFactory) -> az.E
 
 
 def test_m_test_omits_training_partners(registry: Registry, result: az.EvaluationResult) -> None:
-    """The ego saw half of the held-out setting; M_train is about such partners."""
+    """The ego was trained with half of the held-out setting."""
     half = registry.split(TASK)
     met = humans(registry, half.train, "d1")
     assert len(met) == 2
@@ -146,10 +147,8 @@ def test_ego_trained_with_test_side_is_refused(registry: Registry) -> None:
 
 
 @pytest.mark.parametrize("kind", ["safetensors", "onnx"])
-def test_an_exported_robot_knows_its_own_human(
-    kind: Format, registry: Registry, tmp_path: Path
-) -> None:
-    """Here also where the file is taken to a zoo that has its human under another id."""
+def test_exported_robot_claims_own_human(kind: Format, registry: Registry, tmp_path: Path) -> None:
+    """The human is recognised under another id in another zoo."""
     team = registry.split(TASK).test[0]
     path = of_kind(registry, f"{team}/robot", kind, tmp_path)
     left, met = left_out(registry, [path], "half")
@@ -162,7 +161,7 @@ def test_an_exported_robot_knows_its_own_human(
     assert met_partners(egos, [renamed]).own == {"lab:x/human"}
 
 
-def test_an_exported_ego_says_its_split(registry: Registry, tmp_path: Path) -> None:
+def test_exported_ego_claims_split(registry: Registry, tmp_path: Path) -> None:
     path = of_kind(registry, EGO, "onnx", tmp_path)
     left, met = left_out(registry, [path], D1)
     assert left == humans(registry, registry.split(TASK).train, "d1")
@@ -171,16 +170,14 @@ def test_an_exported_ego_says_its_split(registry: Registry, tmp_path: Path) -> N
 
 
 def claimed(folder: Path, metadata: dict[str, Any]) -> Path:
-    """Return a file of a robot that nobody published."""
+    """Return the file of an unpublished robot with these metadata."""
     path = folder / "mine.safetensors"
     write_policy_file(path, ROBOT, params_of(ROBOT, 99), metadata)
     return path
 
 
 @pytest.mark.parametrize("told", [False, True, "partner"])
-def test_a_file_says_what_its_robot_is_told(
-    registry: Registry, tmp_path: Path, told: bool | str
-) -> None:
+def test_file_keeps_told_observations(registry: Registry, tmp_path: Path, told: bool | str) -> None:
     mine, graph = claimed(tmp_path, {"task": TASK, "told": told}), tmp_path / "mine.onnx"
     export_policy(str(mine), "onnx", graph, lambda: registry)
     assert [read_egos([path], registry, TASK).told for path in (mine, graph)] == [told] * 2
@@ -312,7 +309,7 @@ def test_partner_object_has_its_record(registry: Registry) -> None:
 def test_added_zoo_ego_met_own_partners(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its split has the name and the sha256 of one of ours, and other humans."""
+    """The ego's split has the name and the sha256 of a split here, with other humans."""
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
     ours = [untrained_team("d1", s, human=(HUMAN, params_of(HUMAN, 900 + s))) for s in range(4)]
     ours += [untrained_team("d9", s, human=(HUMAN, params_of(HUMAN, 910 + s))) for s in range(4)]
@@ -329,7 +326,7 @@ def test_added_zoo_ego_met_own_partners(
     )
 
 
-def test_a_crossplay_says_whom_its_egos_met(registry: Registry) -> None:
+def test_crossplay_notes_training_partners(registry: Registry) -> None:
     team = registry.split(TASK).train[0]
     matrix = az.cross_play(
         [EGO], [team], task=TASK, episodes=1, backend="native", zoo=registry.path, progress=False
@@ -339,7 +336,7 @@ def test_a_crossplay_says_whom_its_egos_met(registry: Registry) -> None:
 
 @pytest.mark.parametrize("release", ["v2", "v3"])
 def test_crossplay_uses_split_of_humans_release(release: str) -> None:
-    """Though another release is the task's default: the caption of a figure names the split."""
+    """A figure's caption names the split, also if the task's default is another release."""
     official = load_registry(Path(__file__).parents[2] / "registry.json")
     team = f"gentle_scratch/ippo-d1-s0-{release}"
     cast = cast_population(official, "gentle_scratch", f"{team}/robot", f"{team}/human")
@@ -353,7 +350,7 @@ def test_board_omits_egos_trained_with_panel(registry: Registry) -> None:
     assert "ppo-ego-s1-v0" not in rows
 
 
-def test_a_claim_is_what_is_read_back(registry: Registry, tmp_path: Path) -> None:
+def test_claim_survives_policy_file(registry: Registry, tmp_path: Path) -> None:
     met = met_in_training(registry, registry.policy(EGO))
     path = of_kind(registry, EGO, "safetensors", tmp_path)
     claim = read_policy_file(path).metadata["met"]

@@ -221,7 +221,7 @@ def test_planted_defect_biased_tail_is_caught():
     assert abs(metrics.cvar_crossfit(returns, 0.1).value) < 0.15
 
 
-def test_paired_difference_cancels_what_both_share():
+def test_paired_difference_cancels_common_effects():
     rng = np.random.default_rng(0)
     common = 100 * rng.normal(size=(1, 40))
     a, b = common + rng.normal(size=(1, 40)) + 1.0, common + rng.normal(size=(1, 40))

@@ -272,7 +272,7 @@ def _loop(proto: Any) -> None:
         (_loop, "malformed"),
     ],
 )
-def test_what_is_not_on_the_list_is_refused(change: Any, code: str) -> None:
+def test_unlisted_content_is_refused(change: Any, code: str) -> None:
     with pytest.raises(UntrustedModelError) as refusal:
         admit_onnx(changed(change), OBS, ACT)
     assert refusal.value.code == code

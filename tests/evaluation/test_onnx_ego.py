@@ -102,7 +102,7 @@ def test_a_refusal_names_no_place_in_our_code(tmp_path: Path) -> None:
         read(tmp_path / "robot.onnx")
 
 
-def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
+def test_digest_names_player(tmp_path: Path) -> None:
     """A result by onnxruntime is not that of the program: their folders are of two jobs."""
     write(tmp_path / "program.onnx", MLP)
     save(tmp_path / "process.onnx", [onnx.helper.make_node("Erf", ["x"], ["y"])])
@@ -112,7 +112,7 @@ def test_its_digest_names_what_plays_it(tmp_path: Path) -> None:
         assert described(path).files == ((path, file_sha256(path)),)
 
 
-def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:
+def test_digest_is_hash_of_bytes(tmp_path: Path) -> None:
     write(tmp_path / "robot.onnx", MLP)
     description = described(tmp_path / "robot.onnx")
     assert description.id == f"onnx:{tmp_path / 'robot.onnx'}"
@@ -122,7 +122,7 @@ def test_its_digest_is_that_of_its_bytes(tmp_path: Path) -> None:
     assert described(tmp_path / "other.onnx").digest != description.digest
 
 
-def test_a_wrong_width_is_told(tmp_path: Path) -> None:
+def test_wrong_width_is_reported(tmp_path: Path) -> None:
     write(tmp_path / "robot.onnx", MLP)
     act = call_ego(load(tmp_path / "robot.onnx"), ("a",), episodes=3, action_size=2)
     with pytest.raises(EgoError, match="reads 5 observations, the environment gives 34"):
@@ -286,7 +286,7 @@ def test_random_operators_are_refused_by_name(tmp_path: Path, operator: str) -> 
 @pytest.mark.parametrize(
     "made", [dropout(FALSE), batch_norm(), over_rows("ReduceMax", axes=[1], keepdims=1)]
 )
-def test_what_is_apart_plays(tmp_path: Path, made: Any) -> None:
+def test_external_weights_play(tmp_path: Path, made: Any) -> None:
     nodes, constants = made
     save(tmp_path / "robot.onnx", nodes, initializer=tensors(constants))
     ego = read(tmp_path / "robot.onnx")

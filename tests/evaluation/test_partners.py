@@ -59,7 +59,7 @@ def test_zoo_partner_acts_as_its_network(registry: Registry):
         np.testing.assert_allclose(action, expected, atol=1e-6)
 
 
-def test_it_forgets_on_reset_and_takes_batches(registry: Registry):
+def test_reset_clears_memory_for_batches(registry: Registry):
     partner = zoo_partner(registry, "scratch/ippo-d9-s0-v0/human")
     obs = np.full(5, 0.7, np.float32)
     first, second = partner(obs), partner(obs)

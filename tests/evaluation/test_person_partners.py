@@ -100,7 +100,7 @@ def test_fewer_persons_are_a_part_of_more() -> None:
         ((TASK, "persons-s0-v9", None), SplitError, "persons-s0-v3"),
     ],
 )
-def test_what_is_no_choice_is_refused(arguments, error, words) -> None:
+def test_invalid_choices_are_refused(arguments, error, words) -> None:
     with pytest.raises(error, match=words):
         choose_partners(load_registry(), *arguments)
 
@@ -222,7 +222,7 @@ def test_robot_file_has_environment_version(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("claim", [None, "3", True, -1, 3.0, {"env_version": "3"}, 10**12])
-def test_a_claim_of_no_known_form_is_none(claim: Any) -> None:
+def test_malformed_claim_is_ignored(claim: Any) -> None:
     assert claimed_version({"env_version": claim, "training": claim}) is None
 
 
@@ -250,6 +250,6 @@ def test_person_trained_robot_records_partners() -> None:
         ({"partners": "persons", "split": "without-mep"}, "has no persons|custom"),
     ],
 )
-def test_a_training_that_is_none_is_refused(changes, words) -> None:
+def test_invalid_training_is_refused(changes, words) -> None:
     with pytest.raises((ValueError, SplitError), match=words):
         prepare(load_registry(), TASK, steps=1, **changes)

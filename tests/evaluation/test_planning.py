@@ -102,7 +102,7 @@ def test_plan_minimises_seeds_then_episodes() -> None:
     assert TRUE.half_width(plan.seeds, 100, plan.episodes - 1) > 15.0
 
 
-def test_what_cannot_be_reached_is_said() -> None:
+def test_unreachable_width_is_refused() -> None:
     with pytest.raises(ValueError, match=r"64 seeds with 59 partners reach \d+\.\d"):
         plan_evaluation(1.0, task="arm_assist")
 
@@ -156,7 +156,7 @@ def test_planned_contrast_has_power_80() -> None:
     assert 0.74 < np.mean(seen) < 0.88  # whole episodes see somewhat more than was asked for
 
 
-def test_a_contrast_that_cannot_be_seen_is_said() -> None:
+def test_undetectable_contrast_is_refused() -> None:
     with pytest.raises(ValueError, match=r"64 seeds with 59 partners see \d+\.\d"):
         plan_contrast(1.0, CONTRAST)
     with pytest.raises(ValueError, match="an effect above 0"):

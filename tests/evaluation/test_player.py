@@ -103,7 +103,7 @@ def test_arrows_carry_the_recorded_force(episode: Episode) -> None:
     assert counted > 3 and max(episode.force) > 10.0
 
 
-def test_targets_are_where_the_arm_carries_them(episode: Episode) -> None:
+def test_targets_follow_arm(episode: Episode) -> None:
     """The itch is fixed to the arm: as far from its segment's middle in every moment."""
     model = picture_model(TASK)
     data = mujoco.MjData(model)
@@ -117,7 +117,7 @@ def test_targets_are_where_the_arm_carries_them(episode: Episode) -> None:
     assert np.ptp(episode.targets["itch"], axis=0).max() > 1e-3, "and the arm moved"
 
 
-def test_a_protective_stop_ends_what_is_shown(recording: Path, tmp_path: Path) -> None:
+def test_protective_stop_ends_playback(recording: Path, tmp_path: Path) -> None:
     def stop(table: pl.DataFrame) -> pl.DataFrame:
         late = (pl.col("step") >= 7) & pl.col("reward").is_not_null()
         return table.with_columns(terminated=pl.when(late).then(True).otherwise("terminated"))
@@ -290,9 +290,7 @@ def farthest(drawn: dict[str, list[float]], pose: np.ndarray) -> float:
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_a_page_draws_bodies_where_mujoco_has_them(
-    browser: Browser, episode: Episode, tmp_path: Path
-) -> None:
+def test_page_bodies_match_mujoco(browser: Browser, episode: Episode, tmp_path: Path) -> None:
     write_episode(episode_content(episode), tmp_path / "page.html")
     for page in shown_in(browser, tmp_path / "page.html"):
         moved = []
@@ -341,7 +339,7 @@ def test_page_handles_keys_and_shows_preferences(
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
-def test_a_page_of_a_person_names_its_wishes(browser: Browser, tmp_path: Path) -> None:
+def test_person_page_names_preferences(browser: Browser, tmp_path: Path) -> None:
     shown = read_episode(record(tmp_path, "random", PERSON, 3))
     assert shown.about["version"] == 3
     write_episode(episode_content(shown), tmp_path / "page.html")
@@ -366,7 +364,7 @@ def test_without_webgl_the_curves_are_there(
         expect(page.locator("[data-curve=force] svg")).to_be_visible()
 
 
-def test_what_is_packed_is_what_was_shown(episode: Episode) -> None:
+def test_packed_episode_equals_shown_episode(episode: Episode) -> None:
     content = episode_content(episode)
     assert json.loads(zlib.decompress(pack(content))) == json.loads(json.dumps(content))
 

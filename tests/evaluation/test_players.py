@@ -31,7 +31,7 @@ SEATS = {
 
 
 @pytest.mark.parametrize("name", SEATS)
-def test_a_spec_makes_its_player(name: str) -> None:
+def test_spec_makes_player(name: str) -> None:
     spec, params = SEATS[name]()
     player, rows = spec.player(), 3
     assert (spec.role, spec.observation_size, spec.action_size) == ("robot", *SIZES)
@@ -42,7 +42,7 @@ def test_a_spec_makes_its_player(name: str) -> None:
     assert action.shape == (rows, SIZES[1]) and float(jnp.abs(action).max()) <= 1.0
 
 
-def test_a_board_plays_what_the_spec_makes() -> None:
+def test_board_plays_player_of_spec() -> None:
     params = params_of(ROBOT, 3)
     data = to_onnx(ROBOT, params)
     robot = Admission({"scratch": SIZES}).read(data, "scratch")

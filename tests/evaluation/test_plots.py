@@ -379,7 +379,7 @@ def test_numbers_overlap_no_dot():
         assert not number.contains(*dot)
 
 
-def test_the_axis_is_zoomed_where_references_are_near():
+def test_axis_zooms_to_near_references():
     summaries = evaluations()
     low, high = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"].get_ylim()
     ends = [

@@ -40,7 +40,7 @@ def ask(ego: HostEgo) -> np.ndarray:
     return call_ego(ego, ["t/a-d1-s0-v0/human"], episodes=4, action_size=3)(OBS, 0)
 
 
-def test_names_of_its_modules_are_its_own(folder: Path) -> None:
+def test_robot_modules_have_own_names(folder: Path) -> None:
     write(folder / "evaluation.py", "GAIN = 2.0")
     write(folder / "zoo.py", "import evaluation\nGAIN = evaluation.GAIN + 1.0")
     write(folder / "mine.py", "import zoo\ndef make():\n    return lambda obs: zoo.GAIN * obs")
@@ -64,7 +64,7 @@ def digest(reference: str) -> tuple[str, bool]:
     return member.digest, member.reusable
 
 
-def test_its_digest_covers_code_arguments_and_declared_files(folder: Path) -> None:
+def test_digest_covers_code_arguments_and_files(folder: Path) -> None:
     write(folder / "parts.py", "GAIN = 1")
     code = "import parts\n{}\ndef make(weights='a.pt'): return lambda obs: obs"
     write(folder / "mine.py", code.format('DEPENDS = ["b.pt"]'))
@@ -88,11 +88,16 @@ def test_its_digest_covers_code_arguments_and_declared_files(folder: Path) -> No
 
 
 def test_undeclared_robot_is_not_reusable(folder: Path) -> None:
-    write(folder / "mine.py", "def make(): return lambda obs: obs")
-    assert not digest("python:mine.py:make")[1]
-    write(folder / "mine.py", "DEPENDS = []\ndef make(): return lambda obs: obs")
-    assert digest("python:mine.py:make")[1]
-    write(folder / "mine.py", "DEPENDS = ['gone.pt']\ndef make(): return lambda obs: obs")
+    (folder / "a.pt").write_bytes(b"0")
+    make = "import pathlib\ndef make(): return lambda obs: obs\n"
+    for depends, reusable in (
+        ("", False),
+        ("DEPENDS = []", True),
+        ("DEPENDS = (pathlib.Path('a.pt'),)", True),
+    ):
+        write(folder / "mine.py", make + depends)
+        assert digest("python:mine.py:make")[1] is reusable
+    write(folder / "mine.py", make + "DEPENDS = ['gone.pt']")
     with pytest.raises(EgoError, match=r"gone\.pt"):
         digest("python:mine.py:make")
 
@@ -110,13 +115,6 @@ def test_depends_must_list_regular_files(folder: Path, depends: str, message: st
     write(folder / "mine.py", f"DEPENDS = {depends}\ndef make(): return lambda obs: obs")
     with pytest.raises(EgoError, match=message):
         digest("python:mine.py:make")
-
-
-def test_it_may_declare_paths_as_objects(folder: Path) -> None:
-    (folder / "a.pt").write_bytes(b"0")
-    code = "import pathlib\nDEPENDS = (pathlib.Path('a.pt'),)\ndef make(): return lambda obs: obs"
-    write(folder / "mine.py", code)
-    assert digest("python:mine.py:make")[1]
 
 
 @pytest.mark.parametrize(
@@ -192,7 +190,7 @@ def test_printed_text_is_no_answer(folder: Path, capfd: pytest.CaptureFixture[st
     assert printed.out == "" and "act" in printed.err
 
 
-def test_its_libraries_take_one_thread(folder: Path) -> None:
+def test_libraries_use_one_thread(folder: Path) -> None:
     code = "import os\nmake = lambda: lambda obs: obs * float(os.environ['OMP_NUM_THREADS'])"
     write(folder / "mine.py", code)
     np.testing.assert_array_equal(ask(read("python:mine.py:make")), OBS)
@@ -214,7 +212,7 @@ def test_process_ends_with_robot_and_parent(folder: Path, line: str) -> None:
     code = f"import os, signal, time\nmake = lambda: lambda obs: {line}"
     write(folder / "mine.py", code)
     robot = PolicyProcess("mine.py", "make", {})
-    # The process that has to end: its number is nobody else's business.
+    # Only this test needs the number of the process.
     pid = robot._process.pid
     robot.close()
     assert gone(pid)

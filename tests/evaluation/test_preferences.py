@@ -240,7 +240,7 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
     assert set(both.preferences_of(["passive"], range(9))[0]) == {"p1", "p2", "p3", "p5", "p9"}
 
 
-def test_preferences_of_the_other_side_are_told(tmp_path: Path) -> None:
+def test_preferences_of_other_side_are_noted(tmp_path: Path) -> None:
     split = SplitName("gentle/half-p1-p5-p9", "0" * 64, SIDES)
     context = dataclasses.replace(CONTEXT, split=split)
     right = summarise_evaluation(

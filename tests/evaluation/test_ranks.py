@@ -90,7 +90,7 @@ def test_hard_partners_do_not_blur_order() -> None:
     assert rank_methods(shuffled).places.tolist() == [1, 1]
 
 
-def test_what_follows_from_two_claims_is_claimed() -> None:
+def test_claims_are_transitive() -> None:
     """A noisy loser: both links of the chain are certain, so its ends are apart as well."""
     better = rank_methods(played(np.array([0.0, 15.0, 30.0]), np.random.default_rng(4))).better
     assert not np.diagonal(better @ better).any()

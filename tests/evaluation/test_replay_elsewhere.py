@@ -87,7 +87,7 @@ def test_honest_folders_are_the_same(name: str, made: Path, zoo: Registry) -> No
     assert report.value == pytest.approx(kept)
 
 
-def test_the_figures_rows_have_its_mean(made: Path, zoo: Registry, forge: Any) -> None:
+def test_headline_rows_have_headline_mean(made: Path, zoo: Registry, forge: Any) -> None:
     """Of M_test and of the cross-play: what is added to the figure's rows is found in it."""
 
     def change(forger: Forger) -> None:

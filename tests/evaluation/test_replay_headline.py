@@ -34,7 +34,7 @@ FIGURE = Headline("M_test", -200.0, pl.lit(value=True))
         (None, 9, False, "cannot be told"),
     ],
 )
-def test_verdict_follows_what_could_be_hidden(
+def test_verdict_follows_hidden_share(
     hidden: float | None, unplayed: int, same_bits: bool, verdict: str
 ) -> None:
     assert verdict_of(FIGURE, Reach(1, 9, unplayed, hidden), same_bits=same_bits) == verdict
@@ -147,7 +147,7 @@ REPORT = ReplayReport(
         ({"verdict": "differs", "ok": False, "problems": ("x",)}, 1, "not all within", "the same"),
     ],
 )
-def test_replay_command_tells_its_verdict(
+def test_replay_command_prints_verdict(
     changes: dict[str, Any],
     code: int,
     said: str,

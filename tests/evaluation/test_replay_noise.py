@@ -61,7 +61,7 @@ def test_noise_covers_all_tasks_and_columns() -> None:
         read_noise("juggling")
 
 
-def test_what_processors_do_passes(episodes: pl.DataFrame) -> None:
+def test_processor_noise_passes(episodes: pl.DataFrame) -> None:
     """Last bits everywhere, a little in a tenth of the episodes, one that is wholly another."""
     rng = np.random.default_rng(1)
     gaps = rng.normal(0, 0.5, episodes.height)
@@ -142,7 +142,7 @@ def test_hidden_bias_is_the_most_that_passes(episodes: pl.DataFrame, task: str, 
     assert not any(passes(raised, 1.01 * most) for raised in shapes)
 
 
-def test_hidden_bias_is_unknown_of_what_nobody_played(episodes: pl.DataFrame) -> None:
+def test_hidden_bias_needs_replayed_episodes(episodes: pl.DataFrame) -> None:
     rest = episodes.filter(~TEST_SIDE)
     assert hidden_bias("scratch", rest, TEST_SIDE) is None
     noise_problems("scratch", rest, rest, TEST_SIDE)
@@ -172,7 +172,7 @@ def test_the_scale_is_that_of_the_wildest_robot(episodes: pl.DataFrame) -> None:
     assert measure_noise(episodes, episodes)["return"]["rms"] == 0
 
 
-def test_the_detectable_bias_is_what_the_docs_say() -> None:
+def test_detectable_bias_matches_docs() -> None:
     """Of the mean return of one robot with 486 episodes, 27 partners times 18."""
     figures = {"scratch": 926, "bed_bath": 814, "arm_assist": 4232, "gentle_lift": 473}
     shares = {

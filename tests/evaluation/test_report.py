@@ -109,9 +109,7 @@ def test_a_report_loads_nothing_from_elsewhere(crossplay: Path, evaluation: Path
     )
 
 
-def test_a_report_plays_episodes_that_it_is_given(
-    crossplay: Path, evaluation: Path, tmp_path: Path
-):
+def test_report_embeds_given_episodes(crossplay: Path, evaluation: Path, tmp_path: Path):
     """With the player of `watch`; without an episode nothing of it is there."""
     for folder in (crossplay, evaluation):
         bare = page_of(folder, tmp_path)
@@ -168,7 +166,7 @@ def test_tables_of_other_options_go(evaluation: Path, crossplay: Path, tmp_path:
     assert (played / tables.STRATEGIES_FILE).exists()
 
 
-def test_an_evaluation_is_told_with_its_references(evaluation: Path, tmp_path: Path):
+def test_evaluation_page_has_references(evaluation: Path, tmp_path: Path):
     text = page_of(evaluation, tmp_path)
     for words in ("M_test", "zero action", "Unscorable", "source of B", "data:image/svg+xml"):
         assert words in text

@@ -133,7 +133,7 @@ def test_policy_file_changed_during_play_is_named(folder: Path) -> None:
     assert "files" not in (read_manifest(folder / "out") or {})
 
 
-def test_what_is_hashed_is_the_code_that_ran(folder: Path) -> None:
+def test_hashed_code_is_code_that_ran(folder: Path) -> None:
     """The module changes its helper before it imports it, and back."""
     (folder / "helper.py").write_text("GAIN = 1\n")
     (folder / "mine.py").write_text(
@@ -190,7 +190,7 @@ ROBOTS: dict[str, tuple[Callable[[], Any], str | None]] = {
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_what_a_robot_answers_by_is_found(name: str) -> None:
+def test_varying_answers_are_found(name: str) -> None:
     make, expected = ROBOTS[name]
     egos = Roster((HostEgo("host", make()),), {"host": Member("host", "0")})
     chance = str(np.random.get_state())
@@ -215,7 +215,7 @@ def toy(task: str, backend: str = "native", **_: Any) -> ToyEnv:
 
 
 @pytest.mark.slow
-def test_an_evaluation_says_it_and_is_replayed(
+def test_told_evaluation_is_noted_and_replayed(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("assistax_envs.make", toy)

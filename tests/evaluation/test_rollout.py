@@ -176,7 +176,7 @@ def row_of(roster: Roster, row: int) -> Any:
 
 
 @pytest.mark.parametrize("spec", [ROBOT, GRU], ids=["mlp", "gru"])
-def test_a_block_is_what_each_pair_gives_alone(spec: PolicySpec):
+def test_block_equals_single_pairs(spec: PolicySpec):
     """Oracle: a loop over pairs, episodes and steps with one policy at a time."""
     env, seeds = MatrixGame(), episode_seeds(5, range(2))
     robot, human = random_roster(spec, 2, 1), random_roster(HUMAN, 3, 2)
@@ -338,7 +338,7 @@ def test_no_simulation_has_parameters_of_its_own():
     assert parameters_per_simulation(planted.jaxpr, 300, 64 * 64) != []
 
 
-def test_threads_that_want_one_program_compile_it_once(monkeypatch: pytest.MonkeyPatch):
+def test_threads_share_one_compilation(monkeypatch: pytest.MonkeyPatch):
     traced: list[Any] = []
     start = Programs.start
 

@@ -137,7 +137,7 @@ def test_outside_robot_is_reset_per_series() -> None:
     assert Host.told == [2, *[-1] * 12]  # two series at once, of three episodes of four steps
 
 
-def test_what_is_clipped_is_counted_at_its_place() -> None:
+def test_clipping_is_counted_per_episode() -> None:
     class Growing:
         """Beyond the range from its second episode on."""
 

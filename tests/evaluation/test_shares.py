@@ -59,7 +59,7 @@ def test_blocks_may_share_a_folder(tmp_path: Path):
 
 
 @pytest.mark.parametrize("share", [(0, 2), (3, 2)])
-def test_a_share_that_is_none_is_refused(tmp_path: Path, share: tuple[int, int]):
+def test_invalid_share_is_refused(tmp_path: Path, share: tuple[int, int]):
     with pytest.raises(ValueError, match="allowed are 1/2 to 2/2"):
         run_share(MatrixGame(), make_job(), tmp_path, share)
 

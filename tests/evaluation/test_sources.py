@@ -191,7 +191,7 @@ def test_received_manifest_reading_is_bounded(home: Path, tmp_path: Path) -> Non
         assert check_sources(folder).problems
 
 
-def test_what_the_kernel_makes_up_is_not_read(home: Path, tmp_path: Path) -> None:
+def test_kernel_files_are_not_read(home: Path, tmp_path: Path) -> None:
     """`/proc/kmsg` never ends, and `/proc/self/pagemap` is terabytes long; a link may name both."""
     folder = Path(shutil.copytree(home / "out", tmp_path / "out"))
     (tmp_path / "link").symlink_to("/proc/self/environ")

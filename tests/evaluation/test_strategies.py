@@ -78,6 +78,6 @@ def test_one_robot_for_all_has_no_incompatible_two():
     assert strategies["diverse_subset"] == []
 
 
-def test_a_table_without_behaviour_says_what_to_do():
+def test_table_without_behaviour_error_has_advice():
     with pytest.raises(ValueError, match=r"lacks first_contact.*run the cross-play again"):
         summarise_strategies(planted().drop(BEHAVIOUR))

@@ -88,7 +88,7 @@ def test_single_ego_and_episode_are_noted():
     assert any("groups of partners have as few as" in note for note in figures["notes"])
 
 
-def test_clipped_actions_are_said():
+def test_clipped_actions_are_noted():
     table = evaluation_table()
     shares = pl.Series("clipped", [0.0, 0.5] * (table.height // 2), pl.Float32())
     [note] = [note for note in summarised(table.with_columns(shares))["notes"] if "clip" in note]
@@ -215,7 +215,7 @@ def test_profile_falls_from_one_to_nothing():
     assert (profile["low"] <= profile["share"]).all()
 
 
-def test_saved_folders_hold_what_is_printed(tmp_path: Path):
+def test_saved_figures_equal_printed_figures(tmp_path: Path):
     saved = derived.save_evaluation(Record(evaluation_table(), tmp_path / "m"), CONTEXT)
     assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(saved)
     partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
