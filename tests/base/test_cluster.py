@@ -125,6 +125,6 @@ def test_without_ray_it_says_what_to_install(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "wrong", [{"cpus": -1}, {"cpus": 0}, {"gpus": 1.5}, {"gpus": float("nan")}]
 )
-def test_invalid_share_is_refused(wrong):
+def test_a_share_that_is_none_is_refused(wrong):
     with pytest.raises(ValueError, match="a block takes"):
         RayCluster(**wrong)

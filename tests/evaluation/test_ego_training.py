@@ -83,7 +83,7 @@ def test_preparation_reports_shared_simulations():
         ),
     ],
 )
-def test_misfit_policies_are_refused(changes, message):
+def test_unfit_training_settings_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         prepare(load_registry(), **{"task": "scratch", **changes})
 

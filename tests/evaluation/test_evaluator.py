@@ -230,7 +230,7 @@ def unfinished(folder: Path) -> list[Path]:
 @pytest.mark.slow_for("column", "bit", "swapped")
 @pytest.mark.parametrize("damage", ["torn", "bit", "column", "swapped", "emptied"])
 def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
-    """Whatever is wrong with it: also a value that Parquet's reader takes for good."""
+    """Damage includes values that a Parquet reader accepts."""
     whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     parts = unfinished(tmp_path / "torn")
     data = bytearray(parts[2].read_bytes())
@@ -260,15 +260,17 @@ def test_files_are_synced_at_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_undamaged_parts_are_not_simulated_again(tmp_path: Path):
-    """What the test above would miss: that everything is simulated again."""
+
     unfinished(tmp_path)
     assert run_job(MatrixGame(), mixed_job(), tmp_path).env_steps_per_second is None
 
 
 @pytest.mark.parametrize("damage", ["bit", "halved"])
-def test_damaged_table_is_simulated_again(tmp_path: Path, damage: str):
+def test_only_damaged_tables_are_simulated_again(tmp_path: Path, damage: str):
     first = run_job(MatrixGame(), make_job(), tmp_path)
     path = tmp_path / tables.EPISODES_FILE
+    found = run_job(MatrixGame(), make_job(), tmp_path)
+    assert found.env_steps_per_second is None and found.table.equals(first.table)
     data = bytearray(path.read_bytes())
     if damage == "bit":
         data[len(data) // 2] ^= 4
@@ -280,24 +282,29 @@ def test_damaged_table_is_simulated_again(tmp_path: Path, damage: str):
     assert again.env_steps_per_second is not None
 
 
-def test_a_manifest_that_was_changed_is_refused(tmp_path: Path):
+def test_changed_and_missing_manifests_are_refused(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     path = tmp_path / MANIFEST_FILE
     path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
     with pytest.raises(ValueError, match="changed after it was written"):
         run_job(MatrixGame(), make_job(seed=1), tmp_path)
+    path.unlink()
+    with pytest.raises(ValueError, match="without manifest"):
+        run_job(MatrixGame(), make_job(seed=5), tmp_path)
 
 
 def test_undeclared_code_neither_answers_nor_replaces(tmp_path: Path):
-    """Its source is the same, but a file of weights that it reads may not be."""
+    """The weights that the code reads may change. A cache plays such code again."""
     weights = -0.5
 
     def act(obs: np.ndarray) -> np.ndarray:
         return np.full((len(obs), 2), weights)
 
-    job = make_job(host(act, reusable=False))
+    job, cache = make_job(host(act, reusable=False)), tmp_path / "cache"
     first = run_job(MatrixGame(), job, tmp_path)
+    cached = run_job(MatrixGame(), job, cache, kept=True)
     weights = 0.5
+    assert not run_job(MatrixGame(), job, cache, kept=True).table.equals(cached.table)
     with pytest.raises(ValueError, match=r"python:mine:robot.*\(reuse\).*\(replace\)"):
         run_job(MatrixGame(), job, tmp_path)
     assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(first.table)
@@ -323,19 +330,6 @@ def test_undeclared_code_joins_no_other_parts(tmp_path: Path):
         run_job(MatrixGame(), make_job(egos), tmp_path, max_envs=3)
 
 
-def test_a_cache_plays_such_code_again(tmp_path: Path):
-    weights = -0.5
-
-    def act(obs: np.ndarray) -> np.ndarray:
-        return np.full((len(obs), 2), weights)
-
-    job = make_job(host(act, reusable=False))
-    first = run_job(MatrixGame(), job, tmp_path, kept=True)
-    weights = 0.5
-    second = run_job(MatrixGame(), job, tmp_path, kept=True)
-    assert not second.table["return"].equals(first.table["return"])
-
-
 def test_cleared_results_include_derived_files(tmp_path: Path):
     run_job(MatrixGame(), make_job(), tmp_path)
     for name in (*tables.DERIVED_FILES, tables.RUN_FILE, "mine.html"):
@@ -357,14 +351,6 @@ def test_new_episodes_stand_beside_no_table_of_others(tmp_path: Path):
     assert list(manifest["files"]) == [tables.EPISODES_FILE]
 
 
-def test_a_finished_folder_is_read_not_run_again(tmp_path: Path):
-    first = run_job(MatrixGame(), make_job(), tmp_path)
-    again = run_job(MatrixGame(), make_job(), tmp_path)
-    assert again.table.equals(first.table)
-    assert first.env_steps_per_second is not None
-    assert again.env_steps_per_second is None
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -381,13 +367,6 @@ def test_a_folder_of_another_job_is_refused(tmp_path: Path, changes: dict[str, A
     run_job(MatrixGame(), make_job(), tmp_path)
     with pytest.raises(ValueError, match=f"holds another job.*{message}.*another folder"):
         run_job(MatrixGame(), make_job(**changes), tmp_path)
-
-
-def test_a_table_without_its_manifest_is_not_overwritten(tmp_path: Path):
-    run_job(MatrixGame(), make_job(), tmp_path)
-    (tmp_path / MANIFEST_FILE).unlink()
-    with pytest.raises(ValueError, match="without manifest"):
-        run_job(MatrixGame(), make_job(seed=5), tmp_path)
 
 
 def test_unwritable_folder_is_found_before_run(tmp_path: Path):
@@ -417,12 +396,9 @@ def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], message: 
         make_job(**changes)
 
 
-def test_max_envs_below_one_is_refused(tmp_path: Path):
+def test_misfit_policies_and_sizes_are_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="max_envs is -3"):
         run_job(MatrixGame(), make_job(), tmp_path, max_envs=-3)
-
-
-def test_policies_of_another_task_or_seat_are_refused(tmp_path: Path):
     other = random_roster(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
     with pytest.raises(ValueError, match=r"47 numbers; .* task matrix has 3: .*another task"):
         run_job(MatrixGame(), make_job(other), tmp_path)
@@ -475,7 +451,7 @@ def test_actions_beyond_the_range_are_counted_by_episode(tmp_path: Path):
     table = run_job(MatrixGame(), job, tmp_path).table
     mine = table.filter(pl.col("ego") == "python:mine:robot")
     assert mine["clipped"].to_list() == [0, 0, 0, 0, 0.5, 0, 0, 0, 1]
-    assert table["clipped"].null_count() == 9  # nobody asked the other robot in between
+    assert table["clipped"].null_count() == 9  # the other robot is a policy of the zoo
     assert "clipped" not in run_job(MatrixGame(), make_job(), tmp_path / "own").table.columns
 
 

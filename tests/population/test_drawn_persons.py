@@ -101,7 +101,7 @@ def test_told_robot_observes_its_persons_numbers(partners: DrawnPersons) -> None
         ToldNumbers(env, None)
 
 
-def test_misfit_policies_are_refused(partners: DrawnPersons) -> None:
+def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
     with pytest.raises(ValueError, match="have their own preferences; leave preferences out"):
         partners.humans(4, ("p1",))
     env = assistax_envs.make("gentle_bath", "native")

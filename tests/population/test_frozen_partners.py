@@ -221,7 +221,7 @@ def test_run_of_egos_has_no_self_play(tmp_path):
         ),
     ],
 )
-def test_misfit_policies_are_refused(change, message, tmp_path):
+def test_what_does_not_fit_is_refused(change, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         train(change(config(PPO)), ToyEnv(match), tmp_path / "run", partners=population())
     assert not (tmp_path / "run").exists()
