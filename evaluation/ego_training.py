@@ -213,7 +213,7 @@ def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
 def _chosen_split(
     registry: Registry, task: str, split: str | Split | None, partners: str | None
 ) -> Split:
-    """Return the split whose training side is met; of persons where partners say so."""
+    """Return the split that gives the training partners; a split of persons for "persons"."""
     if isinstance(split, Split):
         return split
     if partners not in (None, PERSONS):
@@ -258,7 +258,7 @@ def load_persons(registry: Registry, split: Split, *, each: bool = False) -> "Fr
 
 
 def _player_and_rows(registry: Registry, split: Split) -> tuple[Any, Any]:
-    """Return who acts for the persons of a split's training side, and their rows."""
+    """Return the player of the persons of a split's training side, and their rows."""
     from assistax_envs.persons import PersonPlayer
     from population.trainers.drawn_persons import FamiliesPlayer
 

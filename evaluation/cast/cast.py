@@ -29,7 +29,7 @@ class Cast:
     version: int  # of the task's environment that all policies play
     robots: Roster
     humans: Roster
-    split: Split | None  # of the humans; None of a population without one
+    split: Split | None  # the humans' split; None if the population has no split
     sides: Mapping[str, str]  # human's id -> "train", "validation" or "test"
     releases: tuple[str, ...]  # of the published robots and humans, sorted
     lock: str | None  # sha256 of the lock that the registry was narrowed down to

@@ -314,7 +314,7 @@ def _file_hash(path: str) -> str:
 
 
 def _of_file(text: str, files: Files, registry: Registry, claims: Mapping[str, Any]) -> Member:
-    """Describe a file's robot by what the file claims: whom it met, and what it is told."""
+    """Return the member of a robot's file, with its claimed partners, version and observations."""
     told: Any = claims.get("told")
     return Member(
         text,

@@ -63,7 +63,7 @@ class Draws:
 
     mean: float
     iqm: float
-    means: Float[np.ndarray, " B"]  # replicates of the mean; NaN where a resample held no entry
+    means: Float[np.ndarray, " B"]  # replicates of the mean; NaN if a resample has no entry
     iqms: Float[np.ndarray, " B"]  # replicates of the IQM
     n: int
     generalises_to: str
@@ -92,7 +92,7 @@ class Counts:
 
     seeds: Num[np.ndarray, "B S"]
     partners: Num[np.ndarray, "B P"]
-    starts: Num[np.ndarray, "B K"] | None  # None where starts are not resampled on their own
+    starts: Num[np.ndarray, "B K"] | None  # None if starts are not resampled on their own
     generalises_to: str
 
 

@@ -45,7 +45,7 @@ class Effect:
 
     parameter: str
     unit: str
-    share: float  # of the variance of persons' outcomes; below 0 where chance alone gives more
+    share: float  # of the variance of persons' outcomes; below 0 if smaller than expected by chance
     share_ci: tuple[float, float]
     low_to_high: float  # mean of the highest bin minus that of the lowest
     low_to_high_ci: tuple[float, float]

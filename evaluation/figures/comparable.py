@@ -50,11 +50,11 @@ class Evaluated:
 
     @classmethod
     def read(cls, folder: Path, name: str | None = None) -> "Evaluated":
-        """Return the evaluation of a folder, which is its name if none is given.
+        """Return the evaluation of a folder; its name is `name`, by default the folder.
 
         Raises:
-            FileNotFoundError: It holds none.
-            ValueError: A file of it is damaged, or it holds a cross-play.
+            FileNotFoundError: The folder has no evaluation.
+            ValueError: A file is damaged, or the folder has a cross-play.
         """
         with strange_tables_refused(folder):
             return cls(name or str(folder), _read_summary(folder), Record.read(folder))
@@ -67,7 +67,7 @@ class Comparable:
     methods: tuple[Evaluated, ...]
     records: tuple[Record, ...]  # of the methods, with the common partners alone
     met: MetSummary  # of all methods: no record has a partner that a robot of one of them met
-    # Which partners these are where a method's own figures are of others, and what is not known.
+    # Notes on partners that differ from those of a method's own figures, and on unknown training.
     about: tuple[str, ...]
     notes: tuple[str, ...]  # that, and what else a reader has to know
 
@@ -77,7 +77,7 @@ class MethodFigures:
     """The content of figures of several methods, by the method's name."""
 
     summaries: dict[str, EvaluationSummary]
-    profiles: dict[str, pl.DataFrame]  # empty where they were not asked for
+    profiles: dict[str, pl.DataFrame]  # empty unless requested
     about: tuple[str, ...] = ()  # see `Comparable`
 
 
@@ -88,18 +88,18 @@ class ComparisonSummary:
     test: Difference | None
     train: Difference | None
     notes: tuple[str, ...]
-    met: MetSummary | None = None  # of both methods: no side counts whom either met
+    met: MetSummary | None = None  # of both methods; sides omit training partners of either
     validation: Difference | None = None
 
 
 def comparable(
     methods: Sequence[Evaluated], *, parts: Collection[str] = (), told: bool = False
 ) -> Comparable:
-    """Return evaluations on their common partners, which no robot of any of them met in training.
+    """Return evaluations reduced to their common partners, without training partners of any robot.
 
     Args:
-        methods: Evaluated alike: the same conditions, split and release, and one id is one partner
-            in the same episodes.
+        methods: Evaluations with the same conditions, split and release, in which one id is one
+            partner in the same episodes.
         parts: Names of methods that played with a part of the partners only; they keep what they
             have of the common ones, and take no partner from the others.
         told: Whether robots that are told what humans like may stand beside others.
@@ -261,7 +261,7 @@ def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _untold(about: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields without the engine's condition that robots are told."""
+    """Return the fields without the engine's condition for told robots."""
     engine = dict(about.get("engine") or {})
     engine.pop("condition", None)
     return {**about, "engine": engine}

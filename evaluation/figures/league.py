@@ -40,7 +40,7 @@ class LeagueRow:
     robots: int
     partners: int
     mean: Estimate
-    share: Interval | None  # of (told best response - script); None where either is missing
+    share: Interval | None  # of (told best response - script); None if either is missing
     safe_success: Estimate | None
     violations: Estimate | None
     seed_sd: float | None  # between robots, beside the luck of their episodes

@@ -22,7 +22,7 @@ from evaluation.figures.metrics import (
 from evaluation.record.record import Record
 
 COLUMN = "reference"  # what an episode of the table of references is: an ego, SELF_PLAY, PASSIVE
-# Ids in the episode table: of egos that nobody trained, and of a partner that does nothing.
+# Ids in the episode table: of untrained egos, and of the passive partner.
 ZERO, RANDOM, SCRIPT, PASSIVE = "zero-action", "uniform-random", "script", "passive-human"
 SELF_PLAY, CROSS_PLAY, NONE = "self-play", "cross-play", "none"  # sources of a best response
 REFERENCE_ROWS = (ZERO, RANDOM, SCRIPT, SELF_PLAY)  # that stand beside methods on a board
@@ -36,7 +36,7 @@ class References:
     uniform_random: Estimate | None
     self_play: Estimate | None  # each partner's own robot
     best_response: Estimate | None  # the best robot known with each partner
-    script: Estimate | None = None  # the task's script, which nobody trained
+    script: Estimate | None = None  # the task's script, which is not trained
     passive_human: Estimate | None = None  # these policies with a human that does nothing
     script_with_passive_human: Estimate | None = None
 

@@ -91,7 +91,8 @@ def profile_table(record: Record) -> pl.DataFrame:
 
 def crossplay_matrix(record: Record) -> tuple[pl.DataFrame, dict[str, Any]]:
     """Return the matrix in long form, one row a pair, and its clustered order."""
-    from evaluation.figures.clustering import clustered_order  # SciPy: an evaluation has none
+    # Imported here because it loads SciPy, which an evaluation does not need.
+    from evaluation.figures.clustering import clustered_order
 
     pairs = pair_table(record)
     return pairs, clustered_order(pairs)

@@ -63,7 +63,7 @@ class Context:
     release: str | None = None  # of the partners
     split: SplitName | None = None
     lock: str | None = None  # sha256 of the lock file that narrowed the registry down
-    env_steps_per_second: float | None = None  # None where the table was found finished
+    env_steps_per_second: float | None = None  # None if nothing had to be simulated
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Summary(Context):
 
     episodes: int
     episodes_per_pair: int
-    # Whether all partners played the same starts, as all did before each had starts of its own.
+    # Whether all partners played the same starts, as in older folders.
     common_starts: bool = True
     nonfinite: int  # episodes whose physics became non-finite; they count
     variance: Variance | None = None  # None with fewer than two robots or partners
@@ -98,14 +98,14 @@ class SideFigures:
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
-    # Of the gentle tasks: by what the human likes; goal reached and nobody hurt; a hard contact.
+    # Only for gentle tasks: return by preference, success without violation, violations.
     by_preference: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     preference_fairness: Fairness | None = None  # None with fewer than two preferences
     # Of series of episodes, in which a robot remembers its partner: by place, from "1".
     by_place: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     safe_success: Estimate | None = None  # share of episodes
     violations: Estimate | None = None
-    # How people were touched, by column of the table, where the task's version measures it.
+    # Measures of contact with the person by column of the table, if the task's version has them.
     touch: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     worst_partner: NamedWorst
     cvar_10: Interval | None  # None with one episode a pair
@@ -117,9 +117,9 @@ class EvaluationSummary(SideFigures, Summary, ZeroShot):
 
     egos: tuple[str, ...]
     partners: dict[str, int]  # how many are counted, by side
-    references: References | None = None  # None where no reference egos were played
+    references: References | None = None  # None if no reference egos were played
     relative: Relative | None = None
-    met: MetSummary | None = None  # None of a folder of before it was recorded
+    met: MetSummary | None = None  # None for older folders without this record
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +135,7 @@ class MatrixFigures:
     """Figures of the robots of a matrix."""
 
     best_ego: BestEgo
-    rank_stability: Stability | None  # None where they have no ranking
+    rank_stability: Stability | None  # None if they have no ranking
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

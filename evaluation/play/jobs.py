@@ -38,11 +38,11 @@ class Job:
     series: int = 1  # number of consecutive episodes in which a robot remembers its partner
     own_episodes: bool = False  # whether each partner has its own episode seeds, see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
-    scene: str | None = None  # sha256 of the task's scene; None of an environment from outside
+    scene: str | None = None  # sha256 of the task's scene; None for an environment from outside
     # Of the gentle tasks: what the partners like, in turns, see `preferences_of`; empty where it is
     # drawn.
     preferences: tuple[str, ...] = ()
-    # Side -> those of its partners, where the sides differ.
+    # Side -> preferences of its partners, if the sides differ.
     side_preferences: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -219,7 +219,7 @@ def _episode(table: pl.DataFrame, about: Mapping[str, Any], number: int) -> Epis
 
 
 def _column(rows: pl.DataFrame, name: str, width: int = 0, *, last: bool = True) -> np.ndarray:
-    """Return a column's numbers [T], or [T, width] of arrays; without the last row if it has none.
+    """Return a column's numbers [T], or [T, width] for arrays, without the last row unless `last`.
 
     Points, of any width that is a multiple of 3, are asked for by -1: theirs alone may be NaN.
     """

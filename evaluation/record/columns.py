@@ -50,12 +50,12 @@ COLUMNS = {
     "contact_peak": Column(_REAL, "gentle"),  # N, of one contact
     "violated": Column(_FLAG, "gentle"),  # one was above the hard limit
     "end_share": Column(_REAL, "touch"),  # of steps: touched with a joint of the arm at its end
-    # m/s of the tool in the step before the first touch; 0 if there was none
+    # m/s of the tool in the step before the first touch; 0 without a touch
     "touch_speed": Column(_REAL, "touch"),
     "face_least": Column(_REAL, "touch"),  # m, the tool's least distance from the face
     "together_peak": Column(_REAL, "touch"),  # N, the largest sum of contacts at once
     "sustained_force": Column(_REAL, "touch"),  # N, the largest mean over 1 s of all contacts
-    "first_contact": Column(_WHOLE, "behaviour"),  # steps until it; all of them if there was none
+    "first_contact": Column(_WHOLE, "behaviour"),  # steps until it; all steps without a contact
     "distance_mean": Column(_REAL, "behaviour"),
     "robot_travel": Column(_REAL, "behaviour"),  # rad, summed over joints and steps
     "human_travel": Column(_REAL, "behaviour"),

@@ -63,7 +63,7 @@ def browser() -> Generator[Browser]:
 
 
 def shown_in(browser: Browser, page_file: Path, width: int = 1280) -> Iterator[Page]:
-    """Yield a page once its player stands; it may ask nobody for anything."""
+    """Yield a page once its player is ready, and check that it loads nothing else."""
     asked: list[str] = []
     with opened(browser, width) as page:
         page.on("request", lambda request: asked.append(request.url))
@@ -90,7 +90,7 @@ def test_an_episode_is_that_of_the_table(recording: Path, episode: Episode) -> N
 
 
 def test_arrows_carry_the_recorded_force(episode: Episode) -> None:
-    """Forces share the recorded one; each begins at the robot and ends at the person."""
+    """The arrows' forces sum to the recorded force."""
     touches = episode_content(episode)["touches"]
     counted = 0
     for newtons, arrows in zip(episode.force, touches, strict=True):
@@ -104,7 +104,7 @@ def test_arrows_carry_the_recorded_force(episode: Episode) -> None:
 
 
 def test_targets_follow_arm(episode: Episode) -> None:
-    """The itch is fixed to the arm: as far from its segment's middle in every moment."""
+    """The itch is fixed to the arm, at a constant distance from its segment's middle."""
     model = picture_model(TASK)
     data = mujoco.MjData(model)
     gaps = []
@@ -133,13 +133,13 @@ def changed(
     change: Callable[[pl.DataFrame], pl.DataFrame],
     about: Callable[[dict[str, Any]], object] | None = None,
 ) -> Path:
-    """Return a copy whose table, or what it says of itself, somebody changed."""
-    said = json.loads(pl.read_parquet_metadata(recording)[METADATA_KEY])
+    """Return a copy of a recording with a changed table or changed metadata."""
+    metadata = json.loads(pl.read_parquet_metadata(recording)[METADATA_KEY])
     if about is not None:
-        about(said)
+        about(metadata)
     out = folder / "changed.trajectory"
     table = change(pl.read_parquet(recording))
-    table.write_parquet(out, metadata={METADATA_KEY: json.dumps(said)})
+    table.write_parquet(out, metadata={METADATA_KEY: json.dumps(metadata)})
     return out
 
 
@@ -270,7 +270,7 @@ COLOURS = """new Promise((done) => {
   });
 })"""
 
-# Keeps each word that the button has from now on: "Pause" may be gone before anybody looks.
+# Records each text of the button, because "Pause" may disappear before it is read.
 WORDS = """() => {
   const button = document.querySelector("[data-steps] button.play");
   window.words = [];
@@ -279,7 +279,7 @@ WORDS = """() => {
 
 
 def farthest(drawn: dict[str, list[float]], pose: np.ndarray) -> float:
-    """Return how far bodies are drawn from where MuJoCo has them, at most, m."""
+    """Return the largest distance in m of a drawn body from its place in MuJoCo."""
     model = picture_model(TASK)
     data = mujoco.MjData(model)
     data.qpos[:] = pose

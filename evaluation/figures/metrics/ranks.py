@@ -58,9 +58,9 @@ from assistax_envs.registered import ByTask
 CONFIDENCE = 0.95
 ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
 _LENT_DF, _LENT_TO_TWO = 2.0, 0.6  # of what is known beforehand, and to methods with two seeds
-_ROUNDING = 1e-9  # of the largest mean: a difference below it is none
-_ODD_ROWS = 10  # left out, at most, where the pairs that may be equal are counted
-_INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # where Student's quantiles are computed
+_ROUNDING = 1e-9  # share of the largest mean, below which a difference counts as zero
+_ODD_ROWS = 10  # most rows to leave out when the pairs that may be equal are counted
+_INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # nodes at which Student's quantiles are computed
 
 
 # Standard deviation between seeds of one method of their means over partners: root mean square over

@@ -17,7 +17,7 @@ class Spread:
 
     seeds: float
     partners: float
-    pairs: float  # who meets whom, beyond what seed and partner bring
+    pairs: float  # interaction of seed and partner
     episodes: float  # of one pair, beside its start
     starts: float = 0.0  # of a partner's starts, which all seeds meet
 
