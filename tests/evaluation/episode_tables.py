@@ -45,7 +45,7 @@ def recorded(table: pl.DataFrame, folder: Path = Path("nowhere")) -> Record:
 def sealed(folder: Path, made_with: Mapping[str, str] | None = None, **changed: Any) -> Path:
     """Write the manifest that fits a folder's episodes and files, and return the folder.
 
-    Its identity has these fields otherwise, or not at all where they are None.
+    `changed` replaces fields of its identity; a field that is None is removed.
     """
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
     partners = table.select("partner", "partner_disability", "side").unique().sort("partner")

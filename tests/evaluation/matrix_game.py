@@ -132,7 +132,7 @@ def roster(spec: PolicySpec, members: tuple[Member, ...], params: Any) -> Roster
 
 
 def robots(*values: float) -> Roster:
-    """Return egos that always act `values[e]`: row 1 where positive, else row 0."""
+    """Return egos that always act `values[e]`: row 1 if positive, else row 0."""
     members = tuple(
         Member(
             f"matrix/hand-d1-s{i}-v0/robot", f"r{value}", f"matrix/hand-d1-s{i}-v0", "hand", "d1", i
@@ -156,7 +156,7 @@ def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Roster:
 
 @functools.cache
 def random_roster(spec: PolicySpec, count: int, seed: int) -> Roster:
-    """Return randomly initialised policies whose actions depend on what they see."""
+    """Return randomly initialised policies whose actions depend on observations."""
     # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can
     # deadlock on two cores.
     params = jax.lax.map(Policy(spec).init, jax.random.split(jax.random.key(seed), count))

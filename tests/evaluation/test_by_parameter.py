@@ -113,7 +113,7 @@ NETWORK = "gentle_scratch/ippo-d1-s0-v2/human"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a folder with 40 persons, two robots, and one partner that is none."""
+    """Return a folder with 40 persons, two robots, and one partner that is no person."""
     partners = [f"gentle_scratch/person-{number:05d}-v3/human" for number in range(40)]
     returns = np.random.default_rng(0).normal(100.0, 30.0, (2, 41, 2))
     table = episode_table(returns, ["a", "b"], teams(41), ["test"] * 41)

@@ -1,4 +1,4 @@
-"""A cast asks everything published; after it nobody asks a registry."""
+"""After a cast is made, a study asks no registry."""
 
 import sys
 import threading

@@ -150,7 +150,7 @@ def test_figures_of_the_same_partners_stay_as_saved(tmp_path: Path) -> None:
 
 
 def test_figures_of_common_partners_are_drawn_again(tmp_path: Path) -> None:
-    """Everything is of the common partners: profile, references and what is relative to them."""
+    """Profile, references and relative figures are of the common partners."""
     a = method(tmp_path / "a", references=True, identity={})
     b = method(tmp_path / "b", 0, 2, 3, identity={})
     figures = method_figures({"a": a, "b": b}, profiles=True)
@@ -239,7 +239,7 @@ def test_a_folder_without_a_manifest_is_told(reader: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("reader", READERS)
 def test_different_series_are_noted(reader: str, tmp_path: Path) -> None:
-    """Both play the same episodes: the difference is what a memory is worth."""
+    """Both play the same episodes, so the difference is the effect of memory."""
     method(tmp_path / "a", identity={"series": 3})
     method(tmp_path / "b", identity={})
     found = READERS[reader](tmp_path)

@@ -344,7 +344,7 @@ def test_cleared_results_include_derived_files(tmp_path: Path):
 
 
 def test_new_episodes_stand_beside_no_table_of_others(tmp_path: Path):
-    """Of a folder whose manifest was lost: a new one would say that the tables are its own."""
+    """A new manifest must not list tables of a folder that lost its manifest."""
     (tmp_path / tables.BOUNDS_FILE).write_text("another's")
     run_job(MatrixGame(), make_job(), tmp_path)
     manifest = json.loads((tmp_path / MANIFEST_FILE).read_text())

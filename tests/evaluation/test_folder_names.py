@@ -123,7 +123,7 @@ def test_folder_name_with_newline_shows_damaged_file(tmp_path: Path) -> None:
 def test_a_robot_is_that_of_its_folder(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a glob of files too: its folders that are there are no patterns."""
+    """Existing folders in a glob of files are not patterns."""
     registry = az.open_zoo(home / "zoo").registry
     monkeypatch.chdir(tmp_path)
     for folder, names in (("run[1]", ["a-s0", "a-s1"]), ("run1", ["a-s0", "a-s1", "b"])):

@@ -1,7 +1,7 @@
-"""Episode tables on `native` stay, bit for bit, what they were when the golden folder was made.
+"""Episode tables on `native` are equal to those of the golden folder, bit by bit.
 
-Another processor, jaxlib or MuJoCo may round the last bit differently, and contacts amplify that:
-there the same episodes must be played, and their returns agree in the mean.
+Another processor, jaxlib or MuJoCo may round the last bit differently, and contacts amplify that.
+Then the same episodes must be played, and their mean returns must agree.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""How it is played: said once, checked once, and the same in Python and on the command line."""
+"""Settings of play are documented and checked once, for Python and the command line."""
 
 import dataclasses
 import inspect

@@ -109,7 +109,7 @@ def test_a_received_manifest_cannot_make_us_read_elsewhere(folder: Path, tmp_pat
 def test_a_received_manifest_commands_no_terminal(
     folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither by a name, nor by a hash, nor by what it says of sources, nor through JSON."""
+    """Names, hashes, sources and JSON of a manifest are printed without control characters."""
     evil = "\x1b]0;owned\x07\x9b31m\nverified 9 files\u202e\udcff"
     whole = provenance.read_manifest(folder) or {}
     files, sources = whole["files"], whole["sources"]
@@ -136,7 +136,7 @@ def test_a_received_manifest_commands_no_terminal(
 
 
 def reidentified(folder: Path, **changes: Any) -> None:
-    """Write another identity into a manifest, consistently, as whoever sends a folder can."""
+    """Write another identity into a manifest, consistently, as a sender can."""
     manifest = provenance.read_manifest(folder) or {}
     identity = {**manifest["identity"], **changes}
     job = provenance.identity_digest(identity)
@@ -199,7 +199,7 @@ def changed(folder: Path, registry: Registry, factor: float) -> None:
 def test_forged_figures_are_found(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Planted: consistent hashes over returns that nobody played, and figures drawn of them."""
+    """Planted: consistent hashes of invented returns and their figures."""
     changed(folder, registry, 1.00001)
     report = replay_folder(folder, registry, sample=1)
     assert not report.ok and report.differing == 8 and "other values" in report.problems[0]
@@ -231,7 +231,7 @@ def test_references_are_played_again_too(folder: Path, registry: Registry) -> No
 def test_replay_sample_is_random_and_repeatable(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A forger who knew it would leave those episodes as they were."""
+    """A forger must not know the sample in advance."""
     monkeypatch.setattr(rederive, "derived_problems", lambda *args, **options: [])
     chosen: list[Any] = []
 

@@ -171,7 +171,7 @@ def test_fixed_batch_error_names_axis(tmp_path: Path) -> None:
 
 
 def test_a_model_cannot_name_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Weights in a file of their own would escape the digest, and read what they like."""
+    """Weights in another file would escape the digest, and could name any file."""
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "robot.onnx", MLP)
     model = onnx.load(str(tmp_path / "robot.onnx"))

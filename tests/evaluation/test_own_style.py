@@ -112,7 +112,7 @@ def test_a_returned_figure_stays_usable(tmp_path: Path) -> None:
 
 
 def makers() -> list[tuple[Path, ast.FunctionDef, set[str]]]:
-    """Return the functions that begin a figure, and what decorates each."""
+    """Return the functions that make a figure, with their decorators."""
     folders = ("evaluation", "tools", "workshop/assistax_workshop")
     paths = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
     found = []

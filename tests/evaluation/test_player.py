@@ -1,4 +1,4 @@
-"""The player of episodes: it shows what was recorded, and refuses what nobody can have recorded."""
+"""The player of episodes shows recordings, and refuses impossible ones."""
 
 import base64
 import json

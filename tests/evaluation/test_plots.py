@@ -1,4 +1,4 @@
-"""Figures: what they show, in which order, and that they leave no state behind."""
+"""Figures: their content, their order, and no state left behind."""
 
 import itertools
 import subprocess

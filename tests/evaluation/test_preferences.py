@@ -50,7 +50,7 @@ NAMES = tuple(PREFERENCES)
 class Fond(MatrixGame):
     """Each step pays the number of the human's preference; partners of pk press with k N in all.
 
-    Who likes p9 is hurt, and whoever plays row 1 with the other player reaches the goal.
+    Preference p9 is violated, and a pair in row 1 reaches the goal.
     """
 
     def reset(self, keys: Any, params: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Rank intervals: what must follow from the data, and how often they are right."""
+"""Rank intervals: consequences of the data, and coverage."""
 
 import dataclasses
 import itertools
@@ -19,10 +19,9 @@ METHODS, PARTNERS = 6, 30
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """Where scores come from; standard deviations in points of return.
+    """The distribution of scores; standard deviations in points of return.
 
-    A score is mean + ease of the partner + luck of the seed + what the method has with the partner
-    + what the seed has with it.
+    A score is the sum of the mean, the partner, the seed, method x partner and seed x partner.
     """
 
     gap: float = 0.0  # between the means of neighbours

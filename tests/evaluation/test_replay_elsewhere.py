@@ -88,7 +88,7 @@ def test_honest_folders_are_the_same(name: str, made: Path, zoo: Registry) -> No
 
 
 def test_headline_rows_have_headline_mean(made: Path, zoo: Registry, forge: Any) -> None:
-    """Of M_test and of the cross-play: what is added to the figure's rows is found in it."""
+    """A change of the headline's rows changes M_test and the cross-play mean by the same amount."""
 
     def change(forger: Forger) -> None:
         rows = pl.col("ego_team") != pl.col("partner_team")

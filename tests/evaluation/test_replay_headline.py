@@ -46,7 +46,7 @@ def test_figure_of_zero_is_never_confirmed_elsewhere() -> None:
 
 
 def test_raised_figure_makes_no_smaller_share() -> None:
-    """A forger who raises the figure would else make what is hidden look small."""
+    """Otherwise a raised figure would make the hidden share look small."""
     raised = dataclasses.replace(FIGURE, value=250.0)
     reach = Reach(1, 1, 0, 12.0, difference=-50.0)
     assert hidden_share(raised, reach) == pytest.approx(0.06)

@@ -1,4 +1,4 @@
-"""What another processor may make of episodes passes, and what a forger would gain does not."""
+"""Differences of processors pass, and forged differences do not."""
 
 import numpy as np
 import polars as pl
@@ -22,7 +22,7 @@ EGOS, PARTNERS, EPISODES = 2, 9, 8
 
 @pytest.fixture
 def episodes() -> pl.DataFrame:
-    """Episodes of two robots that earn what published ones do, with what a scratch table has."""
+    """Return episodes of two robots with typical returns and all columns of a scratch table."""
     rng = np.random.default_rng(0)
     size = EGOS * PARTNERS * EPISODES
     row = np.arange(size)

@@ -1,4 +1,4 @@
-"""The page: self-contained, safe against what ids hold, and alive in a browser."""
+"""The page: self-contained, safe against hostile ids, and working in a browser."""
 
 import base64
 import json
@@ -74,7 +74,7 @@ def page_of(folder: Path, tmp_path: Path) -> str:
 
 
 class Links(HTMLParser):
-    """Collects what a page would load, and its elements."""
+    """Collector of a page's links and elements."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -381,7 +381,7 @@ def film_of(page: str) -> dict[str, Any] | None:
 
 @pytest.mark.slow
 def test_film_command_matches_manifest(crossplay: Path, tmp_path: Path):
-    """Not of what somebody typed: from Python, nothing was."""
+    """The command is made from the manifest, because a study in Python has no command."""
     film = {"command": "assistax-zoo render --task scratch --seed 5", "preferences": {}}
     assert film_of(page_of(crossplay, tmp_path)) == film
     folder = Path(shutil.copytree(crossplay, tmp_path / "xp"))

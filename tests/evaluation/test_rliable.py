@@ -1,4 +1,4 @@
-"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264) where it is there.
+"""Cross-check with rliable (Agarwal et al., arXiv 2108.13264) if it is installed.
 
 `pip install rliable 'pandas<3'`.
 """
@@ -32,7 +32,7 @@ def test_aggregates_are_those_of_rliable():
 
 @pytest.fixture
 def arch_of_any_release(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let rliable, written for arch 5, run on later ones, where `random_state` is called `seed`."""
+    """Let rliable, written for arch 5, run on later ones, which call `random_state` `seed`."""
     base = pytest.importorskip("arch.bootstrap.base").IIDBootstrap
     original = base.__init__
     if "random_state" in inspect.signature(original).parameters:

@@ -1,4 +1,4 @@
-"""Files of robots from outside stay while they play, and what answers depend on is said."""
+"""Files of robots from outside must not change, and varying answers are noted."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -52,7 +52,7 @@ def test_unknown_reference_gets_suggestion(text: str, message: str) -> None:
 
 
 def test_no_other_module_parses_references() -> None:
-    """One grammar, one parser: who asks for a scheme by itself has begun a second one."""
+    """A second parser would begin with a check of a scheme in another module."""
     root = Path(__file__).parents[2]
     for package in ("evaluation", "assistax_zoo", "population", "zoo"):
         for path in (root / package).rglob("*.py"):

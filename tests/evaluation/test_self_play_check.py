@@ -1,4 +1,4 @@
-"""Replaying self-play against what a registry records."""
+"""Replay of self-play against a registry's records."""
 
 import dataclasses
 import itertools
@@ -138,7 +138,7 @@ def test_failing_team_plays_more_episodes(
 def test_rare_episodes_are_no_difference(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, every: int, ok: bool
 ) -> None:
-    """One episode in eight, or each, earns ten times as much; of the recorded ones none did."""
+    """One episode in eight, or each, earns ten times the recorded return."""
     play = self_play_check.play
 
     def played(env: Any, job: Any, max_envs: int) -> Any:

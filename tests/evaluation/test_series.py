@@ -1,4 +1,4 @@
-"""Series of episodes: a robot remembers with whom it plays, and its partner does not."""
+"""Series of episodes: a robot keeps its memory, and its partner does not."""
 
 import dataclasses
 from pathlib import Path

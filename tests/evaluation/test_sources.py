@@ -81,7 +81,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def verdict(home: Path) -> bool:
-    """Return what the command says."""
+    """Return the output of the command."""
     try:
         return run(["verify", str(home / "out"), "--json"]) == 0
     except SystemExit:
@@ -126,7 +126,7 @@ def test_one_bit_of_any_file_is_found(home: Path, capfd: pytest.CaptureFixture[s
 
 
 def test_one_bit_of_the_registry_is_found(home: Path) -> None:
-    """Wherever it changes what a figure is drawn from; elsewhere the registry's own check does."""
+    """Bits that no figure depends on are found by the registry's own check."""
     path, rng = home / "zoo" / "registry.json", random.Random(0)
     whole = path.read_bytes()
     [release] = (provenance.read_manifest(home / "out") or {})["sources"]["releases"].values()
@@ -160,7 +160,7 @@ def verified(path: Path) -> bool:
 def test_planted_defect_unhashed_shards_are_caught(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The planted defect: parameters that nobody holds against their hash."""
+    """The planted defect: parameters whose hash is not checked."""
     path = files_of(home)[-1]
     whole = path.read_bytes()
     path.write_bytes(flipped(whole, len(whole) // 2, 0))
@@ -226,7 +226,7 @@ def test_registry_inside_folder_is_ignored(home: Path, tmp_path: Path) -> None:
 
 
 def resealed(folder: Path, **changes: Any) -> None:
-    """Write other sources into a manifest, consistently, as whoever sends a folder can."""
+    """Write other sources into a manifest, consistently, as a sender can."""
     manifest = provenance.read_manifest(folder) or {}
     provenance.write_manifest(folder, {**manifest, "sources": {**manifest["sources"], **changes}})
 
@@ -271,7 +271,7 @@ SETTINGS = How("scratch", 1, backend="native")
 
 
 def evaluated(home: Path, robot: str, folder: Path) -> list[float]:
-    """Evaluate one robot, and return what its summary and its table say of its returns."""
+    """Evaluate one robot, and return M_test and the episodes' returns."""
     registry = load_registry(home / "zoo" / "registry.json")
     summary = evaluate_policies(registry, [robot], SETTINGS, folder)
     table = read_episodes(folder / EPISODES_FILE)

@@ -221,7 +221,7 @@ for place in map(int, sys.argv[3:]):
 
 
 def outcomes(path: Path, reader: str, places: Sequence[int]) -> tuple[int, list[str]]:
-    """Flip a bit at each place in turn, and read; return the exit code and what was told."""
+    """Flip a bit at each place in turn and read; return the exit code and the printed lines."""
     words = [sys.executable, "-c", READ, str(path), reader, *map(str, places)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
     return done.returncode, done.stdout.splitlines()
@@ -229,9 +229,9 @@ def outcomes(path: Path, reader: str, places: Sequence[int]) -> tuple[int, list[
 
 @pytest.mark.slow
 def test_reader_panic_is_a_damaged_file(tmp_path: Path):
-    """Real ones, of Polars' Rust: of the first eight bits that are fields' headers of a page.
+    """Bit flips in the headers of a page cause panics and aborts of Polars' Rust code.
 
-    A panic is no Exception and passes every handler; an abort asks none.
+    Python cannot catch an abort, and a panic is not an Exception.
     """
     path = tmp_path / "t.parquet"
     tables.write_parquet(small(), path)
