@@ -31,7 +31,7 @@ def as_used(robot: Any) -> Generator[None]:
     """Put a robot's networks into evaluation mode in a `with` block, and restore all state."""
     parts = _parts(robot)
     with contextlib.ExitStack() as restoring:
-        for keep in (_keep_chance, _keep_torch, _keep_modes, _keep_variables):
+        for keep in (_keep_generators, _keep_torch, _keep_modes, _keep_variables):
             for restore in keep(parts):
                 restoring.callback(restore)
         for part in parts:
@@ -51,11 +51,11 @@ def _parts(robot: Any) -> list[Any]:
         if id(part) not in found:
             found[id(part)] = part
             with contextlib.suppress(Exception):  # some objects are not what they seem
-                queue.extend(_inside(part))
+                queue.extend(_held_objects(part))
     return list(found.values())
 
 
-def _inside(part: Any) -> Iterator[Any]:
+def _held_objects(part: Any) -> Iterator[Any]:
     """Yield the objects that an object directly holds, without running its code."""
     kind = type(part)
     if issubclass(kind, types.ModuleType | type | np.ndarray | str | bytes | int | float):
@@ -65,7 +65,7 @@ def _inside(part: Any) -> Iterator[Any]:
             yield from part.values() if issubclass(kind, dict) else part
         return
     if issubclass(kind, types.FunctionType):
-        yield from _referred(part)
+        yield from _referenced_objects(part)
     elif issubclass(kind, types.MethodType):
         yield from (part.__self__, part.__func__)
     elif issubclass(kind, functools.partial):
@@ -77,7 +77,7 @@ def _inside(part: Any) -> Iterator[Any]:
         yield from (one for one in methods if isinstance(one, types.FunctionType))
 
 
-def _referred(function: types.FunctionType) -> Iterator[Any]:
+def _referenced_objects(function: types.FunctionType) -> Iterator[Any]:
     """Yield the values of a function's closure, globals and defaults."""
     for cell in function.__closure__ or ():
         with contextlib.suppress(ValueError):  # an empty one
@@ -90,7 +90,7 @@ def _referred(function: types.FunctionType) -> Iterator[Any]:
 Restoring = Iterable[Callable[[], Any]]
 
 
-def _keep_chance(parts: list[Any]) -> Restoring:
+def _keep_generators(parts: list[Any]) -> Restoring:
     """Yield functions that restore random generators: the process's global ones and the robot's."""
     torch: Any = sys.modules.get("torch")
     yield functools.partial(random.setstate, random.getstate())

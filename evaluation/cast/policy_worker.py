@@ -226,12 +226,12 @@ class _OwnCode:
 
         A file has several hashes if it was changed between two loads.
         """
-        own = Path(getattr(self._module, "__file__", None) or "").resolve()
+        module_file = Path(getattr(self._module, "__file__", None) or "").resolve()
         paths = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
         # Some files do not exist: PyTorch has a module whose `__file__` is "_classes.py".
         named = {Path(file).resolve() for file in paths if file and file.endswith(".py")}
         named = {file for file in named if file.is_file()} | {Path(file) for file in self._ran}
-        files = [own, *sorted(file for file in named - {own} if self._is_own(file))]
+        files = [module_file, *sorted(file for file in named - {module_file} if self._is_own(file))]
         return {
             str(file): sorted(self._ran.get(str(file)) or {_file_sha256(file)}) for file in files
         }

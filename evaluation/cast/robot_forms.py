@@ -120,7 +120,7 @@ class _Predicting:
     """A model of Stable-Baselines3, recurrent or not, or one with a shorter `predict`."""
 
     def __init__(self, model: Any) -> None:
-        self._model, self._takes = model, _taken(model.predict, _PREDICTING)
+        self._model, self._takes = model, _accepted_names(model.predict, _PREDICTING)
         self.reset(0)
 
     def reset(self, rows: int) -> None:
@@ -135,7 +135,7 @@ class _Predicting:
         return answer
 
 
-def _taken(function: Callable[..., Any], names: Collection[str]) -> list[str]:
+def _accepted_names(function: Callable[..., Any], names: Collection[str]) -> list[str]:
     """Return those of `names` that a function takes as keywords; all if its signature is open."""
     try:
         parameters = inspect.signature(function).parameters
@@ -164,17 +164,19 @@ def _array(answer: Any) -> np.ndarray:
     if isinstance(answer, list | tuple) and any(hasattr(row, "shape") for row in answer):
         rows = [_array(row) for row in answer]
         if len({row.shape for row in rows}) > 1:
-            raise TypeError(_several(answer, rows))
+            raise TypeError(_parts_message(answer, rows))
         answer = rows
     try:
         array = np.asarray(answer)
     except ValueError:  # rows of different lengths
-        raise TypeError(_several(answer, [np.asarray(row, object) for row in answer])) from None
+        raise TypeError(
+            _parts_message(answer, [np.asarray(row, object) for row in answer])
+        ) from None
     narrow = array.dtype.kind == "V" and np.can_cast(array.dtype, np.float32)  # such as bfloat16
     return array.astype(np.float32) if narrow else array
 
 
-def _several(answer: Any, rows: list[np.ndarray]) -> str:
+def _parts_message(answer: Any, rows: list[np.ndarray]) -> str:
     """Return the message for an answer whose parts have different shapes."""
     parts = [
         f"{type(part).__name__}{list(row.shape) if row.ndim else ''}"

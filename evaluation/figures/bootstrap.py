@@ -215,7 +215,9 @@ def replicate(
         replicates = _replicate_starts(values, lambda chunk: counts[chunk], starts)
     else:
         replicates = weighted_mean(means, counts), weighted_iqm(means, counts)
-    return Draws(mean(means), iqm(means), *replicates, means.size, _varied(to, counts, starts))
+    return Draws(
+        mean(means), iqm(means), *replicates, means.size, _scope_if_varied(to, counts, starts)
+    )
 
 
 def replicate_crossed(
@@ -247,7 +249,7 @@ def replicate_crossed(
         )
     return Draws(
         *(mean(means), iqm(means), *replicates, means.size),
-        _varied(
+        _scope_if_varied(
             counts.generalises_to,
             counts.seeds[:, mask.any(axis=1)],
             counts.partners[:, mask.any(axis=0)],
@@ -287,7 +289,7 @@ def draw_starts(
     return draw_counts(shape[2], resamples, rng)
 
 
-def _varied(to: str, *counts: np.ndarray | None) -> str:
+def _scope_if_varied(to: str, *counts: np.ndarray | None) -> str:
     """Return `to`, or `NOTHING` if all resamples have the same counts.
 
     A figure of one pair is constant even if other pairs of its matrix are resampled. An interval of

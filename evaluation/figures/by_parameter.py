@@ -113,7 +113,7 @@ def effects(
             f"{len(values)} persons in {bins} bins; give 2 bins or more, and {FEWEST} persons for "
             "each at least"
         )
-    dealt = [_dealt(column, bins)[0] for column in of.rows.T]
+    dealt = [_binned(column, bins)[0] for column in of.rows.T]
     draws = rng.integers(0, len(values), (resamples, len(values)))
     measured = [
         _effect(parameter, groups, values, draws)
@@ -137,7 +137,7 @@ def surface(of: Outcomes, over: tuple[str, str], *, bins: int = BINS) -> Surface
     if over[0] == over[1]:
         raise ValueError(f"the surface is over {over[0]} twice; name two parameters")
     (rows, x_edges), (columns, y_edges) = (
-        _dealt(of.rows[:, names.index(name)], bins) for name in over
+        _binned(of.rows[:, names.index(name)], bins) for name in over
     )
     shape = len(x_edges) - 1, len(y_edges) - 1
     cells = rows * shape[1] + columns
@@ -179,13 +179,13 @@ def summarise_parameters(
     Raises:
         ValueError: The folder has no persons or too few, or they lack one of the numbers.
     """
-    of = outcomes(record)
+    persons = outcomes(record)
     if len(over) not in (0, 2) or most < 1:
         raise ValueError(
             f"the surface is over {len(over)} parameters, and {most} are to be shown; name two or "
             "none for the surface, and show 1 or more"
         )
-    measured = {outcome: effects(of, outcome, bins=bins) for outcome in of.values}
+    measured = {outcome: effects(persons, outcome, bins=bins) for outcome in persons.values}
     matter = {
         outcome: {
             "chance": chance,
@@ -195,18 +195,18 @@ def summarise_parameters(
     }
     first, second = over or (effect.parameter for effect in measured[RETURN][0][:2])
     return {
-        "task": of.task,
-        "persons": len(of.rows),
-        "egos": of.egos,
-        "episodes": of.episodes,
+        "task": persons.task,
+        "persons": len(persons.rows),
+        "egos": persons.egos,
+        "episodes": persons.episodes,
         "bins": bins,
-        "means": {name: float(values.mean()) for name, values in of.values.items()},
+        "means": {name: float(values.mean()) for name, values in persons.values.items()},
         "matter": matter,
-        "surface": dataclasses.asdict(surface(of, (first, second), bins=bins)),
+        "surface": dataclasses.asdict(surface(persons, (first, second), bins=bins)),
     }
 
 
-def _dealt(
+def _binned(
     column: Float[np.ndarray, " P"], bins: int
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " E"]]:
     """Return each person's bin and the bins' edges; persons without the number may have a bin."""
@@ -222,8 +222,8 @@ def _effect(
     last, share = int(groups.max()), float(_share(groups[None], values[None])[0])
     again = _share(groups[draws], values[draws])
     low, high = np.quantile(again, (0.025, 0.975))
-    step = float(_step(groups[None], values[None], last)[0])
-    steps = np.nanquantile(_step(groups[draws], values[draws], last), (0.025, 0.975))
+    step = float(_low_to_high(groups[None], values[None], last)[0])
+    steps = np.nanquantile(_low_to_high(groups[draws], values[draws], last), (0.025, 0.975))
     return Effect(
         parameter.name,
         parameter.unit,
@@ -247,7 +247,7 @@ def _share(groups: Int[np.ndarray, "B P"], values: Float[np.ndarray, "B P"]) -> 
     return (between - (filled - 1) * within) / np.where(all_ + within > 0.0, all_ + within, 1.0)
 
 
-def _step(groups: np.ndarray, values: np.ndarray, last: int) -> np.ndarray:
+def _low_to_high(groups: np.ndarray, values: np.ndarray, last: int) -> np.ndarray:
     """Return the mean of the last group minus that of the first [B]; NaN if one is empty."""
     count, total = _sums(groups, values)
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -237,15 +237,18 @@ def silhouette(labels: np.ndarray, distances: np.ndarray) -> float:
     members = labels[None, :] == np.unique(labels)[:, None]
     sizes = members.sum(axis=1)
     sums = distances @ members.T
-    own = np.argmax(members, axis=0)
+    clusters = np.argmax(members, axis=0)
     rows = np.arange(len(labels))
-    inside = sums[rows, own] / np.maximum(sizes[own] - 1, 1)
+    inside = sums[rows, clusters] / np.maximum(sizes[clusters] - 1, 1)
     others = sums / sizes
-    others[rows, own] = np.inf
+    others[rows, clusters] = np.inf
     outside = others.min(axis=1)
     widest = np.maximum(inside, outside)
     scores = np.divide(
-        outside - inside, widest, out=np.zeros(len(labels)), where=(widest > 0) & (sizes[own] > 1)
+        outside - inside,
+        widest,
+        out=np.zeros(len(labels)),
+        where=(widest > 0) & (sizes[clusters] > 1),
     )
     return float(scores.mean())
 

@@ -172,8 +172,8 @@ def _incompatible(responses: Responses) -> dict[str, Any] | None:
 
     Pairs are compared by the smaller of the two losses. If it is never positive, return None.
     """
-    own = np.diag(responses.returns)
-    loss = own[None, :] - responses.returns  # [robot's partner b, played partner a]
+    best = np.diag(responses.returns)
+    loss = best[None, :] - responses.returns  # [robot's partner b, played partner a]
     mutual = np.minimum(loss, loss.T)
     first, second = np.unravel_index(int(np.argmax(mutual)), mutual.shape)
     if mutual[first, second] <= 0:
@@ -181,7 +181,7 @@ def _incompatible(responses: Responses) -> dict[str, Any] | None:
     return {
         "partners": [responses.partners[first], responses.partners[second]],
         "robots": [responses.robots[first], responses.robots[second]],
-        "returns": [float(own[first]), float(own[second])],
+        "returns": [float(best[first]), float(best[second])],
         "returns_exchanged": [
             float(responses.returns[second, first]),
             float(responses.returns[first, second]),

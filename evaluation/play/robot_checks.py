@@ -94,8 +94,8 @@ def check_files(egos: Roster) -> dict[str, dict[str, str]]:
     for name in egos.ids:
         now = [*egos.members[name].files, *loaded.get(name, {}).items()]
         for path, sha256 in now:
-            here = file_sha256(Path(path)) if Path(path).is_file() else "none"
-            _check_same(name, Path(path), sha256, here)
+            current = file_sha256(Path(path)) if Path(path).is_file() else "none"
+            _check_same(name, Path(path), sha256, current)
     return loaded
 
 

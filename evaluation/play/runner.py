@@ -167,8 +167,8 @@ class Runner:
         seeds [K] or [P, K].
         """
         job = self._job
-        robots = [] if _host(job, tile) else _taken(job.egos, tile.egos)
-        humans = _taken(job.partners, tile.partners)
+        robots = [] if _host(job, tile) else _padded_stacks(job.egos, tile.egos)
+        humans = _padded_stacks(job.partners, tile.partners)
         ids = tuple(name for stack in humans for name in stack.ids)
         episodes = _padded(tile.episodes, tile.at_once * job.series)
         block = (
@@ -251,7 +251,7 @@ def _humans(
     return disability_params(settings, preferences)
 
 
-def _taken(roster: Roster, slices: Sequence[StackSlice]) -> list[PolicyStack]:
+def _padded_stacks(roster: Roster, slices: Sequence[StackSlice]) -> list[PolicyStack]:
     """Return the policies of a seat's slices, the last of each repeated as padding."""
     stacks = [(roster.stacks[cut.stack], _padded(cut.rows, cut.width)) for cut in slices]
     return [stack.take(rows) for stack, rows in stacks if isinstance(stack, PolicyStack)]

@@ -48,9 +48,9 @@ def _check_human(folder: Path, identity: Mapping[str, Any], name: str, registry:
     """Raise a ValueError if a human of the folder differs from the registry's."""
     entry = registry.policy(name)
     version = env_version(registry, entry.task, [entry])
-    here = [entry.task, version, [name, entry.sha256]]
+    expected = [entry.task, version, [name, entry.sha256]]
     digests = [[row[0], row[3]] for row in identity["partners"] if row[0] == name]
-    if here != [identity["task"], identity["env_version"], *digests]:
+    if expected != [identity["task"], identity["env_version"], *digests]:
         raise ValueError(
             f"human {shorten(name)} is not the one that played in {folder}: another sha256 or "
             "environment; give the registry that it was evaluated with"

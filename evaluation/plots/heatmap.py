@@ -78,7 +78,7 @@ def crossplay_heatmap(
     }
     lines = legend_lines(matrix, palettes["algorithm"], palettes["disability"])
     layout = _layout(matrix, lines) if width is None else _fitted(matrix, lines, width)
-    uncoloured = _told_below(matrix.values)
+    uncoloured = _bad_pairs_note(matrix.values)
     below = caption(matrix, summary, _marks(matrix)) + uncoloured
     wide, high = layout.size[0], layout.size[1] + style.caption_height(below, layout.size[0])
     figure = style.titled_figure(f"Cross-play: {summary['task']}", below, wide, high)
@@ -203,7 +203,7 @@ def _colour_ends(values: np.ndarray) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def _told_below(values: np.ndarray) -> str:
+def _bad_pairs_note(values: np.ndarray) -> str:
     """Return the caption's sentence on returns below the first colour; empty without any."""
     least = float(values.min())
     if _colour_ends(values)[0] == least:

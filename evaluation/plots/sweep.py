@@ -34,18 +34,18 @@ def sweep_panels(
         ValueError: There is nothing to draw.
     """
     names = [name for name in results.columns if name not in NOT_HYPERPARAMETERS]
-    shown = results.filter(pl.col("final_return").is_not_null())
-    if not names or shown.is_empty():
+    finished = results.filter(pl.col("final_return").is_not_null())
+    if not names or finished.is_empty():
         raise ValueError(
             "the sweep has no hyperparameter or no final return; run `assistax-zoo sweep` with "
             "more steps"
         )
     means = (
-        shown.group_by("configuration")
+        finished.group_by("configuration")
         .agg(pl.col("final_return").mean())
         .sort("final_return", "configuration")
     )
-    best = shown.filter(pl.col("configuration") == means["configuration"][-1])
+    best = finished.filter(pl.col("configuration") == means["configuration"][-1])
     columns = min(len(names), _COLUMNS)
     if width is None:
         width = _SIDE * columns + 0.6
@@ -66,7 +66,7 @@ def sweep_panels(
     )
     for index, name in enumerate(names):
         axes = figure.add_subplot(grid[index // columns, index % columns])
-        _panel(axes, name, shown, best)
+        _panel(axes, name, finished, best)
         if index % columns == 0:
             axes.set_ylabel("final return of an episode", fontsize=8)
     return figure

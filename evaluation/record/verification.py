@@ -220,15 +220,15 @@ def _check_releases(
         return
     for release, named in sources["releases"].items():
         entries = registry.known(named["policies"])
-        here = {entry.id: entry.sha256 for entry in entries}
-        if chosen is None and here != named["policies"]:
+        hashes = {entry.id: entry.sha256 for entry in entries}
+        if chosen is None and hashes != named["policies"]:
             text = f"policies of {shorten(str(recorded))}; another registry may have them"
             yield "absent", text
             continue
         if release in registry.data.releases:
             splits = [sources["split"]] if sources["split"] else []
-            here |= used_leaves(registry, release, entries, splits)
-        for leaf in compare({**named["policies"], **named["entries"]}, here.get):
+            hashes |= used_leaves(registry, release, entries, splits)
+        for leaf in compare({**named["policies"], **named["entries"]}, hashes.get):
             text = f"{registry.path}: {shorten(leaf.name)} is not what the figures are of"
             yield ("whole" if leaf.actual == leaf.expected else "problem"), text
         yield from _check_parameters(registry, entries)
@@ -254,15 +254,15 @@ def _file_problems(folder: Path, named: Mapping[str, str]) -> Iterator[str]:
         return received_sha256(folder / name) if Path(name).name == name else None
 
     for leaf in compare(named, digest):
-        shown = folder / printable(leaf.name)
+        path = folder / printable(leaf.name)
         if Path(leaf.name).name != leaf.name:
             yield f"the manifest names {shorten(leaf.name)}, which is no file of {folder}"
         elif isinstance(leaf.error, FileNotFoundError):
-            yield f"{shown} is missing"
+            yield f"{path} is missing"
         elif leaf.error:
-            yield f"{shown} cannot be checked: {printable(str(leaf.error))}"
+            yield f"{path} cannot be checked: {printable(str(leaf.error))}"
         elif leaf.actual != leaf.expected:
-            yield f"{shown}: expected sha256 {shorten(leaf.expected)}, found {leaf.actual}"
+            yield f"{path}: expected sha256 {shorten(leaf.expected)}, found {leaf.actual}"
 
 
 def _table_problems(folder: Path, manifest: Mapping[str, Any]) -> list[str]:

@@ -99,17 +99,17 @@ def source_problems(
     entries = entries_of(registry, rebuilt.job.egos, rebuilt.partners, references)
     split = rebuilt.split.id if rebuilt.split else None
     expected = describe_sources(registry, entries, split, ())
-    kept, said = manifest.get("sources"), manifest.get("registry")
-    if not (isinstance(kept, dict) and isinstance(said, dict)):
+    sources, recorded = manifest.get("sources"), manifest.get("registry")
+    if not (isinstance(sources, dict) and isinstance(recorded, dict)):
         return [], ["what the folder was drawn from: its manifest does not name it"]
     problems = [
         f"the manifest's {name} are not those of the registry"
         for name in ("split", "releases")
-        if kept.get(name) != expected[name]
+        if sources.get(name) != expected[name]
     ]
-    if said.get("lock") != registry.lock:
+    if recorded.get("lock") != registry.lock:
         problems.append("the manifest names another lock than the one that is given")
-    if said.get("roots") != roots_of(registry, entries):
+    if recorded.get("roots") != roots_of(registry, entries):
         unchecked = "the releases' roots: this registry has others, as one that grew or another has"
         return problems, [unchecked]
     return problems, []

@@ -159,11 +159,13 @@ def _beyond(gaps: np.ndarray, rounding: np.ndarray, scale: dict[str, Any]) -> st
 
 def _one_sided(signed: np.ndarray, rounding: np.ndarray) -> str | None:
     """Return a text if the differences are mostly positive or mostly negative, else None."""
-    other = signed[np.abs(signed) > rounding]
-    above = int((other > 0).sum())
-    if abs(above - other.size / 2) <= ONE_SIDED * np.sqrt(other.size) / 2:
+    differing = signed[np.abs(signed) > rounding]
+    above = int((differing > 0).sum())
+    if abs(above - differing.size / 2) <= ONE_SIDED * np.sqrt(differing.size) / 2:
         return None
-    return f"{above} of {other.size} episodes that differ are above; between processors half are"
+    return (
+        f"{above} of {differing.size} episodes that differ are above; between processors half are"
+    )
 
 
 def _every_group(

@@ -47,8 +47,8 @@ def received_robots(
     if len(set(sources.values())) < len(names):
         raise ValueError(f"two robots of {folder} have files of one name; allow run_code")
     for name in names:
-        _check_there(name, sources[name])
-    found = read_egos([_exactly(source) for source in sources.values()], registry, task)
+        _check_file(name, sources[name])
+    found = read_egos([_without_patterns(source) for source in sources.values()], registry, task)
     robots = _renamed(found, {source: name for name, source in sources.items()})
     for name, digest in zip(names, (row[1] for row in named), strict=True):
         if robots.members[name].digest != digest:
@@ -86,7 +86,7 @@ def source_of(name: str, folder: Path, registry: Registry, *, run_code: bool = F
     return registry.policy(reference.source).id
 
 
-def _check_there(name: str, source: str) -> None:
+def _check_file(name: str, source: str) -> None:
     """Raise a ValueError if a robot's file is missing or not a regular file."""
     reference = parse_reference(source)
     if reference.kind not in ("file", "onnx"):
@@ -105,7 +105,7 @@ def _check_there(name: str, source: str) -> None:
         raise ValueError(text) from None
 
 
-def _exactly(source: str) -> str | Path:
+def _without_patterns(source: str) -> str | Path:
     """Return a source in a form that is not read as a glob pattern."""
     return Path(source) if parse_reference(source).kind in ("file", "onnx") else source
 

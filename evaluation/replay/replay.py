@@ -127,7 +127,7 @@ def replay_folder(
         of_references=sum(part.kept.height for part in parts[1:]),
         of_tiles=len(parts[0].tiles),
         problems=(*(inner.problems if inner else ()), *problems),
-        unchecked=(*unchecked, *_less_than_same(inner)),
+        unchecked=(*unchecked, *_crossplay_notes(inner)),
     )
     if report.problems:
         return report
@@ -146,13 +146,13 @@ def _strange_manifest_refused(folder: Path) -> Generator[None]:
         raise ValueError(f"the manifest of {folder} names no job: {error!r}") from error
 
 
-def _unsaid(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
+def _missing_notes(manifest: Mapping[str, Any], rebuilt: RebuiltJob) -> list[str]:
     """Return notes on robots from outside that hold here and that the folder lacks."""
     egos = rebuilt.job.egos
     found = varying(egos, rebuilt.env.observation_size["robot"])
-    said = robot_notes(manifest.get("robots"), egos)
-    here = robot_notes({"varies": found}, egos)
-    return [f"what the folder does not say: {note}" for note in here if note not in said]
+    recorded = robot_notes(manifest.get("robots"), egos)
+    expected = robot_notes({"varies": found}, egos)
+    return [f"what the folder does not say: {note}" for note in expected if note not in recorded]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,11 +216,11 @@ def _written_problems(
             notes=robot_notes(record.manifest.get("robots"), rebuilt.job.egos),
         )
     picture = [f"{tables.MATRIX_FIGURE}, a picture"] * is_crossplay
-    unsaid = _unsaid(record.manifest, rebuilt)
+    unsaid = _missing_notes(record.manifest, rebuilt)
     return problems, (*rebuilt.unchecked, *unchecked, *picture, *unsaid)
 
 
-def _less_than_same(inner: ReplayReport | None) -> list[str]:
+def _crossplay_notes(inner: ReplayReport | None) -> list[str]:
     """Return a note if the cross-play of best responses is not confirmed to the last bit."""
     if inner is None or inner.verdict in ("same", "differs"):
         return []
@@ -330,14 +330,14 @@ def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
 
 def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
     """Return whether the folder names this kind of machine, with exact results, and the reason."""
-    made, there = _object(manifest.get("made_with")), manifest["identity"]
+    made, identity = _as_object(manifest.get("made_with")), manifest["identity"]
     pairs = {
         "processor": (made.get("processor"), processor()),
-        "jaxlib": (_object(made.get("versions")).get("jaxlib"), version("jaxlib")),
-        "engine": (there["engine"], dict(job.engine)),
-        "software": (there["software"], job.identity()["software"]),
+        "jaxlib": (_as_object(made.get("versions")).get("jaxlib"), version("jaxlib")),
+        "engine": (identity["engine"], dict(job.engine)),
+        "software": (identity["software"], job.identity()["software"]),
     }
-    differing = [name for name, (said, here) in pairs.items() if said != here]
+    differing = [name for name, (recorded, here) in pairs.items() if recorded != here]
     if differing:
         return False, f"other {', '.join(differing)} than where it was made, as the folder says"
     if job.backend not in DETERMINISTIC:
@@ -345,6 +345,6 @@ def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:
     return True, "same processor, jaxlib and engine, as the folder says"
 
 
-def _object(value: Any) -> dict[str, Any]:
+def _as_object(value: Any) -> dict[str, Any]:
     """Return a manifest's value if it is an object, else an empty dict."""
     return value if isinstance(value, dict) else {}

@@ -127,7 +127,7 @@ def check_self_play(
     from assistax_envs import make
 
     sound, problems = _load(registry, entries)
-    steps = [problem for stack in load_stacks(registry, sound) for problem in _misstep(stack)]
+    steps = [problem for stack in load_stacks(registry, sound) for problem in _step_problems(stack)]
     unfit = {name for names, _ in steps for name in names}
     problems += [problem for _, problem in steps]
     outdated = {
@@ -143,9 +143,9 @@ def check_self_play(
             # Policies have other sizes than the environment.
             problems.append(str(error))
         on_progress(len(pairs))
-    problems += [_difference(team) for team in teams if not team.ok]
+    problems += [_difference_problem(team) for team in teams if not team.ok]
     drifts = _drifts(registry, teams)
-    problems += [_drifted(drift) for drift in drifts if not drift.ok]
+    problems += [_drift_problem(drift) for drift in drifts if not drift.ok]
     return SelfPlayReport(
         backend=backend,
         episodes=episodes,
@@ -203,7 +203,7 @@ def _load(
 
 
 @own_settings()
-def _misstep(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
+def _step_problems(stack: PolicyStack) -> list[tuple[tuple[str, ...], str]]:
     """Return ids and problem of policies that fail on a zero observation or leave [-1, 1]."""
     import jax
     import jax.numpy as jnp
@@ -316,7 +316,7 @@ def _drifts(registry: Registry, teams: Sequence[TeamReplay]) -> list[Drift]:
     return drifts
 
 
-def _difference(team: TeamReplay) -> str:
+def _difference_problem(team: TeamReplay) -> str:
     if team.expected is None:
         return f"{team.team}: expected a finite self-play return, found {team.found}"
     return (
@@ -326,7 +326,7 @@ def _difference(team: TeamReplay) -> str:
     )
 
 
-def _drifted(drift: Drift) -> str:
+def _drift_problem(drift: Drift) -> str:
     installed = ", ".join(f"{name} {number}" for name, number in versions().items())
     return (
         f"all teams of {drift.task}: expected their recorded returns within {drift.tolerance:.1%} "

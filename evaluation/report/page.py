@@ -175,7 +175,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     headings, columns = [*known], [*known.values()]
     images = {"returns with training and test partners": zsc_dots(named)}
     if all(map(names_persons, partners["partner"])):
-        images |= _by_their_numbers(folder)
+        images |= _effects_figure(folder)
     else:
         images["returns by the partner's disability setting"] = trait_points(named)
     images["performance profile"] = drawn
@@ -195,7 +195,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _by_their_numbers(folder: Path) -> dict[str, Figure]:
+def _effects_figure(folder: Path) -> dict[str, Figure]:
     """Return the figure of the effects of persons' numbers, by title; empty if it has no data.
 
     Persons may be too few, or their numbers a season's secret.

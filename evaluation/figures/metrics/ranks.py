@@ -110,7 +110,7 @@ def rank_methods(
     if seed_sd is not None and not 0 < seed_sd < np.inf:
         raise ValueError(f"seed_sd is {seed_sd}; allowed is a positive number of points, or None")
     pairs = _compare(matrices, seed_sd)
-    return Ranks(_close(_step_down(pairs, 1 - confidence)))
+    return Ranks(_transitive_closure(_step_down(pairs, 1 - confidence)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _core_numbers(graph: np.ndarray) -> np.ndarray:
     return cores
 
 
-def _close(better: np.ndarray) -> np.ndarray:
+def _transitive_closure(better: np.ndarray) -> np.ndarray:
     """Return the transitive closure of a relation [M, M]."""
     while True:
         closed = better | (better.astype(np.float32) @ better.astype(np.float32) > 0)
