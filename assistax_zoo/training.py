@@ -128,8 +128,6 @@ def train_ego(
     from evaluation.ego_training import prepare, train_egos
 
     registry = open_zoo(zoo).registry
-    chosen: dict[str, Any] = {"hyperparameters": hyperparameters, "preferences": preferences}
-    chosen["told"] = told
     training = prepare(
         registry,
         task,
@@ -138,7 +136,9 @@ def train_ego(
         algorithm=algorithm,
         seeds=seeds,
         steps=steps,
-        **chosen,
+        hyperparameters=hyperparameters,
+        preferences=preferences,
+        told=told,
     )
     line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
     with chosen_progress(progress, line) as report:

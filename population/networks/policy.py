@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,9 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
 from population.networks.seat import Carry, Params
-from population.networks.spec import PolicySpec
+
+if TYPE_CHECKING:
+    from population.networks.spec import PolicySpec
 
 NORMALISED_LIMIT = 10.0  # normalised observations are clipped to this many standard deviations
 HIDDEN_SCALE = math.sqrt(2.0)  # orthogonal gain of hidden layers
@@ -88,6 +90,25 @@ class CriticSpec:
     activation: str = "tanh"  # after each dense hidden layer
 
 
+class HiddenLayers(Protocol):
+    """Hidden layers of a network: the fields that the specs of policies and critics share."""
+
+    @property
+    def torso(self) -> str:
+        """Kind of the layers: "mlp" or "gru"."""
+        ...
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the layers."""
+        ...
+
+    @property
+    def activation(self) -> str:
+        """Activation after each dense layer: "tanh" or "relu"."""
+        ...
+
+
 class _Network:
     """Base of networks on plain nested parameters, whose leading axes are free."""
 
@@ -137,7 +158,7 @@ class Policy(_Network):
     # Observations appended to the role's own, in training alone.
     beside: tuple[str, ...] = ()
 
-    def __init__(self, spec: PolicySpec) -> None:
+    def __init__(self, spec: "PolicySpec") -> None:
         self.spec = spec
         self._module = _Actor(spec)
         self._memory = _Memory(spec)
@@ -269,7 +290,7 @@ class _Actor(nn.Module):
 class _Memory(nn.Module):
     """Memory cell: the state and the latent, from an observation and the action before it."""
 
-    spec: PolicySpec
+    spec: "PolicySpec"
 
     @nn.compact
     def __call__(self, hidden: jax.Array, seen: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -289,7 +310,7 @@ class _Value(nn.Module):
 
 
 def _torso(
-    spec: PolicySpec | CriticSpec, carry: Carry, obs: jax.Array, first: jax.Array
+    spec: HiddenLayers, carry: Carry, obs: jax.Array, first: jax.Array
 ) -> tuple[Carry, jax.Array]:
     """Return the carry and the features after the hidden layers.
 

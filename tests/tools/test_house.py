@@ -83,6 +83,23 @@ def test_rooms_that_import_each_other(root: Path) -> None:
     assert "zoo: rooms import each other: open, play" in house.problems(root)
 
 
+@pytest.mark.parametrize(
+    "statement", ["import zoo.c", "def f():\n    from zoo import c", "from zoo.c import x"]
+)
+def test_circle_of_modules_is_found(root: Path, statement: str) -> None:
+    write(root, "zoo/a.py", f"{statement}\n")
+    write(root, "zoo/b.py", "from zoo.a import y\n")
+    write(root, "zoo/c.py", "from zoo import b\n")
+    assert "modules import each other: zoo.a, zoo.b, zoo.c" in house.problems(root)
+
+
+def test_type_checkers_imports_make_no_circle(root: Path) -> None:
+    guarded = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import zoo.b\n"
+    write(root, "zoo/a.py", guarded)
+    write(root, "zoo/b.py", "import zoo.a\n")
+    assert house.circles(house.read_modules(root)) == []
+
+
 def test_what_only_type_checkers_import_is_not_counted(root: Path) -> None:
     text = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from zoo import play\n"
     write(root, "zoo/open.py", text)

@@ -19,8 +19,8 @@ TASK = "gentle_scratch"
 def test_stages_write_returns_by_robot_and_person(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(persons, "SIDE", 3)
-    monkeypatch.setattr(persons, "SINGLE_EPISODES", 2)
+    monkeypatch.setattr(persons_play, "SIDE", 3)
+    monkeypatch.setattr(persons_play, "SINGLE_EPISODES", 2)
     lines: list[str] = []
     monkeypatch.setattr(persons_reading, "READERS", 3)
     changes = {"num_envs": 4}

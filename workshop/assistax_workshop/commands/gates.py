@@ -94,7 +94,8 @@ def persons(
         assistax-zoo gates persons gentle_bath runs/persons-bath --only ppo,told --seeds 8
     """
     from assistax_workshop.commands.audit import print_gates
-    from assistax_workshop.gates.persons import STAGES, Plan, run_stages
+    from assistax_workshop.gates.persons import STAGES, run_stages
+    from assistax_workshop.gates.persons_play import Plan
     from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
     from assistax_zoo.shell.console import print_json, stdout_is_data
     from evaluation.record.tables import to_json

@@ -17,8 +17,17 @@ import numpy as np
 
 from assistax_base.files import write_json
 from assistax_envs import Env, make
-from assistax_envs.own_settings import key_of, own_settings
-from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
+from assistax_envs.persons import PersonPlayer, numbers, persons
+from assistax_workshop.gates.persons_play import (
+    SINGLE,
+    STRANGERS,
+    Plan,
+    about,
+    play_single,
+    play_strangers,
+)
+from assistax_workshop.gates.persons_reading import read_wishes
+from assistax_workshop.gates.script_search import search_script
 from assistax_workshop.gates.training import CHANGES
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.play.baselines import script_roster
@@ -27,7 +36,6 @@ from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.stack import PolicyStack
 from population.networks.tensors import row_sha256
-from population.play.rollout import Rollout
 from population.runs.train import train
 from population.runs.trained import read_trained_run
 from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
@@ -141,12 +149,8 @@ def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, 
     if name == SCRIPT:
         return play_script(plan)
     if name == SEARCH:
-        from assistax_workshop.gates.script_search import search_script
-
         return search_script(plan, progress)
     if name == READ:
-        from assistax_workshop.gates.persons_reading import read_wishes
-
         return read_wishes(plan, progress)
     return play_robots(plan, name)
 
@@ -159,7 +163,7 @@ def play_robots(plan: Plan, name: str) -> dict[str, Any]:
     robots, sides = run.policies["robot"], {}
     policy, params = Policy(robots.spec), jax.tree.map(jnp.asarray, robots.params)
     if kind.partners is OnePersonEach:
-        sides[SINGLE] = _play_single(plan, env, policy, params)
+        sides[SINGLE] = play_single(plan, env, policy, params)
     else:
         for side in STRANGERS:
             sides[side] = play_strangers(plan, env, policy, params, side)
@@ -173,7 +177,7 @@ def play_script(plan: Plan) -> dict[str, Any]:
     [stack] = script_roster(plan.task, *sizes).stacks
     assert isinstance(stack, PolicyStack)
     policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
-    sides = {SINGLE: _play_single(plan, env, policy, params, alone=True)}
+    sides = {SINGLE: play_single(plan, env, policy, params, alone=True)}
     for side in STRANGERS:
         sides[side] = play_strangers(plan, env, policy, params, side)
     return {"about": about(plan, env), "sides": sides}

@@ -10,7 +10,8 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH, SINGLE, STRANGERS
+from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH
+from assistax_workshop.gates.persons_play import SINGLE, STRANGERS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
