@@ -100,17 +100,16 @@ def persons(
     from assistax_zoo.shell.console import print_json, stdout_is_data
     from evaluation.record.tables import to_json
 
-    folder.mkdir(parents=True, exist_ok=True)
     plan = Plan(
         task,
         folder,
         parse_seeds(seeds),
         parse_steps(steps) if steps else None,
-        single,
-        tries,
-        models,
-        parse_changes(set_),
-        backend,
+        single=single,
+        tries=tries,
+        models=models,
+        changes=parse_changes(set_),
+        backend=backend,
     )
     with stdout_is_data():
         run_stages(plan, [name for name in parse_names(only) or STAGES if name != "table"])

@@ -135,6 +135,7 @@ def run_stages(
     """
     if unknown := [name for name in stages if name not in STAGES]:
         raise ValueError(f"stage is {unknown[0]!r}; allowed are {', '.join(STAGES)}")
+    plan.folder.mkdir(parents=True, exist_ok=True)
     for number, name in enumerate(stages, 1):
         progress(f"stage {number} of {len(stages)}, {name}")
         earned = _stage(plan, name, progress)
