@@ -35,12 +35,8 @@ from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]
-# What stood in the registry before it had persons.
-ROOTS = {
-    "v0": "59c61e2c4007e45aa96f4f852f4633e4f741753e06d80dac27b7d6758245576a",
-    "v1": "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5",
-    "v2": "64e5456a00b1e0ec1ff9afd68c7b02b11cf54de1fb25f66aca959a13cddbf774",
-}
+# Root of v1 before the registry had persons.
+V1_ROOT = "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5"
 TASK, SOMEBODY = "gentle_scratch", "gentle_scratch/person-00042-v3/human"
 
 
@@ -64,12 +60,12 @@ def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None
     assert tuple(sorted(release.persons)) == tuple(sorted(GENTLE_TASKS))
     assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
     assert {table.count for table in release.persons.values()} == {COUNT}
-    assert official.release == "v2" and official.release_of(TASK) == "v2"  # not v3, which is newer
+    assert official.release == "v5" and official.release_of(TASK) == "v3"
     assert official.release_of("gentle_brushing") == "v4"  # which alone has it
     assert official.release_of("gentle_feeding") == "v5"
     alone = {task for task in TASKS if official.split(task).rule == "persons"}
     assert alone == {"gentle_feeding", "gentle_brushing"}
-    assert {name: official.root(name) for name in ROOTS} == ROOTS
+    assert official.root("v1") == V1_ROOT
 
 
 def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Registry) -> None:
@@ -78,7 +74,7 @@ def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Re
     assert (older.release, older.held_out) == ("v5", None)
     newer = official.data.releases["v5"].model_copy(update={"root": None})
     releases = {**official.data.releases, "v6": newer}
-    data = official.data.model_copy(update={"releases": releases})
+    data = official.data.model_copy(update={"release": "v6", "releases": releases})
     grown = dataclasses.replace(official, data=data)
     assert grown.split("gentle_feeding", release="v5") == older
     assert grown.split("gentle_feeding").release == "v6"
@@ -104,7 +100,7 @@ def test_a_person_is_found_by_its_id(official: Registry) -> None:
     [stack] = load_stacks(official, [entry])
     np.testing.assert_array_equal(stack.params["row"], someone.row[None])
     check_local(official, [entry])
-    assert official.known([SOMEBODY, "gentle_scratch/ippo-d1-s0-v2/human", "nobody"])[1] == entry
+    assert official.known([SOMEBODY, "gentle_scratch/ippo-d1-s0-v3/human", "nobody"])[1] == entry
 
 
 @pytest.mark.parametrize(
@@ -133,7 +129,7 @@ def test_globs_find_persons_only_where_they_say_so(official: Registry) -> None:
     assert not any("person" in entry.id for entry in official.select("gentle_scratch/*"))
     with pytest.raises(UnknownIdError):
         official.select("gentle_scratch/person-*-v3", role="robot")
-    mixed = official.select(["gentle_scratch/person-0004*-v3", "gentle_scratch/ippo-d1-s0-v2"])
+    mixed = official.select(["gentle_scratch/person-0004*-v3", "gentle_scratch/ippo-d1-s0-v3"])
     assert len(mixed) == 12
 
 

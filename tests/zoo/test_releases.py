@@ -1,4 +1,4 @@
-"""Release v1 is the paper's population, whole, and can be split in every way; v2 is its plan's."""
+"""Release v1 is the paper's population, whole, and can be split in every way; v3 is its plan's."""
 
 import itertools
 import statistics
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
+from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
 from assistax_workshop.plans.plan import read_plan
 from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
@@ -38,19 +38,16 @@ def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
         "arm_assist/ppo-ego-s0-v1",
         "bed_bath/ppo-ego-s0-v1",
         "gentle_bath/gru-ego-s100-v3",
-        "gentle_bath/ppo-ego-s0-v2",
         "gentle_bath/ppo-ego-s3-v3",
         "gentle_brushing/gru-ego-s1-v4",
         "gentle_feeding/asymmetric_gru-ego-s114-v5",
         "gentle_feeding/gru-ego-s3-v4",
         "gentle_lift/asymmetric-ego-s107-v3",
         "gentle_lift/asymmetric-ego-s15-v3",
-        "gentle_lift/ppo-ego-s0-v2",
         "gentle_lift/ppo-ego-s2-v3",
         "gentle_scratch/asymmetric_gru-ego-s102-v3",
         "gentle_scratch/asymmetric_gru-ego-s122-v3",
         "gentle_scratch/gru-ego-s7-v3",
-        "gentle_scratch/ppo-ego-s0-v2",
         "gentle_scratch/ppo-ego-s0-v3",
         "scratch/ppo-ego-s0-v1",
     ]
@@ -87,17 +84,16 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}
 
 
-@pytest.mark.parametrize(("release", "teams"), [("v2", 198), ("v3", 36)])
-def test_a_release_is_its_plan(release: str, teams: int) -> None:
-    plan = read_plan(ROOT / "zoo" / "plans" / f"{release}.json")
+def test_release_v3_is_its_plan() -> None:
+    plan = read_plan(ROOT / "zoo" / "plans" / "v3.json")
     expected = {
-        f"{group.task}/{group.algorithm}-{member.label}-{release}"
+        f"{group.task}/{group.algorithm}-{member.label}-v3"
         for group in plan.groups
         for member in group.members
     }
-    humans = [e for e in REGISTRY.select(release=release, role="human") if e.disability != EGO]
+    humans = [e for e in REGISTRY.select(release="v3", role="human") if e.disability != EGO]
     assert {entry.team for entry in humans} == expected
-    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, teams)
+    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, 36)
     assert all(entry.self_play for entry in humans)
 
 
@@ -120,16 +116,22 @@ def test_a_task_has_its_own_default_release() -> None:
     releases = {task: REGISTRY.release_of(task) for task in TASKS}
     assert releases == {
         **dict.fromkeys(PAPER_TASKS, "v1"),
-        **dict.fromkeys(GENTLE_TASKS, "v2"),
+        **dict.fromkeys(GENTLE_TASKS, "v3"),
         "gentle_brushing": "v4",
         "gentle_feeding": "v5",
     }
     assert REGISTRY.split("scratch", "half").release == "v1"
 
 
-@pytest.mark.parametrize("task", GENTLE_TASKS)
-def test_a_gentle_tasks_default_split_holds_out_an_algorithm_and_preferences(task: str) -> None:
-    split = REGISTRY.split(task)
-    assert all("/mep-" in team for team in split.test)
-    assert not any("/mep-" in team for team in split.train)
-    assert split.preferences["test"] == ("p1", "p5", "p9")
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_has_robots_and_partners(task: str) -> None:
+    release = REGISTRY.release_of(task)
+    version = REGISTRY.data.releases[release].environments[task]
+    robots = [entry for entry in REGISTRY.of_task(task, "robot") if entry.disability == EGO]
+    assert robots and version == VERSIONS[task]
+    assert REGISTRY.split(task).test
+
+
+def test_the_newest_whole_release_is_the_last() -> None:
+    assert REGISTRY.release == "v5"
+    assert sorted(REGISTRY.data.releases) == ["v1", "v3", "v4", "v5"]
