@@ -161,7 +161,7 @@ class Registry:
 
         Args:
             task: Task the split is for.
-            id: A split's id, or its first parts: those of one split alone ("half-s0-v0"), else of
+            id: A split's id, or its first parts: those of one split alone ("half-s0-v1"), else of
                 one alone that is a release's default, else of one of the task's default release
                 ("half"). Of a zoo that was added, after its namespace: "lab:half"; "lab:" is its
                 default split.

@@ -38,9 +38,9 @@ def crossplay(backend: str) -> str:
 
 
 def training(backend: str) -> str:
-    sizes = {"num_envs": 16, "rollout_steps": 3, "minibatches": 2, "hidden": (8, 8)}
-    how: dict[str, Any] = {"steps": 96, "hyperparameters": sizes, "progress": False}
-    split = {"split": "half-s0-v0"}
+    sizes = {"num_envs": 20, "rollout_steps": 3, "minibatches": 2, "hidden": (8, 8)}
+    how: dict[str, Any] = {"steps": 120, "hyperparameters": sizes, "progress": False}
+    split = {"split": "small-5"}
     with tempfile.TemporaryDirectory() as folder:
         trained = az.train_ego(TASK, folder=folder, backend=backend, **how, **split)
         [file] = trained.files

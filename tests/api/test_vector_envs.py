@@ -1,6 +1,7 @@
 """The front door's environments for training: whom they seat, and whom they refuse."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,9 +11,10 @@ import pytest
 
 import assistax_zoo as az
 from assistax_base.errors import SplitError
-from assistax_envs.adapters.gymnasium import AssistaxEnv
+from tests.untrained import gentle_specs, published, teams_of
 from zoo.parameters import storage
 from zoo.registry import load_registry
+from zoo.splitting.create import create_split
 
 TASK, TEAM = "scratch", "scratch/ippo-d1-s1-v1"
 
@@ -75,8 +77,16 @@ def test_partners_act_as_the_zoo_has_them() -> None:
     assert both.partner_names() == first[::-1] and set(first) == set(seated)
 
 
-def test_a_splits_preferences_are_those_of_its_training_half() -> None:
-    env = az.vector_env("gentle_scratch", 8, form="jaxmarl", backend="native")
+def test_a_splits_preferences_are_those_of_its_training_half(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Humans that nobody trained act alike.
+    monkeypatch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [])
+    task = "gentle_scratch"
+    path = published(teams_of(2, *gentle_specs(task), task=task), tmp_path)
+    held_out = ["p1", "p5", "p9"]
+    split = create_split(path, task=task, test_preferences=held_out, default=True)
+    env = az.vector_env(task, 8, form="jaxmarl", backend="native", zoo=path)
     _, state = jax.jit(env.reset)(jax.random.key(0))
     allowed = load_registry().split("gentle_scratch").preferences["train"]
     assert set(np.asarray(state.env.params.preference_code).tolist()) <= {
@@ -85,7 +95,7 @@ def test_a_splits_preferences_are_those_of_its_training_half() -> None:
 
 
 def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:
-    options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s10-v2", "form": "jaxmarl"}
+    options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s1-v3", "form": "jaxmarl"}
     env = az.vector_env("gentle_scratch", 8, preferences="p2,p7", backend="native", **options)
     _, state = jax.jit(env.reset)(jax.random.key(0))
     assert set(np.asarray(state.env.params.preference_code).tolist()) == {2, 7}
@@ -105,14 +115,3 @@ def test_forms_and_wrong_arguments() -> None:
         az.vector_env(TASK, partners=())
     with pytest.raises(ValueError, match=re.escape("arrays is 'jax', but form 'sb3'")):
         az.vector_env(TASK, form="sb3", arrays="jax")
-
-
-def test_partners_play_the_version_of_the_environment_in_which_they_were_trained() -> None:
-    team = "gentle_scratch/ippo-d1-s10-v2"
-    env = az.vector_env("gentle_scratch", 2, partners=team, backend="native")
-    # No interface shows the version.
-    assert env._host.batch.env.version == 2
-    partner = az.open_zoo().partner(team)
-    assert partner.env_version == 2
-    # Nor does this one.
-    assert AssistaxEnv("gentle_scratch", partner)._simulation.env.version == 2

@@ -50,7 +50,7 @@ def test_it_names_the_release_its_root_and_the_registry(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     registry = load_registry()
-    for release in ("v0", "v1", "v3"):  # v3's root covers its persons
+    for release in ("v1", "v3"):  # v3's root covers its persons
         note = cited(capsys, "--release", release)[f"assistax_zoo_{release}"]["note"]
         assert f"root {registry.root(release)}" in note
         assert f"registry {sha256(registry.path.read_bytes())}" in note
@@ -59,13 +59,13 @@ def test_it_names_the_release_its_root_and_the_registry(
 
 def test_it_names_what_a_lock_pins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lock = tmp_path / "paper.lock"
-    assert run(["lock", "--task", "scratch", "--release", "v0", "--out", str(lock)]) == 0
+    assert run(["lock", "--task", "scratch", "--release", "v1", "--out", str(lock)]) == 0
     capsys.readouterr()
-    note = cited(capsys, "--lock", str(lock))["assistax_zoo_v0"]["note"]
+    note = cited(capsys, "--lock", str(lock))["assistax_zoo_v1"]["note"]
     assert f"lock {json.loads(lock.read_text())['sha256']}" in note
-    assert "scratch/half-s0-v0-f4c7b97d" in note and "bed_bath/" not in note
-    assert run(["cite", "--lock", str(lock), "--release", "v1"]) == 1
-    assert "pins release v0, not v1" in capsys.readouterr().err
+    assert "scratch/half-s0-v1-524fe016" in note and "bed_bath/" not in note
+    assert run(["cite", "--lock", str(lock), "--release", "v3"]) == 1
+    assert "pins release v1, not v3" in capsys.readouterr().err
 
 
 def test_a_zoo_of_others_is_cited_as_it_asks(

@@ -48,34 +48,36 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
         "--task",
         "scratch",
         "--split",
-        "half-s0-v0",
+        "small-5",
         "--seeds",
         "2",
         "--steps",
-        "128",
+        "160",
         *TINY,
+        "--num-envs",
+        "20",
     ]
     assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native", "--json"]) == 0
     result = json.loads(capfd.readouterr().out)
-    assert result["partners"] == 16
+    assert result["partners"] == 5
     assert [path.rpartition("/")[2] for path in result["policies"]] == [
         "ppo-s0.safetensors",
         "ppo-s1.safetensors",
     ]
     recorded = (tmp_path / "ego" / "run.json").read_bytes()
     command = json.loads(recorded)["command"]
-    assert command.startswith("assistax-zoo train-ego --task scratch --split half-s0-v0 --seeds 2")
+    assert command.startswith("assistax-zoo train-ego --task scratch --split small-5 --seeds 2")
     assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native"]) == 0
     assert "/policies/*.safetensors'" in capfd.readouterr().out
     assert (tmp_path / "ego" / "run.json").read_bytes() == recorded  # nothing was trained again
     (stack,) = read_egos(result["policies"], load_registry(), "scratch").stacks
     assert len(stack.ids) == 2
     spec, _, metadata = storage.read_policy_file(result["policies"][1])
-    assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 128)
-    assert metadata["split"].startswith("scratch/half-s0-v0")
+    assert (spec.role, metadata["seed"], metadata["training"]["steps"]) == ("robot", 1, 160)
+    assert metadata["split"].startswith("scratch/small-5-s0-v1")
     assert metadata["met"]["split"]["split"] == metadata["split"]
-    half = load_registry().split("scratch", metadata["split"])
-    humans = {team: load_registry().policy(f"{team}/human").sha256 for team in half.train}
+    split = load_registry().split("scratch", metadata["split"])
+    humans = {team: load_registry().policy(f"{team}/human").sha256 for team in split.train}
     assert metadata["met"]["partners"] == humans and not metadata["met"]["own"]
     words = [
         "publish",

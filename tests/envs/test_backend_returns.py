@@ -19,8 +19,8 @@ from assistax_envs.versions import PAPER_TASKS
 from tests.envs.teams import team
 
 TEAMS = {
-    "scratch": "scratch/ippo-d9-s0-v0",
-    "bed_bath": "bed_bath/ippo-d1-s0-v0",
+    "scratch": "scratch/ippo-d9-s0-v1",
+    "bed_bath": "bed_bath/ippo-d1-s0-v1",
     "arm_assist": "arm_assist/ippo-d1-s1-v1",
 }
 EPISODES = 64

@@ -108,7 +108,7 @@ def test_too_few_persons_are_refused() -> None:
         effects(outcomes_of(19), "return")
 
 
-NETWORK = "gentle_scratch/ippo-d1-s0-v2/human"
+NETWORK = "gentle_scratch/ippo-d1-s0-v3/human"
 
 
 @pytest.fixture

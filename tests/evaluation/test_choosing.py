@@ -1,4 +1,4 @@
-"""Which policies a cross-play takes, on the published registry."""
+"""Which policies a cross-play takes."""
 
 import dataclasses
 from pathlib import Path
@@ -12,14 +12,16 @@ from evaluation.cast.cast import choose_partners, env_version, in_release
 from evaluation.cast.egos import EgoError
 from evaluation.play.how import How
 from tests.studies import evaluate_policies
-from zoo.registry import load_registry
+from tests.zoo.conftest import put, trained_team, trained_teams
+from zoo.registry import Registry, load_registry
 
 
-def humans(pattern, release):
-    return {
-        entry.release
-        for entry in in_release(load_registry(), pattern, release, task="scratch", role="human")
-    }
+@pytest.fixture
+def two(tmp_path: Path) -> Registry:
+    """A registry of two releases: v0 has IPPO alone, v1 MAPPO too."""
+    path = tmp_path / "two" / "registry.json"
+    put(trained_teams(), path)
+    return put(trained_teams(("ippo", "mappo")), path, "v1")
 
 
 def test_glob_selects_one_release_by_default() -> None:
@@ -60,11 +62,12 @@ def test_other_version_error_names_fitting_releases() -> None:
 def test_fitting_releases_exclude_those_without_partners() -> None:
     registry, task = load_registry(), "gentle_scratch"
     releases = registry.data.releases
-    egos = releases["v3"].model_copy(update={"splits": {}, "persons": {}})
+    egos = releases["v5"].model_copy(update={"splits": {}, "persons": {}})
     more = {"releases": {**releases, "mine:v0": egos}}
     registry = dataclasses.replace(registry, data=registry.data.model_copy(update=more))
-    newer, older = (registry.policy(f"{task}/ppo-ego-s0-{name}/robot") for name in ("v3", "v2"))
-    with pytest.raises(RegistryVersionError, match=r"of version 3: split \S+, partners persons$"):
+    names = ("asymmetric_gru-ego-s114-v5", "gru-ego-s3-v4")
+    newer, older = (registry.policy(f"{task}/{name}/robot") for name in names)
+    with pytest.raises(RegistryVersionError, match=r"of version 2: partners persons$"):
         env_version(registry, task, [newer, older])
 
 
@@ -96,7 +99,7 @@ def test_partners_bring_the_default_split_of_their_release() -> None:
 @pytest.mark.parametrize("side", ["test", "train"])
 def test_partner_glob_keeps_to_side(side: str) -> None:
     registry = load_registry()
-    glob = "scratch/ippo-d1-s?-v0/human"
+    glob = "scratch/ippo-d1-s?-v1/human"
     split, chosen = choose_partners(registry, "scratch", side, glob)
     assert 0 < len(chosen) < 8
     assert {split.side(entry.team) for entry in chosen} == {side}
@@ -110,7 +113,7 @@ def test_partner_glob_keeps_to_side(side: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("split", "near"), [("tset", "test"), ("half-s0-v2", "half-s0"), ("person", "persons")]
+    ("split", "near"), [("tset", "test"), ("half-s0-v1-524fe017", "half-s0"), ("person", "persons")]
 )
 def test_unknown_split_error_has_nearest_names(split: str, near: str) -> None:
     with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):

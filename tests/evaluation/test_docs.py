@@ -54,7 +54,7 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     ]
     words += [
         "--partners",
-        "gentle_scratch/ippo-d1-s1[01]-v2/human",
+        "gentle_scratch/ippo-d1-s[12]-v3/human",
         "--split",
         "both",
         "--no-references",

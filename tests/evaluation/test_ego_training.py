@@ -62,13 +62,14 @@ def test_preparation_reports_shared_simulations():
     assert [member.seed for member in training.config.members] == [3, 5]
     assert training.config.partners == training.partners.ids
     assert training.config.self_play_episodes == 0
-    assert training.summary == "16 partners of scratch/half-s0-v0-f4c7b97d, 64 simulations each"
+    said = "5 partners of scratch/small-5-s0-v1-2ffd32b1, 204 simulations each"
+    assert training.summary == f"{said}, 1020 in place of the preset's 1024"
     fitted = prepare(
-        load_registry(), "scratch", split="half-s0-v0", algorithm="sac", hyperparameters={}
+        load_registry(), "scratch", split="small-5", algorithm="sac", hyperparameters={}
     )
-    assert fitted.summary.endswith("4 simulations each")
+    assert fitted.summary.endswith("13 simulations each, 65 in place of the preset's 64")
     one: Any = dataclasses.replace(fitted, partners=["one"])
-    assert one.summary == "1 partner of scratch/half-s0-v0-f4c7b97d, 64 simulations each"
+    assert one.summary.startswith("1 partner of scratch/small-5-s0-v1-2ffd32b1, 65 simulations")
 
 
 @pytest.mark.parametrize(
@@ -78,8 +79,8 @@ def test_preparation_reports_shared_simulations():
         ({"task": "swim"}, "task is 'swim'"),
         ({"preferences": ["p1"]}, "the humans of scratch have no preferences"),
         (
-            {"split": "half-s0-v0", "hyperparameters": {"num_envs": 20}},
-            "num_envs is 20 with 16 partners; .* choose 16, or let it be chosen",
+            {"split": "small-5", "hyperparameters": {"num_envs": 24}},
+            "num_envs is 24 with 5 partners; .* choose 20, or let it be chosen",
         ),
     ],
 )

@@ -336,7 +336,7 @@ def test_crossplay_notes_training_partners(registry: Registry) -> None:
 
 @pytest.mark.parametrize("release", ["v2", "v3"])
 def test_crossplay_uses_split_of_humans_release(release: str) -> None:
-    """A figure's caption names the split, also if the task's default is another release."""
+    """Though another release is the task's default: the caption of a figure names the split."""
     official = load_registry(Path(__file__).parents[2] / "registry.json")
     team = f"gentle_scratch/ippo-d1-s0-{release}"
     cast = cast_population(official, "gentle_scratch", f"{team}/robot", f"{team}/human")

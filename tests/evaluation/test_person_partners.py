@@ -31,7 +31,7 @@ from zoo.met.claims import claimed_met, claimed_version, declared_met, side_met
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import load_registry
 
-TASK, EGO = "gentle_scratch", "gentle_scratch/ppo-ego-s0-v2/robot"
+TASK, EGO = "gentle_scratch", "gentle_scratch/ppo-ego-s0-v3/robot"
 MOUTH = "gentle_feeding"  # whose release has persons alone
 CORNERS = "gentle_scratch/person-08*-v3"
 
@@ -130,7 +130,7 @@ def test_preferences_and_company_are_refused() -> None:
         job_of((3,), preferences="p1")
     _, job = job_of((3,))
     registry = load_registry()
-    others = registry_roster(registry, [registry.policy("gentle_scratch/ippo-d1-s0-v2/human")])
+    others = registry_roster(registry, [registry.policy("gentle_scratch/ippo-d1-s0-v3/human")])
     with pytest.raises(ValueError, match="play them in separate jobs"):
         dataclasses.replace(job, partners=joined(job.partners, others))
     assert job_of((3,), series=3)[1].episodes == 6
@@ -174,7 +174,7 @@ def test_a_person_plays_the_same_beside_others() -> None:
 @pytest.mark.slow
 def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
     options = {"episodes": 1, "backend": "fused", "progress": False}
-    # An untrained robot of the published one's sizes, which was trained in an older version.
+    # An untrained robot of the published one's sizes.
     spec = load_registry().policy(EGO).spec
     robot = tmp_path / "robot.safetensors"
     write_policy_file(robot, spec, params_of(spec, 0), {"task": TASK})
@@ -209,11 +209,10 @@ def test_robot_file_has_environment_version(tmp_path: Path) -> None:
         evaluate(older, task=TASK, partners="persons", persons=3, progress=False)
     newer = _robot_file(tmp_path / "newer.safetensors", {"env_version": 3})
     registry = load_registry()
-    human = "zoo:gentle_scratch/ippo-d1-s0-v2/human"
-    with pytest.raises(RegistryVersionError, match="version 2 of environment gentle_scratch, whi"):
-        version_of({"robot": newer, "human": human}, TASK, lambda: registry)
-    assert version_of({"robot": older, "human": human}, TASK, lambda: registry) == 2
-    assert version_of({"robot": older}, TASK, lambda: registry) == 2
+    human = "zoo:gentle_scratch/ippo-d1-s0-v3/human"
+    with pytest.raises(RegistryVersionError, match="version 3 of environment gentle_scratch, whi"):
+        version_of({"robot": older, "human": human}, TASK, lambda: registry)
+    assert version_of({"robot": newer, "human": human}, TASK, lambda: registry) == 3
     person = "zoo:gentle_scratch/person-00042-v3/human"
     assert version_of({"robot": newer, "human": person}, TASK, lambda: registry) == 3
     ancient = _robot_file(tmp_path / "ancient.safetensors", {"env_version": 1})
@@ -247,7 +246,7 @@ def test_person_trained_robot_records_partners() -> None:
     [
         ({"partners": "people"}, "allowed are persons"),
         ({"partners": "persons", "preferences": ["p1"]}, "leave preferences out"),
-        ({"partners": "persons", "split": "without-mep"}, "has no persons|custom"),
+        ({"partners": "persons", "split": "half"}, "half-s0-v3-18c4e8d9 has no persons"),
     ],
 )
 def test_invalid_training_is_refused(changes, words) -> None:

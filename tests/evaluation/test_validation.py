@@ -37,7 +37,7 @@ def test_split_without_validation_is_refused_early(tmp_path: Path, capsys) -> No
 
 
 def test_persons_have_a_validation_side() -> None:
-    split = load_registry().split("scratch", "half-s0-v0")
+    split = load_registry().split("scratch", "half")
     with pytest.raises(ValueError, match="no validation side"):
         check_validation(split)
     check_validation(split.model_copy(update={"rule": "persons"}))

@@ -61,7 +61,7 @@ def test_a_stage_is_told_with_its_place() -> None:
     [
         (["row", "dreamer", "scratch"], "row is 'dreamer'; allowed are best-fixed, ppo"),
         (["row", "ppo", "swim"], "task is 'swim'"),
-        (["row", "ppo", "scratch", "--split", "half-s0-v0"], "has no validation side"),
+        (["row", "ppo", "scratch", "--split", "half"], "has no validation side"),
         (["row", "ppo", "scratch", "--part", "5/4"], "part is '5/4'; give its number and of how"),
         (
             ["row", "gru", "gentle_lift", "--split", "persons", "--part", "all/2"],

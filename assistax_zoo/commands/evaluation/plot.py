@@ -162,7 +162,7 @@ def population(
     Args:
         out: Figure to write, .png, .pdf or .svg.
         task: Only this task.
-        release: Only this release, such as v0.
+        release: Only this release, such as v1.
         registry: Registry to read instead of the installed one.
         page: Its width, and whether title and caption are left out.
 

@@ -40,7 +40,7 @@ def list_policies(
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
         role: Only this role.
-        release: Only this release, such as v0.
+        release: Only this release, such as v1.
         registry: Registry to read instead of the installed one.
         json: Print JSON.
 

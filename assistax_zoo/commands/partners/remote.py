@@ -50,7 +50,7 @@ def fetch(
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
         role: Only this role.
-        release: Only this release, such as v0.
+        release: Only this release, such as v1.
         lock: Only what this lock file pins.
         registry: Registry that says which bytes; default the remote's with --from, else the
             installed one.
@@ -58,7 +58,7 @@ def fetch(
         json: Print JSON.
 
     Example:
-        assistax-zoo fetch 'scratch/ippo-*/human' --from hf://org/name@v0
+        assistax-zoo fetch 'scratch/ippo-*/human' --from hf://org/name@v1
     """
     from zoo.transport.fetch import fetch as fetch_entries
     from zoo.transport.fetch import remote_registry

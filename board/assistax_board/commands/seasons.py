@@ -26,14 +26,14 @@ def season_plan(
     registry give access to the partners: keep all of them out of repositories and shared folders.
 
     Args:
-        plan: Public plan, such as zoo/plans/v2.json.
+        plan: Public plan, such as zoo/plans/v3.json.
         out: File to write, readable by its owner only; an existing file is never overwritten.
         task: Only the groups of this task; default all.
         release: Name of the private release, such as v3; default the plan's.
         teams: At most so many, by fewer seeds in every group; default as many as the plan has.
 
     Example:
-        assistax-zoo season plan zoo/plans/v2.json --task gentle_scratch --out private/plan.json
+        assistax-zoo season plan zoo/plans/v3.json --task gentle_scratch --out private/plan.json
     """
     from assistax_workshop.plans.plan import private_plan, read_plan, write_private_plan
 
