@@ -142,7 +142,7 @@ def test_a_job_that_was_replaced_meanwhile_draws_nothing(
 
     def replaced(env: Any, job: Any, folder: Path, **options: Any) -> Any:
         result = run(env, job, folder, **options)
-        evaluator.forget(folder)
+        evaluator.delete_results(folder)
         run(env, dataclasses.replace(job, seed=1), folder)
         return result
 

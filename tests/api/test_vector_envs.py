@@ -88,10 +88,9 @@ def test_a_splits_preferences_are_those_of_its_training_half(
     split = create_split(path, task=task, test_preferences=held_out, default=True)
     env = az.vector_env(task, 8, form="jaxmarl", backend="native", zoo=path)
     _, state = jax.jit(env.reset)(jax.random.key(0))
-    allowed = load_registry().split("gentle_scratch").preferences["train"]
-    assert set(np.asarray(state.env.params.preference_code).tolist()) <= {
-        int(p[1:]) for p in allowed
-    }
+    allowed = split.preferences["train"]
+    assert not {*allowed} & {*held_out}
+    assert set(np.asarray(state.env.params.preference).tolist()) <= {int(p[1:]) for p in allowed}
 
 
 def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:

@@ -24,7 +24,11 @@ def two(tmp_path: Path) -> Registry:
     return put(trained_teams(("ippo", "mappo")), path, "v1")
 
 
-def test_glob_selects_one_release_by_default() -> None:
+def test_glob_selects_one_release_by_default(two: Registry) -> None:
+    def humans(pattern, release):
+        entries = in_release(two, pattern, release, task="scratch", role="human")
+        return {entry.release for entry in entries}
+
     assert humans("scratch/*", "v0") == {"v0"}
     assert humans("scratch/*", "v1") == {"v1"}
     assert humans("scratch/mappo-d1-s0-v1", "v0") == {"v1"}
@@ -52,15 +56,21 @@ def test_unwritable_cache_error_names_variable(tmp_path: Path) -> None:
         evaluate_policies(load_registry(), robots, settings, tmp_path / "out", references=kept)
 
 
-def test_other_version_error_names_fitting_releases() -> None:
-    registry = load_registry()
+def test_other_version_error_names_fitting_releases(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "registry.json"
+    teams = [trained_team(seed=seed, task="arm_assist") for seed in range(4)]
+    older = [dataclasses.replace(t, training={**t.training, "env_version": 1}) for t in teams]
+    put(older, path, environments={"arm_assist": 1})
+    registry = put(teams, path, "v1")
     assert env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v1")) == 2
     with pytest.raises(RegistryVersionError, match=r"version 1; .* 2: split arm_assist/"):
         env_version(registry, "arm_assist", registry.select("arm_assist/*", release="v0"))
 
 
 def test_fitting_releases_exclude_those_without_partners() -> None:
-    registry, task = load_registry(), "gentle_scratch"
+    registry, task = load_registry(), "gentle_feeding"
     releases = registry.data.releases
     egos = releases["v5"].model_copy(update={"splits": {}, "persons": {}})
     more = {"releases": {**releases, "mine:v0": egos}}
@@ -82,18 +92,18 @@ def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
         )
 
 
-def test_partners_bring_the_default_split_of_their_release() -> None:
-    registry = load_registry()
-    newest, test = choose_partners(registry, "scratch", None, None)
-    assert newest.release == "v1" != registry.release and {entry.team for entry in test} == set(
-        newest.test
-    )
-    older, both = choose_partners(registry, "scratch", "both", "scratch/ippo-d1-s?-v0/human")
-    assert older == registry.split("scratch", release="v0") and len(both) == 8
-    # The partners are of both releases.
-    assert choose_partners(registry, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
-    with pytest.raises(ValueError, match=r"\(8\) is on the train or test side of .*half-s0-v1"):
-        choose_partners(registry, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
+def test_partners_bring_the_default_split_of_their_release(two: Registry) -> None:
+    newest, test = choose_partners(two, "scratch", None, None)
+    assert newest.release == "v1" and {entry.team for entry in test} == set(newest.test)
+    older, both = choose_partners(two, "scratch", "both", "scratch/ippo-d1-s?-v0/human")
+    assert older == two.split("scratch", release="v0") and len(both) == 4
+    # A glob of both releases.
+    assert choose_partners(two, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
+    with pytest.raises(
+        ValueError,
+        match=r"none of the partners that match \(4\) is on the train or test side of .*half-s0-v1",
+    ):
+        choose_partners(two, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
 
 
 @pytest.mark.parametrize("side", ["test", "train"])

@@ -58,7 +58,7 @@ def test_the_preset_is_fitted_to_the_partners(algorithm, partners, share, envs):
 
 
 def test_preparation_reports_shared_simulations():
-    training = prepare(load_registry(), "scratch", split="half-s0-v0", seeds=[3, 5], steps=1000)
+    training = prepare(load_registry(), "scratch", split="small-5", seeds=[3, 5], steps=1000)
     assert [member.seed for member in training.config.members] == [3, 5]
     assert training.config.partners == training.partners.ids
     assert training.config.self_play_episodes == 0

@@ -191,10 +191,9 @@ def test_an_evaluation_with_persons_is_replayed(tmp_path: Path) -> None:
 
 
 def test_older_teams_do_not_meet_persons(tmp_path: Path) -> None:
-    with pytest.raises(RegistryVersionError, match="version 2 of environment gentle_scratch"):
-        cross_play(
-            ["gentle_scratch/ippo-d1-s[01]-v2"], "persons", task=TASK, persons=3, out=tmp_path
-        )
+    older = [f"{MOUTH}/gru-ego-s3-v4"]
+    with pytest.raises(RegistryVersionError, match=f"of environment {MOUTH}"):
+        cross_play(older, "persons", task=MOUTH, persons=3, out=tmp_path)
 
 
 def _robot_file(path: Path, version: Any) -> str:

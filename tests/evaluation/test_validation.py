@@ -30,7 +30,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_split_without_validation_is_refused_early(tmp_path: Path, capsys) -> None:
-    words = ["train-ego", "--task", "scratch", "--split", "half-s0-v0", "--validate", "2"]
+    words = ["train-ego", "--task", "scratch", "--split", "half", "--validate", "2"]
     assert run([*words, "--out", str(tmp_path / "run")]) == 1
     assert "has no validation side, by which checkpoints" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

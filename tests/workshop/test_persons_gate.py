@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from assistax_envs.tasks.chain import SCRIPTS
-from assistax_workshop.gates import persons, persons_reading
-from assistax_workshop.gates.persons import SINGLE, STRANGERS, Plan, run_stages
+from assistax_workshop.gates import persons, persons_play, persons_reading
+from assistax_workshop.gates.persons import run_stages
+from assistax_workshop.gates.persons_play import SINGLE, STRANGERS, Plan
 from assistax_workshop.gates.persons_table import FEW, gates_of_persons, read_stages
 
 TASK = "gentle_scratch"

@@ -64,7 +64,8 @@ _INVERSE_DF = np.linspace(1e-4, 1.0, 400)  # nodes at which Student's quantiles 
 
 
 # Standard deviation between seeds of one method of their means over partners: root mean square over
-# the zoo's PPO and SAC egos of each task; tests/evaluation/test_ranks.py computes them.
+# the zoo's PPO and SAC egos of each task. tests/evaluation/test_ranks.py computes those of the
+# paper's tasks; the others are of robots of the withdrawn release v2 (docs/log/statistics.md).
 SEED_SDS: Mapping[str, float] = ByTask(
     lambda kind: kind.seed_sd or 0.0, lambda kind: kind.seed_sd is not None
 )

@@ -14,7 +14,7 @@ from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
 from population.play.rollout import Rollout
 
-# Sides of persons that no robot met, by name: the first number, how far apart, and the family.
+# Sides of persons that no robot met, by name: the first number, the step, and the family.
 STRANGERS = {
     "validation": (9, 10, "spring"),
     "corners": (8000, 1, "spring"),
@@ -22,26 +22,26 @@ STRANGERS = {
 }
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
-SPRINGS = 9_000  # persons of the family `spring`, of whom best responses are learned
-SINGLE = "single"  # what a sample of them is called, each of whom plays more episodes
+SPRINGS = 9_000  # persons of the family `spring`, for which best responses are trained
+SINGLE = "single"  # name of a sample of them, which plays more episodes
 SINGLE_EPISODES = 20
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How the stages of a task are trained and played.
+    """Settings of the stages of a task.
 
     Attributes:
         task: Gentle task.
-        folder: Of all stages.
-        seeds: Of the robots; those of single persons have a person's number.
+        folder: Folder of all stages.
+        seeds: Seeds of the robots; a best response has its person's number.
         steps: Environment steps of each robot; the kind's own if not given.
-        single: How many persons have a best response.
-        tries: Of the search over the script's numbers.
-        models: Persons whom each try plays with.
-        changes: Of hyperparameters, for all kinds.
+        single: Number of persons with a best response.
+        tries: Tries of the search over the script's numbers.
+        models: Persons of each try.
+        changes: Changes of hyperparameters, for all kinds.
         backend: Physics.
-        horizon: Steps of an episode that is played; the environment's if not given.
+        horizon: Steps of an evaluated episode; the environment's if not given.
     """
 
     task: str
@@ -57,12 +57,12 @@ class Plan:
 
     @property
     def sample(self) -> range:
-        """Return the numbers of the persons with a best response, all over the first family."""
+        """Numbers of the persons with a best response, spread evenly over the first family."""
         return range(0, SPRINGS, SPRINGS // self.single)[: self.single]
 
 
 def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
-    """Play robots with persons of a side that none of them met; see `play_persons`."""
+    """Return the results of robots with strangers of a side; see `play_persons`."""
     first, apart, family = STRANGERS[side]
     met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
     rollout = rollout_with_persons(plan, env, policy, family)
@@ -72,7 +72,7 @@ def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) ->
 def play_single(
     plan: Plan, env: Env, policy: Any, params: Any, alone: bool = False
 ) -> dict[str, Any]:
-    """Play robot i with person i of the sample, or one robot with all of them."""
+    """Return the results of robot i with person i of the sample, or of one robot with them all."""
     rollout = rollout_with_persons(plan, env, policy, paired=not alone)
     return play_persons(rollout, plan.task, params, np.array(plan.sample), SINGLE_EPISODES)
 
@@ -80,7 +80,7 @@ def play_single(
 def rollout_with_persons(
     plan: Plan, env: Env, policy: Any, family: str = "spring", paired: bool = False
 ) -> Rollout:
-    """Return what plays robots of one form with persons of a family."""
+    """Return the rollout of robots of one form with persons of a family."""
     human = PersonPlayer(plan.task, family)
     return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
 
@@ -89,9 +89,9 @@ def rollout_with_persons(
 def play_persons(
     rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
 ) -> dict[str, Any]:
-    """Return what robots [M] earn in each episode with persons [P] of these numbers.
+    """Return the results of robots [M] in each episode with the persons [P] numbered `met`.
 
-    "return" and "safe_success" are [M, P, K]; M is 1 where robot i is paired with person i.
+    "return" and "safe_success" are [M, P, K]; M is 1 if robot i is paired with person i.
     """
     keys = jax.random.split(key_of(99), (len(met), episodes))
     rows = persons(task)[met]
@@ -106,7 +106,7 @@ def play_persons(
 
 
 def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
-    """Return what the figures of a stage are of."""
+    """Return the task, version, backend, steps and hyperparameters of a stage."""
     return {
         "task": plan.task,
         "env_version": env.version,

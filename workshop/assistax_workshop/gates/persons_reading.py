@@ -13,7 +13,7 @@ import numpy as np
 from assistax_envs.persons import measure, numbers, persons
 from assistax_envs.persons.parameters import index
 from assistax_envs.tasks.chain import SCRIPTS
-from assistax_workshop.gates.persons import Plan
+from assistax_workshop.gates.persons_play import Plan
 from population.networks.policy import Policy
 from population.runs.trained import read_trained_run
 

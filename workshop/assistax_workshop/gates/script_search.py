@@ -14,7 +14,7 @@ import numpy as np
 from assistax_envs import Env, make
 from assistax_envs.persons import numbers
 from assistax_envs.tasks.chain import SCRIPTS, script_of
-from assistax_workshop.gates.persons import (
+from assistax_workshop.gates.persons_play import (
     STRANGERS,
     Plan,
     about,
