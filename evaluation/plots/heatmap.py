@@ -212,7 +212,7 @@ def _bad_pairs_note(values: np.ndarray) -> str:
 
 
 def _marks(matrix: Matrix) -> str:
-    """Return the caption's text for the mark of self-play; empty if cells are too small for it."""
+    """Return the caption's text for the mark of self-play; empty if it is not marked."""
     size = max(matrix.values.shape)
     if not matrix.self_play.any() or (matrix.shared and size > _MOST_NAMES):
         return ""

@@ -177,7 +177,7 @@ def _wrap(text: str, width: float) -> list[str]:
 
 
 def check_path(path: Path) -> None:
-    """Raise a ValueError, before any work, if a figure cannot be written under its name."""
+    """Raise a ValueError if no figure can be written under a path's ending."""
     if path.suffix.lower() not in FORMATS:
         raise ValueError(
             f"{path.name} ends in {path.suffix or 'nothing'!r}; figures are written as "
