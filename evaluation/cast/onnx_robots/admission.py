@@ -249,11 +249,7 @@ def _array(tensor: Any) -> np.ndarray:
 
 
 def _check_inputs(inputs: list[Any]) -> list[int]:
-    """Return the widths [O] or [O, H] of the inputs obs [N, O], carry [N, H], first [N].
-
-    Raises:
-        UntrustedModelError: The inputs have other types or shapes.
-    """
+    """Return the widths [O] or [O, H] of the inputs obs [N, O], carry [N, H], first [N]."""
     import onnx
 
     kinds = [onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL]
@@ -293,11 +289,7 @@ def _check_shapes(program: Any, params: dict[str, Any]) -> int:
 
 
 def _shapes(program: Any, params: dict[str, Any], rows: int) -> list[tuple[int, ...]]:
-    """Return the outputs' shapes for a batch of `rows`, computed without values.
-
-    Raises:
-        UntrustedModelError: A value is too large, or there are too many operations.
-    """
+    """Return the outputs' shapes for a batch, without values; raise if they are too large."""
     import jax
     import jax.numpy as jnp
 
