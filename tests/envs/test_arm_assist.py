@@ -16,21 +16,21 @@ WEIGHTS = {"reach_target": 1.0, "reach_waist": 10.0, "rotation": 0.1}
 
 
 @pytest.mark.parametrize(("rotation", "norm"), [("aligned", 0.0), ("printed", LARGEST_NORM)])
-def test_a_perfect_episode_earns_the_papers_bound(rotation: str, norm: float) -> None:
+def test_perfect_episode_earns_the_paper_bound(rotation: str, norm: float) -> None:
     terms = arm_assist_terms(jnp.zeros(1), jnp.zeros(1), jnp.full(1, norm), rotation)
     assert (
         round(1000 * sum(WEIGHTS[name] * float(term[0]) for name, term in terms.items())) == 11346
     )
 
 
-def test_the_rotation_term_as_printed_grows_with_misalignment_and_the_aligned_one_falls() -> None:
+def test_rotation_terms_follow_misalignment_in_opposite_directions() -> None:
     norms = jnp.array([0.0, 1.0, 2.0])
     zero = jnp.zeros(3)
     assert np.all(np.diff(arm_assist_terms(zero, zero, norms, "printed")["rotation"]) > 0)
     assert np.all(np.diff(arm_assist_terms(zero, zero, norms, "aligned")["rotation"]) < 0)
 
 
-def test_the_hooks_target_orientation_is_a_rotation_and_near_the_start() -> None:
+def test_hook_target_orientation_is_near_the_start() -> None:
     env = environment("arm_assist", "native")
     # The orientation by itself: observations hold its difference from the tool's.
     hook = ArmAssist(env.model)._hook
@@ -41,7 +41,7 @@ def test_the_hooks_target_orientation_is_a_rotation_and_near_the_start() -> None
     assert np.all(np.linalg.norm(turn, axis=-1) < 2.0 * np.sqrt(2.0))
 
 
-def test_the_hook_starts_below_the_forearm_and_touches_nothing() -> None:
+def test_hook_starts_below_the_forearm() -> None:
     """From above, robots get stuck on top of the arm: `docs/environments.md` has how many."""
     model = environment("arm_assist", "native").model
     data = mujoco.MjData(model)
@@ -70,7 +70,7 @@ def _distances(act: Players) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
+def test_human_cannot_lift_its_arm_alone() -> None:
     signs = jnp.array([[a, b, c] for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
 
     def push(state, time):
@@ -86,5 +86,5 @@ def test_a_human_at_full_torque_cannot_do_it_alone() -> None:
 
 
 @pytest.mark.slow
-def test_a_trained_robot_lifts_the_arm_to_the_waist() -> None:
+def test_trained_robot_lifts_the_arm() -> None:
     assert (_distances(team("arm_assist/ippo-d1-s2-v1", SIZE))[-1] < 1.5 * ARRIVED).mean() > 0.8

@@ -30,7 +30,7 @@ def _touching(readings: Readings, point: jax.Array, force: float) -> Readings:
     )
 
 
-def test_all_52_points_lie_on_the_skin_from_shoulder_to_wrist() -> None:
+def test_points_lie_on_the_skin() -> None:
     task, readings = _task(), _readings()
     model = environment("bed_bath", "native").model
     points = task.targets(BedBathState(jnp.full(1, -1, jnp.int32)), readings)["to wipe"][0]
@@ -46,7 +46,7 @@ def test_all_52_points_lie_on_the_skin_from_shoulder_to_wrist() -> None:
         np.testing.assert_allclose(along, np.linspace(-half, half, 26), atol=1e-5)
 
 
-def test_a_perfect_bath_earns_the_papers_bound() -> None:
+def test_perfect_bath_earns_the_paper_bound() -> None:
     task, readings = _task(), _readings()
 
     def wipe(state: BedBathState, _: None) -> tuple[BedBathState, tuple[jax.Array, jax.Array]]:
@@ -64,7 +64,7 @@ def test_a_perfect_bath_earns_the_papers_bound() -> None:
 @pytest.mark.parametrize(
     ("away", "force", "wiped"), [(0.0, 1.0, 1), (0.0, 0.0, 0), (REACH + 0.01, 1.0, 0)]
 )
-def test_a_point_is_wiped_by_touch_within_reach_only(away: float, force: float, wiped: int) -> None:
+def test_touch_within_reach_alone_wipes_a_point(away: float, force: float, wiped: int) -> None:
     task, readings = _task(), _readings()
     state = BedBathState(jnp.zeros(1, jnp.int32))
     point = task.targets(state, readings)["next"][:, 0] + jnp.array([[0.0, 0.0, away]])

@@ -35,7 +35,7 @@ def _settled(task: str, seconds: float = 4.0) -> tuple[mujoco.MjModel, mujoco.Mj
 @pytest.mark.parametrize(
     "task", [*PAPER_TASKS, *(pytest.param(task, marks=pytest.mark.slow) for task in GENTLE_TASKS)]
 )
-def test_a_human_at_rest_stays_at_rest(task: str) -> None:
+def test_resting_human_stays_at_rest(task: str) -> None:
     # 4 s of settling. Gentle lift's arm starts anywhere on its way and slides back, where gravity
     # nearly balances friction over 80 s (less by the factor e in 10 s).
     settling = 4000 if task == "gentle_lift" else 200
@@ -61,7 +61,7 @@ def test_steady_contacts_barely_penetrate_and_carry_the_arm(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", ARM_TASKS)
-def test_a_falling_arm_gains_no_energy_and_falls_through_nothing(task: str) -> None:
+def test_falling_arm_gains_no_energy(task: str) -> None:
     model = build_model(task)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
@@ -79,7 +79,7 @@ def test_a_falling_arm_gains_no_energy_and_falls_through_nothing(task: str) -> N
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_full_torque_on_one_joint_stays_within_the_pandas_speed(task: str) -> None:
+def test_full_torque_stays_within_the_panda_speed(task: str) -> None:
     model = build_model(task)
     for joint, limit in zip(ROBOT_JOINTS, SPEED_LIMITS, strict=True):
         data = mujoco.MjData(model)
@@ -93,7 +93,7 @@ def test_full_torque_on_one_joint_stays_within_the_pandas_speed(task: str) -> No
 
 
 @pytest.mark.parametrize("task", ["scratch", "bed_bath"])
-def test_the_tool_can_touch_nearly_every_target(task: str) -> None:
+def test_tool_reaches_nearly_every_target(task: str) -> None:
     model = build_model(task)
     reached = [_nearest(model, task, seed) < 0.1 for seed in range(40)]
     assert np.mean(reached) > 0.95

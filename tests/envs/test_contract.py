@@ -79,9 +79,7 @@ def test_shapes_and_types(task: str, backend: str) -> None:
 @pytest.mark.slow_for("opposed", "random", "lift-native")
 @each_task_and_backend
 @pytest.mark.parametrize("actions", ["random", "full", "opposed"])
-def test_a_whole_episode_stays_finite_and_ends_by_time(
-    task: str, backend: str, actions: str
-) -> None:
+def test_episode_stays_finite_and_ends_by_time(task: str, backend: str, actions: str) -> None:
     env = environment(task, backend)
     rows = {
         "random": random_actions(4, 1000, seed=1, human=seat(task)),
@@ -101,7 +99,7 @@ def test_a_whole_episode_stays_finite_and_ends_by_time(
 
 
 @each_task_and_backend
-def test_resets_are_the_same_bits_on_every_backend(task: str, backend: str) -> None:
+def test_resets_are_equal_on_every_backend(task: str, backend: str) -> None:
     native, other = (start(task, name, SETTINGS, seed=7) for name in ("native", backend))
     for name in ("qpos", "qvel", "warmstart"):
         np.testing.assert_array_equal(getattr(native.physics, name), getattr(other.physics, name))
@@ -123,9 +121,7 @@ def test_backends_agree_over_the_first_steps(task: str, backend: str) -> None:
 
 
 @each_pair(WITHOUT_MJX)
-def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alone(
-    task: str, backend: str
-) -> None:
+def test_diverged_simulation_is_frozen_alone(task: str, backend: str) -> None:
     state = start(task, backend, SETTINGS)
     actions = random_actions(4, 5, human=seat(task))
     calm = play(task, backend, state, actions)[-1]
@@ -140,7 +136,7 @@ def test_a_diverged_simulation_is_frozen_earns_nothing_and_leaves_the_others_alo
 
 
 @pytest.mark.parametrize("backend", WITHOUT_MJX)
-def test_an_action_that_is_not_a_number_is_counted(backend: str) -> None:
+def test_nan_action_is_counted(backend: str) -> None:
     action = {"robot": jnp.zeros((4, 7)).at[2, 0].set(jnp.nan), "human": jnp.zeros((4, 3))}
     last = play("scratch", backend, start("scratch", backend, SETTINGS), [action])[-1]
     assert last.nonfinite.tolist() == [False, False, True, False]
@@ -160,7 +156,7 @@ def test_the_joint_range_of_each_simulation_holds() -> None:
     assert len({round(float(angle), 1) for angle in angles["fused"]}) > 1
 
 
-def test_no_number_of_the_fused_engine_depends_on_the_warm_start() -> None:
+def test_fused_engine_ignores_the_warm_start() -> None:
     state = start("scratch", "fused", SETTINGS)
     warmstart = state.physics.warmstart + jnp.array([100.0, jnp.nan, 3.0, -1.0])[:, None]
     other = dataclasses.replace(
@@ -172,7 +168,7 @@ def test_no_number_of_the_fused_engine_depends_on_the_warm_start() -> None:
     np.testing.assert_array_equal(ours.obs["global"], theirs.obs["global"])
 
 
-def test_the_engine_and_its_version_are_named() -> None:
+def test_engine_and_version_are_named() -> None:
     assert environment("scratch", "native").engine["name"] == "native"
     engine = environment("scratch", "fused").engine
     assert engine["name"] == "fused"

@@ -20,7 +20,7 @@ class Flee(Scratch):
         return state, seen, {name: -term for name, term in terms.items()}, measures
 
 
-def test_it_plays_in_the_scene_with_its_own_reward() -> None:
+def test_custom_task_plays_with_its_own_reward() -> None:
     env, state = make(Flee, "native"), start("scratch", "native", ["d1", "d9"])
     action = random_actions(2, 1)[0]
     mine, theirs = env.step(state, action), make("scratch", "native").step(state, action)
@@ -29,14 +29,14 @@ def test_it_plays_in_the_scene_with_its_own_reward() -> None:
     assert (env.task, env.version) == ("flee", 0)
 
 
-def test_it_never_passes_for_a_released_one() -> None:
+def test_custom_task_has_version_zero() -> None:
     class Same(Scratch):
         scene = "scratch"
 
     assert make(Same, "native").version == 0 != make("scratch", "native").version
 
 
-def test_a_gentle_scene_needs_the_frames_of_contacts() -> None:
+def test_gentle_scene_needs_contact_frames() -> None:
     class Mine(GentleScratch):
         name, scene = "mine", "gentle_scratch"
 

@@ -32,7 +32,7 @@ def test_settings_are_numbered_with_strength_running_fastest() -> None:
 
 
 @native_and_mjx
-def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
+def test_d9_narrows_the_elbow_in_a_batch(backend: str) -> None:
     model = environment("scratch", backend).model
     elbow = model.joint(ELBOW)
     state = start("scratch", backend, ["d1", "d9", "d3", "d7"])
@@ -55,7 +55,7 @@ def test_d9_narrows_the_elbows_reach_in_the_same_batch(backend: str) -> None:
 
 
 @pytest.mark.parametrize(("task", "left"), [("scratch", 0.4), ("gentle_bath", 0.7)])
-def test_humans_of_gentle_tasks_are_spared_half_of_a_setting(task: str, left: float) -> None:
+def test_gentle_humans_are_spared_half_a_setting(task: str, left: float) -> None:
     env = environment(task, "native")
     full = {role: jnp.ones((2, size)) for role, size in env.action_size.items()}
     params = assistax_envs.disability_params(["d1", "d3"])
@@ -102,7 +102,7 @@ def test_impossible_settings_are_refused() -> None:
             Disability(**bad)
 
 
-def test_tremor_is_zero_mean_and_lies_between_4_and_12_hz() -> None:
+def test_tremor_lies_between_4_and_12_hz() -> None:
     env = environment("scratch", "native")
     size, steps = 16, 500
     params = assistax_envs.disability_params([Disability(tremor=0.2)] * (size - 1) + [Disability()])
@@ -131,7 +131,7 @@ def test_tremor_is_zero_mean_and_lies_between_4_and_12_hz() -> None:
 
 
 @pytest.mark.parametrize("rate", [50.0, 200.0])
-def test_the_tremor_filter_is_a_butterworth_band_pass_of_unit_variance(rate: float) -> None:
+def test_tremor_filter_is_a_butterworth_band_pass(rate: float) -> None:
     b, a = signal.butter(1, BAND, btype="bandpass", fs=rate)
     b /= np.sqrt(np.square(signal.lfilter(b, a, np.eye(1, 4096)[0])).sum())
     ours = TremorFilter(rate)

@@ -67,7 +67,7 @@ N = 64
 
 
 @one_gentle_task
-def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_trunk(
+def test_scene_softens_that_of_the_paper(
     task: str,
 ) -> None:
     ours, theirs = build_model(task), build_model(BASES[task])
@@ -86,7 +86,7 @@ def test_the_scene_is_that_of_the_papers_task_with_less_torque_and_a_stiffer_tru
 
 
 @one_gentle_task
-def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) -> None:
+def test_pairs_of_robot_and_human_alone_are_felt(task: str) -> None:
     model = build_model(task)
     named = [
         (model.geom(int(a)).name, model.geom(int(b)).name)
@@ -110,7 +110,7 @@ def test_every_pair_of_robot_and_human_is_soft_and_felt_and_no_other(task: str) 
         assert (solref[0] == SKIN) == (frozenset(pair) in touches)
 
 
-def test_furniture_and_the_humans_own_parts_are_no_touch() -> None:
+def test_furniture_and_own_parts_are_no_touch() -> None:
     assert touching("robot_tool", "human_torso") == ("robot_tool", "human_torso")
     assert touching("right_thigh", "robot_tool") == ("robot_tool", "right_thigh")
     assert touching("robot_tool", "right_rail_inner") is None
@@ -159,9 +159,7 @@ def felt(task: str, backend: str = "native") -> tuple[Any, np.ndarray]:
 @pytest.mark.slow_for("native")
 @pytest.mark.parametrize("backend", ["native", "fused"])
 @one_gentle_task
-def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
-    task: str, backend: str
-) -> None:
+def test_force_sums_contacts_in_the_world_frame(task: str, backend: str) -> None:
     readings, expected = felt(task, backend)
     size = np.linalg.norm(expected, axis=-1)
     assert (size.sum(axis=1) > 1.0).sum() > 30
@@ -178,7 +176,7 @@ def test_the_force_is_that_of_all_the_robots_contacts_in_the_worlds_frame(
 
 
 @one_gentle_task
-def test_what_touches_the_arm_is_told_from_what_touches_the_rest(task: str) -> None:
+def test_touches_on_the_arm_are_told_apart(task: str) -> None:
     readings, expected = felt(task)
     model = build_model(task)
     names = [
@@ -204,7 +202,7 @@ def test_quaternions_have_w_of_at_least_zero(task: str) -> None:
     assert all(float(state.obs["robot"][:, 17].min()) >= 0.0 for state in states)
 
 
-def test_forces_turn_from_the_contacts_frame_into_the_worlds() -> None:
+def test_forces_turn_into_the_world_frame() -> None:
     normal, tangent = jnp.array([0.0, 0.0, 1.0]), jnp.array([1.0, 0.0, 0.0])
     world = world_force(jnp.array([3.0, 2.0, 1.0]), normal, tangent)
     np.testing.assert_allclose(world, [2.0, 1.0, 3.0])  # y is z cross x
@@ -213,7 +211,7 @@ def test_forces_turn_from_the_contacts_frame_into_the_worlds() -> None:
 # Arithmetic of touch.
 
 
-def test_a_bump_is_one_at_its_best_and_less_elsewhere() -> None:
+def test_bump_peaks_at_its_best() -> None:
     x = jnp.linspace(0.0, 50.0, 501)
     for best in itertools.chain(*VALUES.values()):
         values = np.asarray(bump(x, jnp.float32(best)))
@@ -221,7 +219,7 @@ def test_a_bump_is_one_at_its_best_and_less_elsewhere() -> None:
         assert values.max() <= 1.0 + 1e-6 and values.min() >= 0.0 and values[0] == 0.0
 
 
-def test_a_way_over_the_skin_leaves_out_what_crosses_it() -> None:
+def test_way_over_the_skin_leaves_out_crossing() -> None:
     at = jnp.array([0.04, 0.0, 0.1])
     steps = jnp.array([[0.0, 0.0, 0.03], [0.02, 0.0, 0.0], [0.5, 0.03, 0.04]])
     np.testing.assert_allclose(
@@ -240,7 +238,7 @@ def _readings(n: int = 1, **fields) -> TouchReadings:
     )
 
 
-def test_costs_lie_between_minus_one_and_nothing_and_each_has_its_reason() -> None:
+def test_each_cost_has_its_reason_and_bound() -> None:
     calm = costs(_readings())
     assert all(float(value[0]) == 0.0 for value in calm.values())
     reasons = {
@@ -269,7 +267,7 @@ def test_points_are_given_in_the_segments_frame() -> None:
 
 
 @one_gentle_task
-def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) -> None:
+def test_hard_contact_stays_a_violation(task: str) -> None:
     env = environment(task, "native")
     states, model = touching_states(task), env.model
     rows = jnp.arange(8)
@@ -294,7 +292,7 @@ def test_a_hard_contact_is_a_violation_for_the_rest_of_the_episode(task: str) ->
 # Preferences.
 
 
-def test_names_go_through_all_forces_and_speeds() -> None:
+def test_preferences_cover_all_forces_and_speeds() -> None:
     assert list(PREFERENCES) == [f"p{k}" for k in range(1, 10)]
     assert {(preference.force, preference.speed) for preference in PREFERENCES.values()} == {
         (force, speed) for force in FORCES for speed in SPEEDS
@@ -313,7 +311,7 @@ def test_names_go_through_all_forces_and_speeds() -> None:
 
 
 @one_gentle_task
-def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -> None:
+def test_given_preference_is_kept_and_open_one_drawn(task: str) -> None:
     reset = compiled(task, "native")[0]
     keys = jax.random.split(jax.random.key(3), N)
     names = ["p1", "p9", "p5", "p6"] * (N // 4)
@@ -337,14 +335,14 @@ def test_a_given_preference_is_kept_and_an_open_one_is_drawn_evenly(task: str) -
 
 
 @one_gentle_task
-def test_an_episode_draws_its_preference_once(task: str) -> None:
+def test_episode_draws_its_preference_once(task: str) -> None:
     first = start(task, "native", ["d1"] * 8)
     last = play(task, "native", first, random_actions(8, 5))[-1]
     jax.tree.map(np.testing.assert_array_equal, first.task.preference, last.task.preference)
 
 
 @one_gentle_task
-def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> None:
+def test_human_alone_observes_its_preference(task: str) -> None:
     """The same start under two preferences: only the human and critics can tell them apart."""
     reset, keys = compiled(task, "native")[0], jax.random.split(jax.random.key(5), 2)
     apart = next(
@@ -368,7 +366,7 @@ def test_the_human_knows_its_preference_and_the_robot_does_not(task: str) -> Non
 
 
 @one_gentle_task
-def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None:
+def test_robot_observation_is_independent_of_preference(task: str) -> None:
     """Under the same touches, that is: what the human does about it is for the robot to read."""
     env = environment(task, "native")
     states, n = touching_states(task), 8
@@ -396,7 +394,7 @@ def test_nothing_that_the_robot_sees_depends_on_what_is_liked(task: str) -> None
 
 @pytest.mark.slow
 @one_gentle_task
-def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
+def test_told_robot_observes_the_preference(task: str) -> None:
     env = assistax_envs.make(task, "native", told=("human", "robot"))
     sizes = env.observation_size, environment(task, "native").observation_size
     more = sizes[0]["robot"] - sizes[1]["robot"]
@@ -405,7 +403,7 @@ def test_a_told_robot_sees_what_the_human_does(task: str) -> None:
     np.testing.assert_array_equal(obs["robot"][:, -more:], obs["human"][:, -more:])
 
 
-def test_preferences_change_nothing_in_the_papers_tasks() -> None:
+def test_paper_tasks_ignore_preferences() -> None:
     step, keys = compiled("scratch", "native"), jax.random.split(jax.random.key(7), 2)
     first, other = (
         step[0](keys, disability_params(["d1"] * 2, [name] * 2)) for name in ("p1", "p9")
@@ -416,7 +414,7 @@ def test_preferences_change_nothing_in_the_papers_tasks() -> None:
     np.testing.assert_array_equal(ends[0].reward, ends[1].reward)
 
 
-def test_a_preference_is_drawn_by_its_own_key() -> None:
+def test_key_draws_the_preference() -> None:
     names = {
         float(draw_preferences(jnp.int32(0), jax.random.key(seed)).force) for seed in range(20)
     }
@@ -429,7 +427,7 @@ def test_a_preference_is_drawn_by_its_own_key() -> None:
 
 @pytest.mark.slow_for("gentle_bath", "gentle_scratch", "bed_bath", "arm_assist")
 @pytest.mark.parametrize("task", [*PAPER_TASKS, *GENTLE_TASKS])
-def test_the_script_brings_the_tool_to_its_target(task: str) -> None:
+def test_script_brings_the_tool_to_its_target(task: str) -> None:
     """In three seconds, with an idle human: far nearer than a robot that does nothing."""
     env = environment(task, "native")
     act = jax.jit(script_of(task, env.model))
@@ -451,7 +449,7 @@ def _gap(state) -> jax.Array:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_script_is_at_most_sixty_lines(task: str) -> None:
+def test_script_is_at_most_sixty_lines(task: str) -> None:
     lines = inspect.getsource(SCRIPTS[task].play).splitlines()
     assert len(lines) <= 60
     assert ast.parse("\n".join(lines))
@@ -479,6 +477,6 @@ def test_the_jacobian_is_mujocos() -> None:
             np.testing.assert_allclose(ours[0], theirs[:, columns], atol=1e-5)
 
 
-def test_every_task_has_a_script() -> None:
+def test_every_task_has_a_documented_script() -> None:
     assert set(SCRIPTS) == set(TASKS)
     assert all(inspect.getdoc(script.play) for script in SCRIPTS.values())

@@ -28,7 +28,7 @@ TASK = "gentle_brushing"
 
 
 @pytest.mark.parametrize("jaw", [0.0, 0.25, 0.5])
-def test_places_lie_on_their_rows_as_mujoco_has_them(jaw: float) -> None:
+def test_places_lie_on_their_rows_in_mujoco(jaw: float) -> None:
     """The lower ones swing with the jaw; a brush `OFF` along the normal just touches."""
     model = build_model(TASK)
     data = mujoco.MjData(model)
@@ -51,7 +51,7 @@ def test_places_lie_on_their_rows_as_mujoco_has_them(jaw: float) -> None:
     assert OFF < sizes < OFF + 0.002
 
 
-def test_starts_at_a_place_have_the_brush_before_it() -> None:
+def test_brush_starts_before_its_place() -> None:
     """Within 5 mm of where it should be, and in nothing that would hurt."""
     model = build_model(TASK)
     data = mujoco.MjData(model)
@@ -117,7 +117,7 @@ def liked_steps(table: Table) -> int:
 
 
 @pytest.mark.slow
-def test_four_strokes_are_a_place_and_the_next_one_follows() -> None:
+def test_four_strokes_finish_a_place() -> None:
     table = Table()
     steps = liked_steps(table)
     for count in range(STROKES):
@@ -147,7 +147,7 @@ def test_what_is_no_stroke(wrong: dict[str, Any]) -> None:
     assert int(table.state.strokes[0]) == 0
 
 
-def test_strokes_that_nobody_likes_do_a_fifth() -> None:
+def test_unpreferred_strokes_count_a_fifth() -> None:
     """18 of them are a place, and are paid together what four good ones are, less the spared."""
     table = Table()
     paid = [table.stroke(2, force=7.0) for _ in range(18)]
@@ -155,7 +155,7 @@ def test_strokes_that_nobody_likes_do_a_fifth() -> None:
     assert sum(terms["stroke"] for terms in paid) == pytest.approx(18.0, rel=0.01)
 
 
-def test_a_stroke_takes_time_only_at_its_place() -> None:
+def test_stroke_takes_time_at_its_place_alone() -> None:
     """Who waits for a head that turns does not spoil the first stroke."""
     table = Table()
     table.play(0.0, 0.0, steps=60, aside=0.03)
@@ -171,7 +171,7 @@ def test_standing_still_or_half_a_stroke_earns_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", ["p1", "p5", "p9"])
-def test_force_and_speed_pay_as_they_are_liked(name: str) -> None:
+def test_force_and_speed_pay_by_preference(name: str) -> None:
     by_force, by_steps = {}, {}
     likes = PREFERENCES[name]
     for force in (0.5, 1.0, 2.0):
@@ -214,7 +214,7 @@ def test_six_places_are_success_unless_something_hurt() -> None:
             assert bool(table.measures.success[0]) == (count == ASKED * STROKES - 1 and not hurt)
 
 
-def test_to_and_fro_on_the_way_earns_nothing() -> None:
+def test_going_to_and_fro_earns_nothing() -> None:
     table = Table()
     ways = [0.05, 0.1, 0.02, 0.07, 0.05]
     assert sum(table.play(0.0, 0.0, aside=way)["progress"] for way in ways) == pytest.approx(
@@ -223,7 +223,7 @@ def test_to_and_fro_on_the_way_earns_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_a_scripted_pair_brushes_and_an_idle_human_is_not_enough() -> None:
+def test_scripted_pair_brushes_better_than_idle_human() -> None:
     env = environment(TASK, "fused")
     _, states = meal(env, 32, 1000)
     assert np.asarray(states.terminated).any(axis=0).mean() < 0.1

@@ -39,7 +39,7 @@ TASK = "gentle_feeding"
 
 
 @pytest.mark.parametrize("task", [*PAPER_TASKS, *GENTLE_TASKS])
-def test_the_seats_of_all_other_tasks_are_an_arm(task: str) -> None:
+def test_seat_is_an_arm(task: str) -> None:
     model = build_model(task)
     assert human_joints(model) == HUMAN_JOINTS
     assert human_actuators(model) == HUMAN_ACTUATORS
@@ -61,7 +61,7 @@ def settled(**torques: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, data
 
 
-def test_a_mouth_opens_by_four_centimetres_and_is_shut_at_rest() -> None:
+def test_mouth_opens_by_four_centimetres() -> None:
     for torque, opening in ((0.0, 0.0), (1.0, 0.042)):
         _, data = settled(jaw=torque)
         lips = data.geom("human_upper_lip").xpos - data.geom("human_lower_lip").xpos
@@ -69,7 +69,7 @@ def test_a_mouth_opens_by_four_centimetres_and_is_shut_at_rest() -> None:
         assert gap == pytest.approx(opening, abs=0.004)
 
 
-def test_a_trunk_leans_by_six_centimetres_and_a_neck_turns_half_as_far_as_a_healthy_one() -> None:
+def test_trunk_leans_and_neck_turns_as_far_as_designed() -> None:
     model, still = settled()
     _, leant = settled(abdomen_y=1.0)
     shift = leant.site("human_mouth").xpos - still.site("human_mouth").xpos
@@ -81,7 +81,7 @@ def test_a_trunk_leans_by_six_centimetres_and_a_neck_turns_half_as_far_as_a_heal
         assert 0.4 < angle < joint.range[1] + 0.02
 
 
-def test_a_disability_narrows_the_mouth_and_the_neck() -> None:
+def test_disability_narrows_mouth_and_neck() -> None:
     env = environment(TASK, "native")
     # The ranges that impairments leave.
     full, narrow = np.asarray(env._joint_range(disability_params(["d1", "d7"])))
@@ -90,7 +90,7 @@ def test_a_disability_narrows_the_mouth_and_the_neck() -> None:
     assert narrow[jaw] == pytest.approx([0.0, 0.7 * OPEN])
 
 
-def test_where_bowl_mouth_and_face_are_is_what_mujoco_says() -> None:
+def test_mouth_readings_match_mujoco() -> None:
     env = environment(TASK, "native")
     model, rng = env.model, np.random.default_rng(3)
     data = mujoco.MjData(model)
@@ -164,7 +164,7 @@ class Table(LaidOut):
         self.play(0.09, 0.0)
 
 
-def test_a_bite_goes_through_its_stages_and_pays_each_once() -> None:
+def test_bite_pays_each_stage_once() -> None:
     table = Table()
     assert table.play(0.08, 0.0)["open"] == 0.0 and table.stage == WAITING
     assert table.play(0.08, 0.4)["open"] == pytest.approx(20.0) and table.stage == ENTERING
@@ -193,7 +193,7 @@ def test_a_bite_goes_through_its_stages_and_pays_each_once() -> None:
         {"speed": 0.2},
     ],
 )
-def test_a_spoon_that_is_not_well_in_the_mouth_is_not_served(wrong: dict[str, float]) -> None:
+def test_misplaced_spoon_is_not_served(wrong: dict[str, float]) -> None:
     table = Table()
     table.play(0.08, 0.0)
     table.play(0.08, 0.4)
@@ -202,7 +202,7 @@ def test_a_spoon_that_is_not_well_in_the_mouth_is_not_served(wrong: dict[str, fl
 
 
 @pytest.mark.parametrize("bite", [0.2, 20.0])
-def test_lips_that_barely_touch_or_bite_hard_take_nothing(bite: float) -> None:
+def test_light_or_hard_bites_take_nothing(bite: float) -> None:
     table = Table()
     table.play(0.08, 0.0)
     table.play(0.08, 0.4)
@@ -211,7 +211,7 @@ def test_lips_that_barely_touch_or_bite_hard_take_nothing(bite: float) -> None:
     assert table.stage == TAKING
 
 
-def test_a_mouth_does_not_open_for_a_spoon_that_is_beside_it_or_rushes() -> None:
+def test_mouth_stays_shut_for_misplaced_or_fast_spoons() -> None:
     for wrong in ({"aside": 0.1}, {"out": 0.3}, {"out": 0.0}):
         table = Table()
         table.play(0.08, 0.0)
@@ -224,7 +224,7 @@ def test_a_mouth_does_not_open_for_a_spoon_that_is_beside_it_or_rushes() -> None
 
 
 @pytest.mark.parametrize("name", ["p1", "p5", "p9"])
-def test_waiting_and_depth_pay_as_they_are_liked(name: str) -> None:
+def test_waiting_and_depth_pay_by_preference(name: str) -> None:
     paid = {}
     for wait in (0.04, 0.08, 0.16):
         table = Table(name)
@@ -243,7 +243,7 @@ def test_waiting_and_depth_pay_as_they_are_liked(name: str) -> None:
     assert min(served.values()) >= 4.0
 
 
-def test_a_spill_takes_back_all_that_the_bite_has_paid() -> None:
+def test_spill_takes_back_the_pay_of_the_bite() -> None:
     table = Table()
     table.play(0.16, 0.0)
     before = table.total
@@ -257,7 +257,7 @@ def test_a_spill_takes_back_all_that_the_bite_has_paid() -> None:
     assert table.total < before - 5.0
 
 
-def test_a_tilted_spoon_spills_once_until_it_is_level_again() -> None:
+def test_tilted_spoon_spills_once_until_level_again() -> None:
     table = Table()
     paid = [table.play(0.16, 0.0, level=SPILT - 0.01, steps=5)]
     paid += [table.play(0.16, 0.0), table.play(0.16, 0.0, level=SPILT - 0.01, steps=5)]
@@ -276,7 +276,7 @@ def test_to_and_fro_earns_nothing() -> None:
     assert sum(table.play(out, 0.4)["progress"] for out in ways) == pytest.approx(0.0, abs=1e-4)
 
 
-def test_three_bites_are_success_and_six_are_all_that_is_paid() -> None:
+def test_three_bites_succeed_and_six_pay() -> None:
     table = Table()
     for bite in range(MEAL):
         assert bool(table.measures.success[0] if bite else False) == (bite >= ASKED)
@@ -293,7 +293,7 @@ def test_three_bites_are_success_and_six_are_all_that_is_paid() -> None:
 
 
 @pytest.mark.slow
-def test_a_scripted_pair_eats_and_an_idle_human_does_not() -> None:
+def test_scripted_pair_eats_unlike_idle_human() -> None:
     env = environment(TASK, "fused")
     _, states = meal(env, 32, 1000)
     violated = np.asarray(states.terminated).any(axis=0)
@@ -305,7 +305,7 @@ def test_a_scripted_pair_eats_and_an_idle_human_does_not() -> None:
     assert int(idle.task.bites.max()) <= 1  # of starts with the spoon in the mouth
 
 
-def test_the_script_waits_before_a_mouth_that_stays_shut() -> None:
+def test_script_waits_before_a_shut_mouth() -> None:
     """It is still 8 cm away after six seconds, wherever on the way in it began."""
     _, idle = meal(
         environment(TASK, "fused"), 16, 300, human=lambda obs: jnp.zeros((obs.shape[0], 5))
@@ -324,7 +324,7 @@ def test_episodes_start_anywhere_along_the_act() -> None:
     assert not bool(state.measures.violated.any())
 
 
-def test_only_the_human_knows_what_it_likes() -> None:
+def test_human_alone_observes_its_preference() -> None:
     reset, keys = compiled(TASK, "fused")[0], jax.random.split(jax.random.key(5), 64)
     first, other = (
         reset(keys, disability_params(["d1"] * 64, [name] * 64)).obs for name in ("p1", "p9")

@@ -33,7 +33,7 @@ def _begun(task: str, preferences: list[str]) -> tuple[Any, Any, TouchReadings]:
 
 
 @pytest.mark.slow
-def test_an_arm_starts_somewhere_on_its_way_and_slides_off_when_nobody_holds_it() -> None:
+def test_arm_starts_on_its_way_and_slides_off() -> None:
     state, model = (
         start("gentle_lift", "native", ["d1"] * 64),
         environment("gentle_lift", "native").model,
@@ -58,7 +58,7 @@ def _between(corners: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_hook_is_drawn_below_the_forearm_on_the_hands_side() -> None:
+def test_hook_lifts_below_the_forearm_near_the_hand() -> None:
     _, _, readings = _begun("gentle_lift", ["p1"] * 4)
     section, upper = readings.arm_position[:, 1], readings.arm_position[:, 0]
     offset = np.array(_lifted_at(section, readings) - section)
@@ -82,7 +82,7 @@ def _rest(arm: jax.Array, distance: float, force: float = 0.0) -> dict[str, np.n
 
 
 @pytest.mark.slow
-def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_touch() -> None:
+def test_rest_reward_peaks_at_preferred_distance() -> None:
     _, state, _ = _begun("gentle_lift", list(PREFERENCES))
     pays = {distance: _rest(state.waist, distance)["rest"] for distance in (0.1, 0.25, 0.6)}
     for row, preference in enumerate(PREFERENCES.values()):
@@ -95,7 +95,7 @@ def test_rest_pays_most_with_the_hook_at_the_liked_distance_and_nothing_with_a_t
 
 
 @pytest.mark.slow
-def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_is() -> None:
+def test_rest_pays_at_the_hidden_preferred_place_alone() -> None:
     names = list(PREFERENCES)
     _, state, _ = _begun("gentle_lift", names)
     for name in names:
@@ -116,7 +116,7 @@ def test_rest_pays_at_the_liked_place_alone_and_the_robot_does_not_see_which_it_
 
 
 @pytest.mark.slow
-def test_a_point_on_the_arms_far_side_is_farther_than_the_way_through_the_arm() -> None:
+def test_point_on_the_far_side_is_farther() -> None:
     task, _, _ = _begun("gentle_bath", ["p5"])
     tool = jnp.asarray(0.1 * task._outward[:1] + task._offset[:1])  # over the first point
     for sign, turned in ((1.0, 0.0), (-1.0, 1.0)):

@@ -55,7 +55,7 @@ def _seen(task: str, count: int = 400, seed: int = 5) -> jnp.ndarray:
 
 @pytest.mark.slow_for("bath", "brushing", "lift")
 @pytest.mark.parametrize("task", RANGES)
-def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
+def test_script_numbers_matter_and_lie_in_range(task: str) -> None:
     model, obs = build_model(task), _seen(task)
     own = SCRIPTS[task].numbers
     assert set(own) == set(RANGES[task])
@@ -71,7 +71,7 @@ def test_every_number_matters_and_lies_in_its_range(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", RANGES)
-def test_a_search_tries_numbers_side_by_side(task: str) -> None:
+def test_search_tries_numbers_side_by_side(task: str) -> None:
     model, obs = build_model(task), _seen(task, 16)
     ends = {name: jnp.array(between, jnp.float32) for name, between in RANGES[task].items()}
     both = jax.vmap(lambda numbers: script_of(task, model, numbers)(obs))(ends)
@@ -81,7 +81,7 @@ def test_a_search_tries_numbers_side_by_side(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", SKIN)
-def test_a_tool_that_presses_too_hard_only_lifts(task: str) -> None:
+def test_hard_pressing_tool_only_lifts(task: str) -> None:
     """Along the skin's normal, whatever else it was about to do."""
     model = build_model(task)
     numbers = {"stop": 10.0, "lift": 0.1, "turn": 0.0, "damping": 1e-5}

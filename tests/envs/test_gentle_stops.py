@@ -20,7 +20,7 @@ from tests.envs.fused.scenes import touching_states
 
 
 @pytest.mark.parametrize("backend", ["native", "fused"])
-def test_contacts_of_every_physics_step_count_and_not_the_last_ones_alone(backend: str) -> None:
+def test_contacts_of_every_physics_step_count(backend: str) -> None:
     task = "gentle_lift"
     env, states = environment(task, backend), touching_states(task)
     model = env.model
@@ -87,7 +87,7 @@ def _touched_parts(model: mujoco.MjModel) -> list[str]:
     return [model.geom(int(model.sensor(i).refid[0])).name for i in felt_sensors(model)]
 
 
-def test_the_head_is_where_mujoco_has_it() -> None:
+def test_head_distance_matches_mujoco() -> None:
     model, rng = build_model("gentle_scratch"), np.random.default_rng(2)
     data, joints = mujoco.MjData(model), [n for n in HUMAN_JOINTS if "abdomen" in n]
     for _ in range(5):

@@ -64,7 +64,7 @@ def met(
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_mouth_opens_sooner_for_a_spoon_that_waits_where_it_is_liked(family: str) -> None:
+def test_mouth_opens_sooner_at_the_preferred_distance(family: str) -> None:
     opened = {}
     for out in (0.03, 0.08, 0.2):
         mind, _ = met("gentle_feeding", WAITING, (out, 0.0, 0.0), 60, family=family)
@@ -76,7 +76,7 @@ def test_a_mouth_opens_sooner_for_a_spoon_that_waits_where_it_is_liked(family: s
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_too_near_too_soon_turns_the_head_away(family: str) -> None:
+def test_near_tool_turns_the_head_away(family: str) -> None:
     """To the other side than the spoon's; a spoon that was waited for may come."""
     for side, turns in ((0.02, -1.0), (-0.02, 1.0)):
         mind, action = met("gentle_feeding", WAITING, (0.01, side, 0.0), 30, family=family)
@@ -85,14 +85,14 @@ def test_too_near_too_soon_turns_the_head_away(family: str) -> None:
     assert float(mind.reaction.discomfort[0]) == 0.0 and abs(action[YAW]) < 0.05
 
 
-def test_too_far_away_a_person_leans_forward() -> None:
+def test_person_leans_towards_a_far_tool() -> None:
     mind, action = met("gentle_feeding", WAITING, (0.2, 0.0, 0.0), 40)
     near, still = met("gentle_feeding", WAITING, (0.08, 0.0, 0.0), 40)
     assert float(mind.reaction.lightness[0]) > 0.5 > float(near.reaction.lightness[0])
     assert action[LEAN] > still[LEAN] + 0.02  # the seat's torque is positive forward
 
 
-def test_lips_close_on_a_spoon_that_was_served_and_too_deep_is_too_much() -> None:
+def test_lips_close_on_a_served_spoon() -> None:
     _, opened = met("gentle_feeding", ENTERING, (-0.02, 0.0, 0.0))
     _, closed = met("gentle_feeding", TAKING, (-0.02, 0.0, 0.0))
     assert opened[JAW] > closed[JAW] + 0.2
@@ -111,14 +111,14 @@ def test_teeth_are_shown_by_turning_and_opening(place: int) -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_brush_that_presses_too_hard_ends_the_help(family: str) -> None:
+def test_hard_brush_ends_the_help(family: str) -> None:
     soft, _ = met("gentle_brushing", 6, (0.0, 0.0, 0.0), touch=1.0, family=family)
     hard, _ = met("gentle_brushing", 6, (0.0, 0.0, 0.0), touch=8.0, family=family)
     assert not bool(soft.stopped[0]) and bool(hard.stopped[0])
     assert float(hard.aim[0, JAW]) == 0.0 < float(soft.aim[0, JAW])
 
 
-def test_a_touch_may_close_the_mouth_of_who_has_the_reflex() -> None:
+def test_bite_reflex_closes_the_mouth() -> None:
     _, calm = met("gentle_feeding", ENTERING, (-0.02, 0.0, 0.0), 56, touch=3.0)
     seen = at_rest("gentle_feeding")
     assert seen.shape[0] == 50 and calm[JAW] > 0.0
@@ -126,7 +126,7 @@ def test_a_touch_may_close_the_mouth_of_who_has_the_reflex() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["gentle_feeding", "gentle_brushing"])
-def test_persons_act_alike_on_every_run_and_help_more_than_nobody(task: str) -> None:
+def test_head_persons_repeat_and_help(task: str) -> None:
     rows = persons(task)[:INNER][:32]
     helped = earned(episodes(task, rows, "script", "person"))
     alone = earned(episodes(task, rows, "script", "idle"))

@@ -47,7 +47,7 @@ def test_joints_resolve_by_name_wherever_they_stand() -> None:
         assert model.sensor(f"{joint}_velocity").objid[0] == model.joint(joint).id
 
 
-def test_the_target_lies_on_the_skin_and_moves_with_the_arm() -> None:
+def test_target_lies_on_the_moving_skin() -> None:
     env = environment("scratch", "native")
     state = start("scratch", "native", ["d1"] * 64, seed=11)
     obs = np.asarray(state.obs["robot"])

@@ -34,7 +34,7 @@ def test_an_error_gives_the_settings_back() -> None:
         assert jax.config.values["jax_enable_x64"]
 
 
-def test_a_thread_has_them_by_the_decorator() -> None:
+def test_decorator_sets_them_in_a_thread() -> None:
     seen: dict[str, Any] = {}
 
     def look(name: str) -> None:

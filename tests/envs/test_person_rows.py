@@ -38,7 +38,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("task", PARAMETERS)
-def test_every_number_of_every_person_lies_in_its_range(task: str) -> None:
+def test_numbers_of_persons_lie_in_range(task: str) -> None:
     table = persons(task)
     assert table.shape == (COUNT, WIDTH) and WIDTH == len(PARAMETERS[task]) == 25
     for parameter, column in zip(PARAMETERS[task], table.T, strict=True):
@@ -63,7 +63,7 @@ def test_the_table_has_the_ranges_and_sources(task: str) -> None:
         assert any(said), parameter.name
 
 
-def test_a_parameter_knows_its_range_and_its_distribution() -> None:
+def test_parameter_knows_its_range_and_distribution() -> None:
     force = next(p for p in PARAMETERS["gentle_scratch"] if p.name == "liked_force")
     shares = [force.quantile(share) for share in (0.0, 0.5, 1.0)]
     assert shares[0] == force.low and shares[2] == force.high
@@ -80,7 +80,7 @@ def test_persons_are_the_same_to_the_bit(task: str) -> None:
     assert hashlib.sha256(persons(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
 
 
-def test_a_person_is_named_by_its_numbers() -> None:
+def test_person_is_named_by_its_numbers() -> None:
     someone = person("gentle_scratch", 42)
     assert someone.name == "person-00042" and someone.side == "training"
     assert someone.identity == person("gentle_scratch", 42).identity
@@ -112,7 +112,7 @@ def test_training_lies_inside_and_corners_lie_beyond(task: str) -> None:
     assert (beyond[INNER:CORNERS] >= BEYOND - 2).all()
 
 
-def test_an_episode_draws_its_person_from_its_key() -> None:
+def test_key_draws_the_person() -> None:
     training = numbers("training")
     assert len(training) == 7200 and all(side(int(number)) == "training" for number in training)
     keys = jax.random.split(jax.random.key(5), 4000)
@@ -125,7 +125,7 @@ def test_an_episode_draws_its_person_from_its_key() -> None:
         numbers("hidden")
 
 
-def test_a_secret_draws_the_same_hidden_persons() -> None:
+def test_secret_draws_the_same_hidden_persons() -> None:
     rows = drawn("gentle_bath", b"a season", 50)
     np.testing.assert_array_equal(rows, drawn("gentle_bath", b"a season", 50))
     assert not np.array_equal(rows, drawn("gentle_bath", b"another season", 50))

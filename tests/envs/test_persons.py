@@ -97,7 +97,7 @@ def test_senses_read_what_the_human_observes(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", ["gentle_scratch", "gentle_lift"])
-def test_an_arm_weighs_and_turns_as_in_mujoco(task: str) -> None:
+def test_arm_weighs_and_turns_as_in_mujoco(task: str) -> None:
     arm, model = controller(task).arm, environment(task, "fused").model
     rng = np.random.default_rng(1)
     angles = rng.uniform(*arm.range.T, (4, JOINTS)).astype(np.float32)
@@ -121,7 +121,7 @@ def test_an_arm_weighs_and_turns_as_in_mujoco(task: str) -> None:
 
 
 @one_gentle_task
-def test_an_environment_pays_by_the_person_s_own_wishes(task: str) -> None:
+def test_environment_pays_by_the_persons_preference(task: str) -> None:
     env, rows, place = environment(task, "fused"), persons(task)[:4], index(task)
     keys = jax.random.split(jax.random.key(1), 4)
     state = jax.jit(env.reset)(keys, person_params(task, rows))
@@ -132,7 +132,7 @@ def test_an_environment_pays_by_the_person_s_own_wishes(task: str) -> None:
 
 
 @pytest.mark.parametrize("family", ["spring", "muscle"])
-def test_the_same_start_gives_the_same_actions_in_any_order(family: str) -> None:
+def test_same_start_gives_same_actions_in_any_order(family: str) -> None:
     rows, order = persons("gentle_scratch")[:BATCH], np.random.default_rng(2).permutation(BATCH)
     touches = np.concatenate([np.zeros(5), np.full(40, 12.0), np.zeros(15)])
     _, actions = watched(rows, touches, family=family)
@@ -144,7 +144,7 @@ def test_the_same_start_gives_the_same_actions_in_any_order(family: str) -> None
 
 
 @pytest.mark.parametrize("family", ["spring", "muscle"])
-def test_too_much_force_is_answered_and_forgiven(family: str) -> None:
+def test_excess_force_is_answered_and_forgiven(family: str) -> None:
     rows = somebody(count=2, slow_start=5.0)  # nobody begins to help meanwhile
     rows[1, index("gentle_scratch")["tolerance"]] = 5.0  # bears 20 N, not 10
     minds, actions = watched(
@@ -158,13 +158,13 @@ def test_too_much_force_is_answered_and_forgiven(family: str) -> None:
 
 
 @pytest.mark.parametrize("delay", [0.06, 0.14, 0.3])
-def test_a_touch_is_felt_after_the_delay(delay: float) -> None:
+def test_touch_is_felt_after_the_delay(delay: float) -> None:
     minds, _ = watched(somebody(delay=delay), np.concatenate([np.zeros(4), np.full(30, 20.0)]))
     discomfort = np.array([mind.reaction.discomfort[0] for mind in minds])
     assert np.flatnonzero(discomfort > 0.0)[0] == 4 + round(delay / 0.02)
 
 
-def test_withdraws_from_force_and_leans_into_a_light_touch() -> None:
+def test_person_withdraws_from_force_and_leans_in() -> None:
     arm, obs = controller().arm, jnp.asarray(at_rest()[None])
     senses = sense("gentle_scratch", obs)
     position, _ = arm.frames(senses.position)
@@ -179,7 +179,7 @@ def test_withdraws_from_force_and_leans_into_a_light_touch() -> None:
         assert float((moved * away)[0, nearer].sum()) * expected > 0.0
 
 
-def test_nobody_is_stronger_than_it_is() -> None:
+def test_torques_stay_within_strength() -> None:
     task = "gentle_scratch"
     rows = persons(task)[INNER : INNER + BATCH]
     strength = np.array([left(task, float(s)) for s in rows[:, index(task)["strength"]]])
@@ -211,7 +211,7 @@ def test_a_tremor_has_its_frequency() -> None:
     np.testing.assert_allclose(peaks, frequencies, atol=0.15)
 
 
-def test_initiative_says_what_help_waits_for() -> None:
+def test_initiative_decides_when_help_starts() -> None:
     rows = somebody(count=3)
     rows[:, index("gentle_scratch")["initiative"]] = 0.1, 0.5, 0.9
     touches = np.concatenate([np.zeros(50), np.full(50, 2.0), np.full(50, 6.0)])
@@ -221,13 +221,13 @@ def test_initiative_says_what_help_waits_for() -> None:
     assert helps[149].tolist() == [True, True, True]
 
 
-def test_who_is_hurt_stops_helping_and_begins_again() -> None:
+def test_hurt_person_stops_helping_and_begins_again() -> None:
     touches = np.concatenate([np.zeros(60), np.full(60, 40.0), np.zeros(120)])
     helps = np.array([mind.helps[0] for mind in watched(somebody(initiative=1.0), touches)[0]])
     assert helps[59] and not helps[119] and helps[-1]
 
 
-def test_an_intention_goes_by_minimum_jerk_in_fitts_time() -> None:
+def test_intention_follows_minimum_jerk_in_fitts_time() -> None:
     rows = somebody(count=2, initiative=1.0)
     rows[:, index("gentle_scratch")["pace"]] = 0.1, 0.5
     minds, _ = watched(rows, np.zeros(200))
@@ -252,7 +252,7 @@ def test_spasticity_catches_a_fast_stretch_alone() -> None:
     assert not torque[:, :2].any()
 
 
-def test_a_stiffer_person_and_discomfort_pull_harder() -> None:
+def test_stiffness_and_discomfort_pull_harder() -> None:
     def torque(scale: float, discomfort: float) -> float:
         zero = jnp.zeros((1, 3))
         command = muscles.Command(
@@ -305,7 +305,7 @@ def test_laws_of_reaction_differ_in_form() -> None:
 
 
 @pytest.mark.parametrize("law", [reaction.proportional, reaction.guarded])
-def test_too_fast_is_too_much_and_too_slow_is_too_little(law) -> None:
+def test_speed_beyond_the_preference_causes_a_reaction(law) -> None:
     one, away = jnp.ones(4), jnp.tile(jnp.array([[1.0, 0.0, 0.0]]), (4, 1))
     numbers = {"settle": 0.3 * one, "withdraw": 0.15 * one, "lean": 0.05 * one, "limit": one}
     speed = jnp.array([4.0, 1.0, 0.2, 4.0])  # of the liked one; nothing touches the last
@@ -319,7 +319,7 @@ def test_too_fast_is_too_much_and_too_slow_is_too_little(law) -> None:
 
 
 @pytest.mark.parametrize("shape", [(5,), (2, 3)])
-def test_a_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
+def test_person_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
     task = "gentle_scratch"
     n = int(np.prod(shape))
     obs = jnp.asarray(np.tile(at_rest(task), (*shape, 1)))
@@ -338,7 +338,7 @@ def test_a_player_has_the_form_of_a_policy(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_persons_help_and_can_be_told_apart_from_idle_ones() -> None:
+def test_persons_help_more_than_idle_ones() -> None:
     rows = persons("gentle_scratch")[:24]
     figures = {human: earned(episodes("gentle_scratch", rows, "script", human)) for human in HUMANS}
     assert figures["person"]["return"] > 100.0 > 5.0 * figures["idle"]["return"]

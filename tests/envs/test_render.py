@@ -55,7 +55,7 @@ def test_a_picture_is_not_blank(task: str, camera: str | None):
     assert frame.std() > 20.0
 
 
-def test_the_same_state_gives_the_same_bytes_and_another_other_ones(two: EnvState):
+def test_same_state_gives_same_picture(two: EnvState):
     env = environment(TASK, "native")
     first, other = env.render(two, 0, **SIZE), env.render(two, 1, **SIZE)
     np.testing.assert_array_equal(env.render(two, 0, **SIZE), first)
@@ -73,7 +73,7 @@ def test_the_target_is_seen(two: EnvState, monkeypatch: pytest.MonkeyPatch):
     assert coloured(Renderer(env._task, **SIZE).frame(two), "target") == 0
 
 
-def test_a_touch_is_a_disc_and_an_arrow_that_grow(two: EnvState, monkeypatch: pytest.MonkeyPatch):
+def test_touch_is_a_growing_disc_and_arrow(two: EnvState, monkeypatch: pytest.MonkeyPatch):
     env = environment(TASK, "native")
     touching = pressed(env, two)
 
@@ -115,7 +115,7 @@ def words(**changes) -> np.ndarray:
     return panel(320, 90, 240, dataclasses.replace(figures, **changes), ("robot zero",))
 
 
-def test_what_stands_below_follows_the_figures():
+def test_strip_follows_the_figures():
     plain = words()
     assert plain.shape == (90, 320, 3)
 
@@ -164,7 +164,7 @@ def test_looks_change_no_physics(task: str):
     np.testing.assert_array_equal(*after)
 
 
-def test_a_shape_that_weighs_or_touches_would_be_noticed(monkeypatch: pytest.MonkeyPatch):
+def test_planted_heavy_or_touching_shape_is_noticed(monkeypatch: pytest.MonkeyPatch):
     # The scene before it is compiled, to which a shape can be added.
     plain, scene = build_model(TASK), build._scene(TASK)
     scene.body("human_right_lower_arm").add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3)
@@ -173,7 +173,7 @@ def test_a_shape_that_weighs_or_touches_would_be_noticed(monkeypatch: pytest.Mon
         np.testing.assert_array_equal(build_dressed(TASK).body_mass, plain.body_mass)
 
 
-def test_who_is_named_the_same_looks_the_same_whatever_the_disability():
+def test_humans_of_one_name_look_alike():
     env = environment(TASK, "native")
     healthy, frail = (start(TASK, "native", [setting], seed=0) for setting in ("d1", "d9"))
 
@@ -198,7 +198,7 @@ def test_wrong_arguments_say_what_is_allowed(two: EnvState, arguments: dict, mes
         environment(TASK, "native").render(two, **{**SIZE, **arguments})
 
 
-def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
+def test_machine_without_opengl_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     class Broken:
         def GLContext(self, width: int, height: int):
             raise RuntimeError("no such\nlibrary")
@@ -216,7 +216,7 @@ def test_a_machine_without_opengl_says_what_to_install(monkeypatch: pytest.Monke
 
 @pytest.mark.slow
 @needs("libosmesa6", ctypes.util.find_library("OSMesa"))
-def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
+def test_osmesa_draws_the_same_as_egl(tmp_path: Path):
     """In a process of its own, because PyOpenGL takes one platform a process; EGL fails there for
     want of a device.
     """
@@ -243,7 +243,7 @@ def test_osmesa_steps_in_for_egl_and_draws_the_same(tmp_path: Path):
     assert np.abs(here.astype(int) - np.load(tmp_path / "frame.npy")).max() <= 2
 
 
-def test_a_closed_renderer_gives_its_context_back(two: EnvState):
+def test_closed_renderer_frees_its_context(two: EnvState):
     env = environment(TASK, "native")
     renderer = Renderer(env._task, 64, 48)
     renderer.close()
@@ -266,7 +266,7 @@ def test_adapters_draw(adapter: str):
 
 
 @pytest.mark.parametrize("scene", ["scratch", "bed_bath", "arm_assist"])
-def test_the_default_camera_sees_the_arm_in_every_posture(scene: str):
+def test_default_camera_sees_the_arm(scene: str):
     model = build_dressed(scene)
     data = mujoco.MjData(model)
     arm = [model.joint(f"human_right_{name}").id for name in ("shoulder1", "shoulder2", "elbow")]

@@ -7,7 +7,7 @@ import pytest
 from assistax_envs.tasks.scratch.task import BEST_FORCE, BEST_SPEED, scratch_terms
 
 
-def test_a_perfect_episode_earns_the_papers_bound() -> None:
+def test_perfect_episode_earns_the_paper_bound() -> None:
     terms = scratch_terms(jnp.zeros(1), jnp.full(1, BEST_SPEED), jnp.full(1, BEST_FORCE))
     assert round(1000 * sum(float(term[0]) for term in terms.values())) == 1135
 
@@ -27,7 +27,7 @@ def test_no_step_earns_more_than_the_bound() -> None:
     0.0, 0.0),
      (0.05, 0.2, 3.0, 2 * np.exp(-3.0)), (0.05, 0.1, 6.0, 2 * np.exp(-3.0))],
 )  # fmt: skip
-def test_scratching_pays_only_near_the_target_and_best_at_the_set_point(
+def test_scratching_pays_near_the_target_alone(
     distance: float, speed: float, force: float, paid: float
 ) -> None:
     terms = scratch_terms(jnp.array([distance]), jnp.array([speed]), jnp.array([force]))

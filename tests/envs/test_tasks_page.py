@@ -31,7 +31,7 @@ def test_the_table_has_the_sizes_of_observations(task: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_guides_have_the_sizes_of_their_task() -> None:
+def test_guides_have_the_sizes_of_their_task() -> None:
     """Start and the guide of a robot print one for gentle scratch."""
     size = make("gentle_scratch").observation_size["robot"]
     for name in ("start.md", "robot.md"):

@@ -36,7 +36,7 @@ def fastest(act: Players) -> float:
 
 
 @pytest.mark.slow
-def test_a_trained_robot_stays_within_the_pandas_speed() -> None:
+def test_trained_robot_stays_within_the_panda_speed() -> None:
     assert 0.3 < fastest(team("scratch/ippo-d1-s3-v1", EPISODES)) <= 1.0
 
 

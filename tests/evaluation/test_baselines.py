@@ -171,7 +171,7 @@ def test_outside_robot_meets_passive_human(tmp_path: Path, scripted: None):
     assert "clipped" not in played.columns
 
 
-def test_a_tasks_script_is_a_policy():
+def test_task_script_is_a_policy():
     """One row at a time or many, of a stack of one: the same actions, in the torque limits."""
     roster = script_roster("gentle_scratch", 47, 7)
     [stack] = roster.stacks
