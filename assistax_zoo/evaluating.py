@@ -15,7 +15,7 @@ from evaluation.crossplay import cross_play as play_population
 from evaluation.evaluate import cast_robots
 from evaluation.evaluate import evaluate as evaluate_cast
 from evaluation.play.evaluator import check_folder
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.progress import Progress
 from evaluation.play.shares import ShareDone, run_share
 from evaluation.play.study import make_job
@@ -67,46 +67,53 @@ def evaluate(
             `(module, params)`; a `Partner` in the robot's role; a path of a .safetensors or .onnx
             file; an id; or "python:mod.py:make". A list of them are seeds of one method. Networks
             play in evaluation mode, and come back as they were.
-        task: Task, such as "scratch".
-        split: Partners: "test" (default), "train" or "both" sides of the default split, or another
-            split's id (ID:both); "validation" where the split has that side.
-        partners: Globs over partners, to play only some of those sides; "persons" for persons, or
-            globs over them, such as "gentle_scratch/person-08*-v3".
-        persons: How many persons to draw; default 200.
-        episodes: Of each pair; default 18 in the gentle tasks, where nine preferences take turns,
-            4 with persons, and 8 in the others.
-        seed: Of the episodes: each partner has its own, the same for every robot.
-        backend: Physics: "auto" for the fastest one here, or its name.
+        task: Task, such as scratch.
+        split: Sides of a split whose partners play: test (default), train or both sides of the
+            default split, or the id of another split (ID:both). Persons and splits of three sides
+            have validation too.
+        partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
+            partners of those sides play. If all of them are of one release, its default split is
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*-v3'`.
+        persons: Number of persons to draw. Default 200.
+        episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
+            turns, 4 with persons, and 8 in the other tasks.
+        seed: Seed of the episodes. Each partner has its own episodes, the same for every robot.
+        backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one here.
         stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations in a saved part; lower it if memory runs out.
-        preferences: What the humans of a gentle task like, such as "p1,p5": each partner takes
-            turns in them from episode to episode; default those of its side of the split, or all
-            where it holds none out.
-        series: Episodes that a robot plays with a partner, one after the other, before it forgets;
-            the partner stays as it is for so long. `by_place` then says how the return grows.
-        include_own: Count partners that were trained with one of the robots; else they are played
-            and kept in the tables, and no figure is about them.
-        trained_with: Whom the robots met in training, where neither the zoo nor their file says it:
-            "nobody"; or split ids, each for its training side, and globs over partners.
+        max_envs: Most simulations in a saved part, and on a GPU at once. Lower it if memory runs
+            out.
+        preferences: Preferences of a gentle task's humans, such as p1,p5. Each partner takes turns
+            in them from episode to episode. Default: those of the partner's side of the split, or
+            all if the split holds none out.
+        series: Episodes that a robot plays with a partner before it forgets. Its recurrent state is
+            kept through a series, and the partner's preference stays. The result then says how the
+            return grows within a series.
+        include_own: Count partners that were trained with one of the robots. Without this they play
+            and stand in the tables, and figures leave them out.
+        trained_with: Training partners of the robots, if neither the zoo nor the robots' files name
+            them: nobody, or one or several of split ids, each for its training side, and globs over
+            partners.
         references: Compare with zero and random actions, the task's script and each partner's own
-            robot, and play with a human that does nothing.
-        crossplay: A finished cross-play, whose best robots may be the partners' best responses.
-        reuse: Take what `out` holds of a robot from code though nothing declares what it depends
-            on, so that it may have changed; else it is refused.
-        replace: Remove the result that `out` holds, of whichever job, and play anew; else another
-            job is refused.
-        fetch: Bring policies that are missing here from the zoo's remote.
-        zoo: Where partners and ids come from, as in `open_zoo`.
-        lock: Lock file of a paper; other bytes and splits than those it pins are refused.
-        out: Folder for the tables, in which a run that was stopped goes on; default a temporary
-            one, which lives as long as the result.
-        progress: Show it, or a function that is told of it.
+            robot, and play with a human that does nothing. Their results are kept for later
+            evaluations.
+        crossplay: Finished cross-play, whose best robots may be the partners' best responses.
+        reuse: Take the result in the output folder of a robot from Python code, even if its module
+            does not declare its dependencies. Without this the result is refused, since the robot
+            may have changed.
+        replace: Remove the result in the output folder, of whichever job, and play anew. Without
+            this the result of another job is refused.
+        fetch: Fetch partners and robots of the zoo that are missing here from the remote.
+        zoo: Source of partners and ids, as in `open_zoo`.
+        lock: Lock file of a paper. Bytes and splits other than the pinned ones are refused.
+        out: Folder for the tables. A stopped run continues there. Default: a temporary folder,
+            which lives as long as the result.
+        progress: Show the progress, or a function that is called with it.
 
     Raises:
-        ValueError: Something asked for does not exist or does not fit the task.
-        TypeError: `robot` is none of these.
-        EgoError: The robot failed: names partner, step and what was wrong.
-        ZooError: The zoo does not have, or not unchanged, what was asked for.
+        ValueError: A named thing does not exist, or does not fit the task.
+        TypeError: `robot` has another type.
+        EgoError: The robot failed. The error names the partner, the step and the fault.
+        ZooError: The zoo lacks a policy, or has changed bytes of it.
 
     Examples:
         >>> import numpy as np
@@ -119,7 +126,7 @@ def evaluate(
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
     names = _text(preferences)
-    how = How(task, episodes, seed, backend, stochastic, max_envs, names, series)
+    how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, names, series)
     opened = _locked(open_zoo(zoo), lock, task, split)
     chosen = choose_partners(opened.registry, task, split, partners or None, persons)
     needed = _needed(opened.registry, robots, chosen[1], references)
@@ -176,33 +183,38 @@ def cross_play(
     Args:
         egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
         partners: Globs over humans, or "persons"; all of the release if None.
-        task: Task, such as "scratch".
-        release: Release of both, if a glob names none; default the newest complete one that has the
-            task.
-        persons: As in `evaluate`.
-        episodes: As in `evaluate`, like all that follows but `cluster`.
-        seed: Of the episodes.
-        backend: Physics.
-        stochastic: Whether actions are drawn.
-        max_envs: Most simulations in a saved part.
-        preferences: What the humans of a gentle task like, in turns; default all.
-        zoo: Where policies come from, as in `open_zoo`.
-        lock: Lock file of a paper; other bytes than those it pins are refused.
+        task: Task, such as scratch.
+        release: Release of robots and humans, if a glob names none. Default: the newest complete
+            release that has the task.
+        persons: Number of persons to draw. Default 200.
+        episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
+            turns, 4 with persons, and 8 in the other tasks.
+        seed: Seed of the episodes. Each partner has its own episodes, the same for every robot.
+        backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one here.
+        stochastic: Draw actions instead of taking each policy's most likely one.
+        max_envs: Most simulations in a saved part, and on a GPU at once. Lower it if memory runs
+            out.
+        preferences: Preferences of a gentle task's humans, such as p1,p5. Each partner takes turns
+            in them from episode to episode. Default: those of the partner's side of the split, or
+            all if the split holds none out.
+        zoo: Source of the policies, as in `open_zoo`.
+        lock: Lock file of a paper. Bytes other than the pinned ones are refused.
         out: As in `evaluate`.
-        replace: As in `evaluate`.
-        cluster: Ray's, over which the blocks are spread; its workers need `out` too.
-        progress: Show it, or a function that is told of it.
+        replace: Remove the result in the output folder, of whichever job, and play anew. Without
+            this the result of another job is refused.
+        cluster: Ray cluster that plays the blocks. Its workers need the folder `out` too.
+        progress: Show the progress, or a function that is called with it.
 
     Raises:
-        ValueError: Something asked for does not exist or does not fit the task.
-        ZooError: The zoo does not have, or not unchanged, what was asked for.
+        ValueError: A named thing does not exist, or does not fit the task.
+        ZooError: The zoo lacks a policy, or has changed bytes of it.
 
     Examples:
         >>> ids = ["scratch/ippo-d1-s0-v1"]
         >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
         1
     """
-    how = How(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
+    how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
     opened = open_zoo(zoo)  # a zoo that is refused makes no folder
     folder, keep = _folder(out)
     cast = _population(egos, partners, task, release, opened, lock, persons)
@@ -215,7 +227,7 @@ def cross_play(
 
 def play_share(
     share: tuple[int, int],
-    how: How,
+    how: PlaySettings,
     out: Path,
     egos: Globs = None,
     partners: Globs = None,
@@ -229,16 +241,16 @@ def play_share(
     """Simulate share (i, n) of a cross-play, i from 1; with all of them `cross_play` merges them.
 
     Args:
-        share: Which share.
-        how: How they play.
+        share: Number of the share, and the count of shares.
+        how: Settings of the play.
         out: Folder of the parts.
         egos: As in `cross_play`, like all that follows.
         partners: Globs over humans.
         release: Release of both.
-        persons: How many persons.
-        zoo: Where policies come from.
+        persons: Number of persons to draw.
+        zoo: Source of the policies.
         lock: Lock file of a paper.
-        progress: Show it, or a function that is told of it.
+        progress: Show the progress, or a function that is called with it.
     """
     cast = _population(egos, partners, how.task, release, zoo, lock, persons)
     env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
@@ -255,7 +267,7 @@ def _population(
     lock: Path | str | None,
     persons: int | None,
 ) -> Cast:
-    """Return the cast of a cross-play: all of the task where no glob is given."""
+    """Return the cast of a cross-play; without globs it has all teams of the task."""
     registry = _locked(open_zoo(zoo), lock, task, None).registry
     return cast_population(registry, task, egos or f"{task}/*", partners, release, persons)
 
@@ -289,7 +301,7 @@ def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> 
 
 
 def _folder(out: Path | str | None) -> tuple[Path, Any]:
-    """Return the folder, and what must live as long as it is wanted."""
+    """Return the output folder, and an owner that must live as long as the folder is used."""
     if out is not None:
         check_folder(Path(out))  # before anything is loaded
         return Path(out), None

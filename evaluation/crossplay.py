@@ -62,7 +62,7 @@ def cast_population(
 
 def cross_play(
     cast: Cast,
-    how: How,
+    how: PlaySettings,
     folder: Path,
     *,
     cluster: RayCluster | None = None,

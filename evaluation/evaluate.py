@@ -69,7 +69,7 @@ def cast_robots(
 
 def evaluate(
     cast: Cast,
-    how: How,
+    how: PlaySettings,
     folder: Path,
     *,
     include_own: bool = False,
@@ -126,7 +126,7 @@ def evaluate(
 
 
 def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
-    """Return the environment, the job and the split, after testing robots from outside."""
+    """Return the environment, the job, and the split that it is of; robots from outside answer."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
     if cast.robots.told and baselines:

@@ -16,7 +16,7 @@ from assistax_base.files import write_json
 from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, ego_metadata
 from evaluation.evaluate import cast_robots, evaluate
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.progress import OnProgress
 from evaluation.record import tables
 from evaluation.record.record import Record, Returns
@@ -71,7 +71,7 @@ def choose(
     registry: Registry,
     training: EgoTraining,
     run: TrainedRun,
-    how: How,
+    how: PlaySettings,
     *,
     best_of: int = 4,
     persons: int | None = None,

@@ -8,7 +8,7 @@ from evaluation import crossplay
 from evaluation.cast.cast import choose_partners
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.summary import CrossPlaySummary, EvaluationSummary
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from zoo.registry import Registry
 
 Globs = str | Sequence[str]
@@ -17,7 +17,7 @@ Globs = str | Sequence[str]
 def evaluate_policies(
     registry: Registry,
     robots: Sequence[Any],
-    how: How,
+    how: PlaySettings,
     folder: Path,
     *,
     split: str | None = None,
@@ -33,7 +33,12 @@ def evaluate_policies(
 
 
 def cross_play(
-    registry: Registry, robots: Globs, humans: Globs, how: How, folder: Path, **options: Any
+    registry: Registry,
+    robots: Globs,
+    humans: Globs,
+    how: PlaySettings,
+    folder: Path,
+    **options: Any,
 ) -> CrossPlaySummary:
     cast = crossplay.cast_population(registry, how.task, robots, humans)
     return crossplay.cross_play(cast, how, folder, **options)

@@ -107,7 +107,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
     from evaluation.cast.roster import registry_roster
     from evaluation.play.baselines import reference_job
     from evaluation.play.evaluator import MAX_ENVS
-    from evaluation.play.how import How
+    from evaluation.play.how import PlaySettings
     from evaluation.play.runner import play as play_job
     from evaluation.play.study import make_job
     from zoo.registry import load_registry
@@ -119,7 +119,7 @@ def play(task: str, backend: str, teams: int, out: Path) -> None:
         for role in ("robot", "human")
     )
     egos, partners = (seat[:: max(1, len(seat) // teams)][:teams] for seat in (robots, humans))
-    how, humans = How(task, EPISODES, backend=backend), registry_roster(registry, partners)
+    how, humans = PlaySettings(task, EPISODES, backend=backend), registry_roster(registry, partners)
     env, job = make_job(how, registry_roster(registry, egos), humans)
     random = dataclasses.replace(reference_job(env, job, RANDOM), episodes=EPISODES * teams)
     jobs = (job, random)

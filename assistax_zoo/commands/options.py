@@ -1,4 +1,4 @@
-"""Options that several commands share, each group flattened into a command's own."""
+"""Groups of options that several commands share."""
 
 import ast
 import dataclasses
@@ -19,7 +19,7 @@ _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "b": 10**9}
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Source:
-    """Where policies come from.
+    """Source of the policies.
 
     Attributes:
         registry: Registry to read instead of the installed one: a file, a folder or an address.
@@ -30,14 +30,14 @@ class Source:
     lock: Path | None = None
 
     def given(self) -> dict[str, Any]:
-        """Return it as the functions of `assistax_zoo` take it."""
+        """Return the options as arguments of the functions of `assistax_zoo`."""
         return {"zoo": self.registry, "lock": self.lock}
 
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Page:
-    """How a figure stands on a page.
+    """Size and captions of a figure on a page.
 
     Attributes:
         width: Inches of the figure, such as 3.3 for a column; its letters keep their size.
@@ -48,31 +48,32 @@ class Page:
     bare: bool = False
 
     def given(self) -> dict[str, Any]:
-        """Return it as the functions of `evaluation.plots.figures` take it."""
+        """Return the options as arguments of the functions of `evaluation.plots.figures`."""
         return dataclasses.asdict(self)
 
 
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Against:
-    """Partners of robots, and what the robots are compared with.
+class PartnerChoice:
+    """Choice of the partners of an evaluation, and of the references beside its robots.
 
     Attributes:
-        split: Partners: test (default), train or both sides of the default split, or another
-            split's id (ID:both); validation of persons and of splits of three sides.
-        partners: Glob over partners, to play only some of those sides, such as
-            `'scratch/ippo-d9-*'`; repeat it for more. Where all that match are of one release, its
-            default split is meant. persons for persons, or a glob such as
-            `'gentle_scratch/person-08*-v3'`.
-        persons: How many persons to draw; default 200.
-        include_own: Count partners that were trained with one of the robots; else they are played
-            and kept in the tables, and no figure is about them.
-        trained_with: Whom the robots met in training, where neither the zoo nor their file says it:
-            nobody; or a split's id, for its training side, or a glob over partners; repeat it.
+        split: Sides of a split whose partners play: test (default), train or both sides of the
+            default split, or the id of another split (ID:both). Persons and splits of three sides
+            have validation too.
+        partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
+            partners of those sides play. If all of them are of one release, its default split is
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*-v3'`.
+        persons: Number of persons to draw. Default 200.
+        include_own: Count partners that were trained with one of the robots. Without this they play
+            and stand in the tables, and figures leave them out.
+        trained_with: Training partners of the robots, if neither the zoo nor the robots' files name
+            them: nobody, or one or several of split ids, each for its training side, and globs over
+            partners.
         references: Compare with zero and random actions, the task's script and each partner's own
-            robot, and play with a human that does nothing; kept for the next time.
-        crossplay: Folder of a finished cross-play, whose best robots may be the partners' best
-            responses.
+            robot, and play with a human that does nothing. Their results are kept for later
+            evaluations.
+        crossplay: Finished cross-play, whose best robots may be the partners' best responses.
     """
 
     split: str | None = None
@@ -87,7 +88,7 @@ class Against:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Engine:
-    """What runs the blocks of a command.
+    """Engine that runs the blocks of a command.
 
     Attributes:
         engine: local: one after another here; ray: over a Ray cluster, whose workers need this code
@@ -104,10 +105,10 @@ class Engine:
     ray_gpus: float | None = None
 
     def cluster(self) -> "RayCluster | None":
-        """Return the cluster that was asked for.
+        """Return the Ray cluster of the options; None for the engine "local".
 
         Raises:
-            ValueError: An option of Ray is given without it, or has a wrong value.
+            ValueError: An option of Ray is given without `engine` "ray", or has a wrong value.
         """
         from assistax_base.cluster import RayCluster
 
@@ -127,7 +128,7 @@ class Engine:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Training:
-    """How a run trains.
+    """Settings of a training run.
 
     Attributes:
         seeds: How many, numbered from 0, or which: 8, 0-7 or 2,5.
@@ -154,7 +155,7 @@ class Training:
     tensorboard: Annotated[str | None, Parameter(name="--log")] = None
 
     def what(self, steps: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return what is trained, as the functions of training take it.
+        """Return the settings of the learning as arguments of the training functions.
 
         Args:
             steps: Environment steps, as they were typed.
@@ -172,7 +173,7 @@ class Training:
         }
 
     def how(self) -> dict[str, Any]:
-        """Return on what it is trained and what is written."""
+        """Return the backend and the output as arguments of the training functions."""
         return {
             "backend": self.backend,
             "resume": self.resume,
@@ -183,7 +184,7 @@ class Training:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Choosing:
-    """What is chosen by the validation side of a split.
+    """Choice of checkpoints and seeds by the validation side of a split.
 
     Attributes:
         validate: At how many equal steps the robots are kept, and then play with the validation
@@ -207,7 +208,7 @@ def parse_steps(text: str) -> int:
 
 
 def parse_names(text: str | None) -> list[str]:
-    """Return the names of "p1,p5"; none where nothing is given."""
+    """Return the names of "p1,p5"; an empty list if there is no text."""
     return text.split(",") if text else []
 
 

@@ -1,4 +1,4 @@
-"""How robots and partners play: what users say of it, checked once."""
+"""Settings of a play of robots and partners, checked when they are made."""
 
 import dataclasses
 import math
@@ -8,26 +8,27 @@ from assistax_envs.versions import TASKS
 
 
 @dataclasses.dataclass(frozen=True)
-class How:
-    """How robots play with partners.
+class PlaySettings:
+    """Settings of a play of robots and partners.
 
     Attributes:
         task: Task, such as scratch.
-        episodes: Episodes of each pair; default 18 in the gentle tasks, where nine preferences take
-            turns, 4 with persons, and 8 in the others.
-        seed: Seed of the episodes: each partner has its own, the same for every robot.
-        backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
+        episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
+            turns, 4 with persons, and 8 in the other tasks.
+        seed: Seed of the episodes. Each partner has its own episodes, the same for every robot.
+        backend: Physics: fused, native, mjx, mjx-warp, or auto for the fastest one here.
         stochastic: Draw actions instead of taking each policy's most likely one.
-        max_envs: Most simulations in a saved part, and on a GPU at once; lower it if memory runs
+        max_envs: Most simulations in a saved part, and on a GPU at once. Lower it if memory runs
             out.
-        preferences: What the humans of a gentle task like, such as p1,p5: each partner takes turns
-            in them from episode to episode; if not given, those of its side of the split, or all
-            where it holds none out.
-        series: Episodes that a robot plays with a partner, one after the other, before it forgets:
-            its recurrent state is kept, and the partner's preference stays.
+        preferences: Preferences of a gentle task's humans, such as p1,p5. Each partner takes turns
+            in them from episode to episode. Default: those of the partner's side of the split, or
+            all if the split holds none out.
+        series: Episodes that a robot plays with a partner before it forgets. Its recurrent state is
+            kept through a series, and the partner's preference stays. The result then says how the
+            return grows within a series.
 
     Raises:
-        ValueError: A value is not allowed, and which are.
+        ValueError: A value is not allowed. The error says which values are.
     """
 
     task: str

@@ -13,7 +13,7 @@ from evaluation.cast.cast import Cast
 from evaluation.cast.roster import Roster
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
-from evaluation.play.how import PERSON_EPISODES, How
+from evaluation.play.how import PERSON_EPISODES, PlaySettings
 from evaluation.play.jobs import TOLD_PARTNER, Job, brings_wishes
 from evaluation.record import manifest, tables
 from evaluation.record.alike import check_alike, check_members, conditions, read_identity
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def make_job(
-    how: How,
+    how: PlaySettings,
     robots: Roster,
     humans: Roster,
     sides: Mapping[str, str] | None = None,

@@ -18,7 +18,7 @@ import pytest
 
 from assistax_base.errors import ZooError
 from assistax_envs.env import Env
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.play.runner import Runner
 from evaluation.play.tiles import Chunk
@@ -35,7 +35,7 @@ REFUSALS = (ZooError, ValueError, OSError)
 ROBOTS = [f"scratch/ippo-d1-s{seed}-v1/robot" for seed in (0, 1, 2, 3)]
 HUMANS = "scratch/ippo-d[239]-s[0-2]-v1/human"
 PLAYING = 600.0  # seconds of a trial: programs are compiled, and episodes are a thousand steps
-SETTINGS = How("scratch", 6, backend="fused")
+SETTINGS = PlaySettings("scratch", 6, backend="fused")
 
 
 class Remembering(Runner):
@@ -143,14 +143,14 @@ def test_replay_without_redrawn_figures_is_caught(
 OTHER = """
 import sys
 from pathlib import Path
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from tests.studies import evaluate_policies
 from zoo.registry import load_registry
 zoo, home = load_registry(), Path(sys.argv[1])
 for trial in range(int(sys.argv[2])):
     robot = f"scratch/{('ippo', 'mappo')[trial % 2]}-d{1 + trial % 9}-s{trial % 3}-v1/robot"
     evaluate_policies(
-        zoo, [robot], How("scratch", 6, 200 + trial, ("fused", "native")[trial == 7]),
+        zoo, [robot], PlaySettings("scratch", 6, 200 + trial, ("fused", "native")[trial == 7]),
         home / str(trial), split="both", partners="scratch/*-d[1-9]-s7-v1/human",
         include_own=True, references=home / "kept",
     )

@@ -32,7 +32,7 @@ from assistax_zoo.shell.main import run
 from evaluation.cast.cast import choose_partners
 from evaluation.figures.by_parameter import outcomes
 from evaluation.figures.normalised import SELF_PLAY
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.record.record import Record
 from tests.board.fakes import TASK as OTHER_TASK
 from tests.board.fakes import draft, new_service, new_submitter, work_off
@@ -259,7 +259,7 @@ def test_what_a_server_played_with_persons_is_what_evaluate_plays(
     assert set(persons["preference"]) == {"own"} and persons.height == 3 * 2
     assert set(persons["algorithm"]) == {"spring", "muscle"}
 
-    how = How(TASK, 2, int(asked.seed, 16), "native")
+    how = PlaySettings(TASK, 2, int(asked.seed, 16), "native")
     evaluate_policies(private, [robot], how, tmp_path / "home", partners="persons")
     home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
     assert home["partner"].unique().sort().to_list() == [entry.id for entry in people[2:]]

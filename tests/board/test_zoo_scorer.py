@@ -32,7 +32,7 @@ from evaluation.cast.roster import registry_roster
 from evaluation.figures.normalised import RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.play.baselines import reference_jobs, reference_roster
 from evaluation.play.evaluator import run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.study import make_job
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
@@ -122,7 +122,7 @@ def test_onnx_at_home_is_onnx_at_the_server_bit_for_bit(
     assert json.loads(json.dumps(checked["figures"])) == score
     assert (checked["partners"], checked["episodes"]) == (table["partner"].n_unique(), table.height)
 
-    settings = How(TASK, panel_episodes(TASK, "public"), PUBLIC_SEED, "native")
+    settings = PlaySettings(TASK, panel_episodes(TASK, "public"), PUBLIC_SEED, "native")
     played = evaluate_policies(registry, [path], settings, tmp_path / "home")
     assert played.m_test is not None
     home = pl.read_parquet(tmp_path / "home" / "episodes.parquet").sort("partner", "episode")
@@ -182,7 +182,7 @@ DECIDES = {
 def test_a_version_accounts_for_all_that_decides_a_table(registry: Registry) -> None:
     """The board's identity is read without JAX, so it is a second one: the two must agree."""
     entries = registry.select(task=TASK, role="human")
-    how, robots = How(TASK, 8, 0, "native"), reference_roster(34, 7)
+    how, robots = PlaySettings(TASK, 8, 0, "native"), reference_roster(34, 7)
     _, job = make_job(how, robots, registry_roster(registry, entries))
     decided, version_of = job.identity(), ZooCatalogue(registry, "native").identity(TASK)
     assert decided.keys() <= DECIDES.keys(), "new: add it to the identity of a version, or say why"
@@ -241,7 +241,7 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
     partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
     work_item = work(partners)
     entries = [registry.policy(name) for name in partners]
-    settings = How(TASK, work_item.episodes, int(work_item.seed, 16), "native")
+    settings = PlaySettings(TASK, work_item.episodes, int(work_item.seed, 16), "native")
     env, job = make_job(settings, reference_roster(34, 7), registry_roster(registry, entries))
     assert job.own_episodes, "as the identity of a version says"
     jobs = reference_jobs(env, job, own_robots(registry, entries))[:2]

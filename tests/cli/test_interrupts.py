@@ -117,7 +117,7 @@ FUNCTION = """
 import os, signal, sys, threading, time
 import jax
 from pathlib import Path
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from tests.studies import evaluate_policies
 from zoo.registry import load_registry
 
@@ -127,7 +127,7 @@ def press():
     os.kill(os.getpid(), signal.SIGINT)
 
 def evaluate(episodes, on_progress=None):
-    settings = How("scratch", episodes, backend="native")
+    settings = PlaySettings("scratch", episodes, backend="native")
     return evaluate_policies(load_registry(), ["zoo:scratch/ippo-d1-s0-v1/robot"], settings,
         folder / str(episodes), partners="scratch/ippo-d1-s[0-3]-v1/human", on_progress=on_progress)
 

@@ -107,10 +107,10 @@ def test_a_split_is_parsed_once(
 def test_a_cast_without_baselines_plays_none(zoo: az.Zoo, tmp_path: Path) -> None:
     from evaluation.cast.cast import choose_partners
     from evaluation.evaluate import cast_robots, evaluate
-    from evaluation.play.how import How
+    from evaluation.play.how import PlaySettings
 
     partners = choose_partners(zoo.registry, "scratch", None, None)
     cast = cast_robots(zoo.registry, ["scratch/ippo-d1-s0-v0/robot"], partners)
-    how = How("scratch", 1, backend="native")
+    how = PlaySettings("scratch", 1, backend="native")
     with pytest.raises(ValueError, match="make it with `cast_robots`"):
         evaluate(cast, how, tmp_path / "out", references=tmp_path / "kept")

@@ -10,7 +10,7 @@ from assistax_base.errors import RegistryVersionError, UnknownIdError
 from evaluation import evaluate
 from evaluation.cast.cast import choose_partners, env_version, in_release
 from evaluation.cast.egos import EgoError
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from tests.studies import evaluate_policies
 from tests.zoo.conftest import put, trained_team, trained_teams
 from zoo.registry import Registry, load_registry
@@ -50,7 +50,7 @@ def test_crossplay_includes_egos_only_if_named() -> None:
 
 def test_unwritable_cache_error_names_variable(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file")
-    settings, kept = How("scratch", 1), tmp_path / "cache" / "references"
+    settings, kept = PlaySettings("scratch", 1), tmp_path / "cache" / "references"
     with pytest.raises(OSError, match=r"cannot write to .*references .*\$ASSISTAX_ZOO_CACHE"):
         robots = ["zoo:scratch/ippo-d1-s0-v1/robot"]
         evaluate_policies(load_registry(), robots, settings, tmp_path / "out", references=kept)
@@ -85,7 +85,7 @@ def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluate, "run_job", lambda *_, **__: pytest.fail("it was played"))
-    settings = How("scratch", 1, backend="native")
+    settings = PlaySettings("scratch", 1, backend="native")
     with pytest.raises(EgoError, match="task scratch reads observations"):
         evaluate_policies(
             load_registry(), [lambda obs: obs @ np.zeros((30, 7))], settings, tmp_path

@@ -19,7 +19,7 @@ from evaluation.cast.roster import registry_roster
 from evaluation.figures.normalised import COLUMN, PASSIVE, SCRIPT
 from evaluation.play.baselines import play_references
 from evaluation.play.evaluator import run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.play.study import make_job
 from evaluation.record import tables
@@ -68,7 +68,7 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
     partners += [f"scratch/{name}-s[01]-v1/human" for name in ("mappo-d9", "masac-d5")]
     robots = ["scratch/ippo-d1-s0-v1/robot", "scratch/masac-d4-s1-v1/robot"]
     split, chosen = choose_partners(registry, "scratch", "both", partners)
-    settings = How("scratch", 2, seed=7, backend="native")
+    settings = PlaySettings("scratch", 2, seed=7, backend="native")
     egos = read_egos(robots, registry, "scratch")
     cast = Cast.of(registry, task="scratch", robots=egos, humans=chosen, split=split)
     env, job = make_job(settings, cast.robots, cast.humans, cast.sides, cast.version)
@@ -84,7 +84,10 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_crossplay_with_drawn_actions(tmp_path: Path):
-    registry, settings = load_registry(), How("bed_bath", 2, backend="native", stochastic=True)
+    registry, settings = (
+        load_registry(),
+        PlaySettings("bed_bath", 2, backend="native", stochastic=True),
+    )
     robots, humans = (
         registry.select("bed_bath/*-d3-s0-v1", role=role) for role in ("robot", "human")
     )

@@ -1,4 +1,4 @@
-"""Settings of play are documented and checked once, for Python and the command line."""
+"""Settings of a play: documented once, checked once, the same in Python and in a shell."""
 
 import dataclasses
 import inspect
@@ -8,11 +8,11 @@ import pytest
 
 import assistax_zoo as az
 from assistax_zoo.commands.evaluation import evaluate as commands
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from tests.evaluation.matrix_game import humans, robots
 from tests.evaluation.test_series import job_of
 
-DEFAULTS = {field.name: field.default for field in dataclasses.fields(How)}
+DEFAULTS = {field.name: field.default for field in dataclasses.fields(PlaySettings)}
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ DEFAULTS = {field.name: field.default for field in dataclasses.fields(How)}
 )
 def test_invalid_numbers_are_refused_everywhere(changes: dict[str, int], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        How("scratch", **changes)
+        PlaySettings("scratch", **changes)
     with pytest.raises(ValueError, match=message):
         job_of(robots(0.5), humans(0.5), **changes)
 
@@ -39,29 +39,29 @@ def test_invalid_numbers_are_refused_everywhere(changes: dict[str, int], message
         ({"preferences": "p1"}, "humans of scratch have no preferences"),
     ],
 )
-def test_the_rest_is_refused_too(changes: dict[str, Any], message: str) -> None:
+def test_wrong_setting_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        How(**{"task": "scratch", **changes})
+        PlaySettings(**{"task": "scratch", **changes})
 
 
-def test_a_pair_plays_whole_series() -> None:
-    assert How("scratch").episodes_of_pair == 8
-    assert How("scratch", series=5).episodes_of_pair == 10
-    assert How("gentle_bath").episodes_of_pair == 18
-    assert How("gentle_bath", 9).episodes_of_pair == 9
+def test_pair_plays_whole_series() -> None:
+    assert PlaySettings("scratch").episodes_of_pair == 8
+    assert PlaySettings("scratch", series=5).episodes_of_pair == 10
+    assert PlaySettings("gentle_bath").episodes_of_pair == 18
+    assert PlaySettings("gentle_bath", 9).episodes_of_pair == 9
 
 
 @pytest.mark.parametrize(
     ("function", "lacks"), [(az.evaluate, set()), (az.cross_play, {"series"})], ids=["M", "XP"]
 )
-def test_python_takes_the_same_with_the_same_defaults(function: Any, lacks: set[str]) -> None:
+def test_python_functions_have_the_same_defaults(function: Any, lacks: set[str]) -> None:
     parameters = inspect.signature(function).parameters
     assert set(DEFAULTS) - set(parameters) == lacks
     for name in set(DEFAULTS) - lacks - {"task"}:
         assert parameters[name].default == DEFAULTS[name], name
 
 
-def test_commands_flatten_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_have_the_settings_as_options(capsys: pytest.CaptureFixture[str]) -> None:
     """A cross-play has no series; whatever else there is has its text from here."""
     from assistax_zoo.shell.main import run
 
@@ -70,5 +70,5 @@ def test_commands_flatten_it(capsys: pytest.CaptureFixture[str]) -> None:
         run([command, "--help"])
         shown = capsys.readouterr().out
         assert {name for name, option in options.items() if option not in shown} == lacks
-    assert commands.HowOnce.__doc__ == How.__doc__
-    assert all(f"        {name}: " in str(How.__doc__) for name in DEFAULTS)
+    assert commands.CrossPlaySettings.__doc__ == PlaySettings.__doc__
+    assert all(f"        {name}: " in str(PlaySettings.__doc__) for name in DEFAULTS)

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.record import manifest as provenance
 from evaluation.record import tables
 from evaluation.record.record import Record
@@ -45,7 +45,7 @@ def made(registry: Registry, tmp_path_factory: pytest.TempPathFactory) -> Path:
         evaluate_policies(
             registry,
             ["zoo:scratch/ippo-d1-s0-v0/robot"],
-            How("scratch", 2, backend="native"),
+            PlaySettings("scratch", 2, backend="native"),
             folder / "out",
             references=folder / "kept",
         )

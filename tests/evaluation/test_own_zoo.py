@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from assistax_workshop.press.publish import publish
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.plots.matrix import arrange
 from evaluation.record import tables
 from evaluation.record.verification import check_sources
@@ -55,7 +55,7 @@ def teams(first: int) -> list[Any]:
 def test_own_teams_and_splits_are_played_right_after(home: Path) -> None:
     split = create_split(task="scratch", rule="small-train", n=1)
     publish(teams(1000), own_registry(), "v0", date="2027-01-01")
-    registry, settings = load_registry(), How("scratch", 1, backend="native")
+    registry, settings = load_registry(), PlaySettings("scratch", 1, backend="native")
     robots = ["zoo:own:scratch/ippo-d1-s0-v0/robot"]
     evaluate_policies(registry, robots, settings, home / "mine", split=f"{split.id}:both")
     played = set(tables.read_episodes(home / "mine" / tables.EPISODES_FILE)["partner"])
@@ -73,7 +73,7 @@ def test_own_teams_and_splits_are_played_right_after(home: Path) -> None:
 def test_another_zoo_is_cross_played_under_its_name(home: Path) -> None:
     publish(teams(2000), home / "lab" / "registry.json", "v0", date="2027-01-01")
     add(str(home / "lab"), "lab")
-    registry, settings = load_registry(), How("scratch", 1, backend="native")
+    registry, settings = load_registry(), PlaySettings("scratch", 1, backend="native")
     for shard in registry.part("lab").data.shards:
         target = added_registry("lab").parent / shard
         target.parent.mkdir(parents=True, exist_ok=True)

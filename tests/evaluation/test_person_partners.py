@@ -21,7 +21,7 @@ from evaluation.cast.seats import version_of
 from evaluation.crossplay import cast_population
 from evaluation.ego_training import prepare
 from evaluation.film import Pair
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.runner import Runner
 from evaluation.play.study import make_job
 from evaluation.play.tiles import plan
@@ -110,7 +110,7 @@ def job_of(rows: tuple[int, ...], **how):
     ids = [f"gentle_scratch/person-{row:05d}-v3/human" for row in rows]
     robots = registry_roster(registry, [registry.policy(EGO)])
     humans = registry_roster(registry, registry.known(ids))
-    return make_job(How(TASK, backend="native", **how), robots, humans)
+    return make_job(PlaySettings(TASK, backend="native", **how), robots, humans)
 
 
 def test_persons_bring_their_bodies_and_wishes() -> None:

@@ -23,7 +23,7 @@ from evaluation.figures.summary import (
     summarise_evaluation,
 )
 from evaluation.play.evaluator import run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.plots.charts import trait_points
 from evaluation.record import tables
@@ -283,7 +283,7 @@ def test_evaluation_uses_preferences_of_split(
     split = gentle.split("gentle_lift")
 
     def evaluate(name: str, split: str, **changes: Any) -> tuple[Any, dict[str, set[str]]]:
-        settings = How("gentle_lift", 9, **changes)
+        settings = PlaySettings("gentle_lift", 9, **changes)
         robots, folder = ["gentle_lift/ippo-d1-s0-v0/robot"], tmp_path / name
         summary = evaluate_policies(gentle, robots, settings, folder, split=split)
         table = tables.read_episodes(folder / tables.EPISODES_FILE)
@@ -300,7 +300,7 @@ def test_evaluation_uses_preferences_of_split(
     series, liked = evaluate("series", "test", series=3)
     assert list(series.by_place) == ["1", "2", "3"] and liked == {"test": {"p1", "p5", "p9"}}
     assert replay_folder(tmp_path / "series", gentle, sample=9).exact
-    population = cross_play(gentle, "*", "*", How("gentle_lift", 9), tmp_path / "xp")
+    population = cross_play(gentle, "*", "*", PlaySettings("gentle_lift", 9), tmp_path / "xp")
     pairs = tables.read_episodes(tmp_path / "xp" / tables.EPISODES_FILE)
     assert population.episodes == 16 * 9 and set(pairs["preference"]) == set(NAMES)
 
@@ -318,9 +318,9 @@ def test_training_uses_preferences_of_training_side(gentle: Registry) -> None:
 
 
 def test_how_knows_which_tasks_have_preferences() -> None:
-    assert How("scratch", 8).turns == ()
-    assert How("gentle_bath", 8).turns == NAMES
-    assert How("gentle_bath", 8, preferences="p1,p5").turns == ("p1", "p5")
+    assert PlaySettings("scratch", 8).turns == ()
+    assert PlaySettings("gentle_bath", 8).turns == NAMES
+    assert PlaySettings("gentle_bath", 8, preferences="p1,p5").turns == ("p1", "p5")
 
 
 @pytest.mark.parametrize(
@@ -338,4 +338,4 @@ def test_how_knows_which_tasks_have_preferences() -> None:
 )
 def test_other_preferences_are_refused(task: str, names: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        How(task, 8, preferences=names)
+        PlaySettings(task, 8, preferences=names)

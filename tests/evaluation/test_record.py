@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.figures.saved_tables import partner_table, profile_table
 from evaluation.figures.summary import summarise_evaluation
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.record import record as records
 from evaluation.record.columns import COLUMNS, validate_episodes
 from evaluation.record.record import lay_out
@@ -19,7 +19,7 @@ from tests.population.toy_env import ToyEnv, match
 from tests.studies import cross_play, evaluate_policies
 from zoo.registry import load_registry
 
-SETTINGS = How("scratch", 2, backend="native")
+SETTINGS = PlaySettings("scratch", 2, backend="native")
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.replay.replay import replay_folder
 from tests.attack import forging
 from tests.attack.commands import small_zoo
@@ -49,10 +49,16 @@ def made(zoo: Registry, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
         for backend in ("native", "mjx"):
-            how = How("scratch", EPISODES, backend=backend)
+            how = PlaySettings("scratch", EPISODES, backend=backend)
             evaluate_policies(zoo, ROBOTS, how, home / backend, split="both")
         humans = "scratch/*/human"
-        cross_play(zoo, "scratch/*/robot", humans, How("scratch", 2, backend="native"), home / "xp")
+        cross_play(
+            zoo,
+            "scratch/*/robot",
+            humans,
+            PlaySettings("scratch", 2, backend="native"),
+            home / "xp",
+        )
     return home
 
 

@@ -11,7 +11,7 @@ from evaluation.cast.egos import EgoError, read_egos
 from evaluation.cast.roster import HostEgo, Member, Roster
 from evaluation.figures.summary import read_summary
 from evaluation.play.evaluator import PARTS_FOLDER, run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.play.robot_checks import NOTES, check_distinct, robot_notes, varying
 from evaluation.record.manifest import read_manifest
@@ -223,7 +223,7 @@ def test_told_evaluation_is_noted_and_replayed(
         (LAZY % 1).replace("helper.GAIN)", "helper.GAIN) * obs.mean() * 9")
     )
     (folder / "helper.py").write_text("GAIN = 0.5\n")
-    how, robot = How("scratch", 1, backend="native"), "python:mine.py:make"
+    how, robot = PlaySettings("scratch", 1, backend="native"), "python:mine.py:make"
     for _ in range(2):  # played, then found
         evaluate_policies(registry, [robot], how, folder / "out")
         notes = read_summary(folder / "out").notes

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.record import manifest as provenance
 from evaluation.record import verification
 from evaluation.record.tables import (
@@ -67,7 +67,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A zoo, robots, a cross-play, and an evaluation that draws on all of them."""
     home = tmp_path_factory.mktemp("home")
     registry = load_registry(small_zoo(home / "zoo"))
-    settings = How("scratch", 1, backend="native")
+    settings = PlaySettings("scratch", 1, backend="native")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("assistax_envs.make", toy)
         # They read the true tasks' observations.
@@ -267,7 +267,7 @@ def test_folder_of_code_and_crossplay_is_replayed(
     (home / "crossplay" / "manifest.json").write_bytes(manifest)
 
 
-SETTINGS = How("scratch", 1, backend="native")
+SETTINGS = PlaySettings("scratch", 1, backend="native")
 
 
 def evaluated(home: Path, robot: str, folder: Path) -> list[float]:

@@ -105,14 +105,14 @@ def row(
         python -m tools.league row ppo gentle_scratch --out league
     """
     from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
-    from evaluation.play.how import How
+    from evaluation.play.how import PlaySettings
     from tools.league.making import Making, Sizes, make_row
     from tools.league.parts import Part
     from tools.league.rows import named
     from zoo.registry import load_registry
 
     parts = Part.parse(part) if part else None
-    made, how = named(name), How(task, episodes, seed, backend, max_envs=max_envs)
+    made, how = named(name), PlaySettings(task, episodes, seed, backend, max_envs=max_envs)
     loaded = load_registry(registry)
     sizes = Sizes(
         seeds=tuple(parse_seeds(seeds or SEEDS.get(task, "32"))),

@@ -21,7 +21,7 @@ from evaluation.ego_training import EgoTraining, load_persons, prepare, train_eg
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
 from evaluation.validation import CHOICES, Choice, Choices, check_validation, choose
@@ -58,7 +58,7 @@ class Making:
 
     registry: Registry
     row: Row
-    how: How
+    how: PlaySettings
     split: Split
     sizes: Sizes
     folder: Path  # of the task

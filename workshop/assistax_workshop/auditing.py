@@ -11,7 +11,7 @@ from assistax_zoo.evaluating import Shown
 from assistax_zoo.shell.console import chosen_progress, study_progress
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.cast.cast import env_version as version_together
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from zoo.registry import Registry
 
 Names = str | Sequence[str]
@@ -67,7 +67,7 @@ def audit(
         >>> table.teams
         ('scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s1-v1/robot')
     """
-    How(task, episodes, seed, backend)  # refuses what is none of them
+    PlaySettings(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry
     own = read_teams(_listed(teams), registry, task)
     egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}

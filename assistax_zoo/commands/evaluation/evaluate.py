@@ -8,27 +8,28 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from assistax_base.errors import counted, listing
-from assistax_zoo.commands.options import Against, Engine, Source
+from assistax_zoo.commands.options import Engine, PartnerChoice, Source
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from zoo.ids import OWN
 
 Figure = dict[str, Any] | None
 
 
 @dataclasses.dataclass(frozen=True)
-class HowOnce(How):
-    """How a cross-play is played, which has no series."""
+class CrossPlaySettings(PlaySettings):
+    """Settings of a cross-play, which has no series."""
 
-    __doc__ = How.__doc__  # of the options
+    # Its options have the same help.
+    __doc__ = PlaySettings.__doc__
     series: Annotated[int, Parameter(parse=False)] = 1
 
 
 def evaluate(
     *,
-    how: Annotated[How, Parameter(name="*")],
+    how: Annotated[PlaySettings, Parameter(name="*")],
     policy: tuple[str, ...],
-    against: Against = Against(),
+    against: PartnerChoice = PartnerChoice(),
     fetch: bool = False,
     reuse: bool = False,
     replace: bool = False,
@@ -43,19 +44,19 @@ def evaluate(
     where it was.
 
     Args:
-        how: How they play.
+        how: Settings of the play.
         policy: Robot: an id, a .safetensors or .onnx file, python:FILE.py:FACTORY or
             python:package.module:FACTORY. For more seeds repeat it, or quote a glob of ids or
             .safetensors files.
-        against: With whom it plays, and what it is compared with.
-        fetch: Bring partners and robots of the zoo that are missing here from the remote.
-        reuse: Take the result that --out holds of a robot from Python code, even if its module does
-            not declare what it depends on. Without this the result is refused, since the robot may
-            have changed.
-        replace: Remove the result that --out holds, of whichever job, and play anew; else another
-            job is refused.
+        against: Choice of partners and references.
+        fetch: Fetch partners and robots of the zoo that are missing here from the remote.
+        reuse: Take the result in the output folder of a robot from Python code, even if its module
+            does not declare its dependencies. Without this the result is refused, since the robot
+            may have changed.
+        replace: Remove the result in the output folder, of whichever job, and play anew. Without
+            this the result of another job is refused.
         out: Folder for the tables.
-        source: Where policies come from.
+        source: Source of the policies.
         json: Print JSON.
 
     Example:
@@ -86,7 +87,7 @@ def evaluate(
 
 def crossplay(
     *,
-    how: Annotated[HowOnce, Parameter(name="*")],
+    how: Annotated[CrossPlaySettings, Parameter(name="*")],
     out: Path,
     egos: tuple[str, ...] = (),
     partners: tuple[str, ...] = (),
@@ -104,20 +105,20 @@ def crossplay(
     continues.
 
     Args:
-        how: How they play.
+        how: Settings of the play.
         out: Folder for the tables and the figure.
         egos: Glob over robots, such as `'scratch/ippo-*/robot'`; repeat it for more; all if not
             given.
         partners: Glob over humans; repeat it for more; persons for persons; all if not given.
-        persons: How many persons to draw; default 200.
-        release: Release of both, if a glob names none; default the newest complete one that has the
-            task.
+        persons: Number of persons to draw. Default 200.
+        release: Release of robots and humans, if a glob names none. Default: the newest complete
+            release that has the task.
         share: Simulate only a share, such as 2/4; once all parts are there, the command without
             --share merges them.
-        replace: Remove the result that --out holds, of whichever job, and play anew; else another
-            job is refused.
-        engine: Where the blocks run.
-        source: Where policies come from.
+        replace: Remove the result in the output folder, of whichever job, and play anew. Without
+            this the result of another job is refused.
+        engine: Engine of the blocks.
+        source: Source of the policies.
         json: Print JSON.
 
     Example:
@@ -147,7 +148,7 @@ def crossplay(
 
 
 def _share(text: str | None, replace: bool, spread: bool) -> tuple[int, int] | None:
-    """Return the share that is meant, where one is."""
+    """Return the number of a share and the count of shares of i/n; None if `text` is empty."""
     if not text:
         return None
     if spread:
@@ -276,7 +277,7 @@ def _print_figures(
     what: str = "return of an episode",
     digits: int = 1,
 ) -> None:
-    """Print a table of the figures that there are."""
+    """Print a table of the figures that are not None."""
     table = new_table(title)
     table.add_column(what, overflow="fold")
     for name in ("mean", "95% interval", "IQM", "pairs"):

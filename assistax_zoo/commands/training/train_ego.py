@@ -109,12 +109,12 @@ def _choices(
     """Return what the validation side chooses, where it is to."""
     if not choosing.validate:
         return None
-    from evaluation.play.how import How
+    from evaluation.play.how import PlaySettings
     from evaluation.validation import choose
 
     task = prepared.config.task
     with study_progress(f"stage 2 of 2, validation of {task}") as line:
-        where = registry, prepared, egos.run, How(task, backend=backend)
+        where = registry, prepared, egos.run, PlaySettings(task, backend=backend)
         return choose(*where, best_of=choosing.best_of, on_progress=line)
 
 

@@ -62,14 +62,14 @@ class ZooScorer:
         from evaluation.figures.normalised import REFERENCE_ROWS
         from evaluation.play.baselines import reference_job
         from evaluation.play.evaluator import run_job
-        from evaluation.play.how import How
+        from evaluation.play.how import PlaySettings
         from evaluation.play.study import make_job
 
         entries = [entry for entry, _ in pairs]
         version = env_version(registry, work.task, entries)
         wishes = () if entries[0].disability == OWN else work.preferences
         seed, preferences = int(work.seed, 16), ",".join(wishes) or None
-        how = How(work.task, work.episodes, seed, self._backend, preferences=preferences)
+        how = PlaySettings(work.task, work.episodes, seed, self._backend, preferences=preferences)
         env, job = make_job(how, egos, registry_roster(registry, entries), version=version)
         if work.kind == "reference" and work.format in REFERENCE_ROWS:
             job = reference_job(env, job, str(work.format), own_robots(registry, entries))
