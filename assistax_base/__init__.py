@@ -1,1 +1,1 @@
-"""What every package uses: files, validation, errors, statistics. It imports none of them."""
+"""Shared base of all packages: files, validation, errors, statistics. It imports no other."""

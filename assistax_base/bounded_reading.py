@@ -1,4 +1,4 @@
-"""Text that somebody else wrote: read within bounds, and JSON without traps.
+"""Reading of foreign text within bounds, and of JSON without traps.
 
 Bounds come before parsing. Keys that stand twice in an object are refused, since parsers differ in
 which of them counts.

@@ -21,7 +21,7 @@ _INHERITED = ("JAX_PLATFORMS", "XLA_FLAGS")  # what a worker elsewhere must know
 
 @dataclasses.dataclass(frozen=True)
 class RayCluster:
-    """Where blocks run, and what one takes."""
+    """Ray cluster that runs blocks, and the resources of a block."""
 
     address: str | None = (
         None  # of a running cluster, such as "auto" or "ray://head:10001"; None starts one here
@@ -45,7 +45,7 @@ class RayCluster:
 
 
 class BlocksFailedError(ValueError):
-    """Blocks ended with an error; what the others made is kept."""
+    """Blocks ended with an error. The results of the others are kept."""
 
 
 def run_blocks(
@@ -99,7 +99,7 @@ def _run(
     shared: Sequence[Any],
     on_done: Callable[[int], None] | None,
 ) -> dict[int, str]:
-    """Return why blocks failed, by number."""
+    """Return the reasons of failed blocks, by the number of the block."""
     # A task is tried again where its machine was lost, not where it raised: blocks go on from what
     # they wrote.
     task = ray.remote(
@@ -146,7 +146,7 @@ def _connect(ray: Any, address: str | None, **options: Any) -> None:
 
 
 def _knock(address: str) -> None:
-    """Find out in seconds that nobody listens; Ray itself would try for minutes."""
+    """Refuse a dead address within seconds. Ray itself would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdecimal():
         with socket.create_connection((host, int(port)), timeout=10.0):
@@ -154,7 +154,7 @@ def _knock(address: str) -> None:
 
 
 def _resolved(ray: Any, cluster: RayCluster) -> RayCluster:
-    """Return what a block takes once it is known what machines there are."""
+    """Return the cluster settings with the CPUs of a block: a whole machine's if not given."""
     if cluster.cpus is not None:
         return cluster
     machines = [node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["Alive"]]
@@ -163,7 +163,7 @@ def _resolved(ray: Any, cluster: RayCluster) -> RayCluster:
 
 
 def _slots(ray: Any, cluster: RayCluster) -> int:
-    """Return how many blocks the cluster runs at once."""
+    """Return the number of blocks that the cluster runs at once."""
     has = ray.cluster_resources()
     block = {"CPU": cluster.cpus or 0.0, "GPU": cluster.gpus}
     slots = min(int(has.get(name, 0) / amount) for name, amount in block.items() if amount > 0)
@@ -188,7 +188,7 @@ def _variables(cluster: RayCluster) -> dict[str, str]:
 
 
 def _reason(error: Exception) -> str:
-    """Return why a block failed: what was raised there, or what became of its worker."""
+    """Return the reason of a failed block: its error, or the fate of its worker."""
     cause = getattr(error, "cause", None) or error
     return f"{type(cause).__name__}: {_first_line(cause)}"
 

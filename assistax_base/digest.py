@@ -1,4 +1,4 @@
-"""Hashes of bytes, of JSON and of trees of JSON: ids and roots that were published hang on them.
+"""Hashes of bytes, JSON and trees of JSON. Published ids and roots depend on them.
 
 A Merkle tree is one hash that commits to many leaves, as in RFC 6962. Leaves and inner nodes begin
 with different bytes, so that neither passes for the other; an odd node goes up as it is.
@@ -18,7 +18,7 @@ def sha256(data: bytes) -> str:
 
 
 def canonical_json(value: Any, *, spaced: bool = False) -> bytes:
-    """Return a value's JSON: keys sorted, ASCII, the same for everybody who hashes or signs it.
+    """Return the JSON of a value that is hashed or signed: keys sorted, ASCII only.
 
     Args:
         value: JSON-ready.
@@ -38,7 +38,7 @@ def json_sha256(value: Any, *, spaced: bool = False) -> str:
 
 
 def leaf_sha256(value: Any) -> str:
-    """Return the hash of a tree's leaf; a leaf that could be guessed needs a salt in its value."""
+    """Return the hash of a tree's leaf. A leaf that could be guessed needs a salt in its value."""
     return sha256(b"\x00" + canonical_json(value))
 
 

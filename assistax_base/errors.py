@@ -1,4 +1,4 @@
-"""Errors of the zoo: each says what was expected and found, what was done, what to do next."""
+"""Errors of the zoo. Each names the expected, the found, the effect and the next step."""
 
 import difflib
 import errno
@@ -18,7 +18,7 @@ class ZooError(Exception):
     remedy = ""  # a key of what to do next, by which a shell names its own option for it
 
     def __init_subclass__(cls, done: str = "", next_step: str = "", remedy: str = "") -> None:
-        """Set what was done and what to do next where an error of this class says nothing else."""
+        """Set the default effect and next step of the errors of this class."""
         cls.done, cls.next_step = done or cls.done, next_step or cls.next_step
         cls.remedy = remedy  # of this class's own next step alone
 
@@ -32,7 +32,7 @@ class ZooError(Exception):
         *,
         remedy: str = "",
     ) -> None:
-        """Build the line from its five parts; the last two are the class's own where not given."""
+        """Build the line from its five parts. The class has defaults for the last two."""
         self.problem, self.expected, self.found = problem, expected, found
         self.remedy = remedy if next_step else self.remedy
         self.next_step, self.done = next_step or self.next_step, done or self.done
@@ -143,7 +143,7 @@ class RemoteError(
     done="nothing was fetched",
     next_step="correct the remote's name",
 ):
-    """A remote that cannot be reached, or does not hold what was asked of it."""
+    """A remote that cannot be reached, or lacks the requested file."""
 
 
 class MissingFileError(RemoteError):
@@ -170,7 +170,7 @@ class UpdateError(
     next_step="if they are meant, accept them, in Python by open_zoo(..., accept_changes=True)",
     remedy="accept changes",
 ):
-    """Another zoo that changed what its users get by default."""
+    """Another zoo that changed the defaults of its users."""
 
 
 class CacheError(
@@ -181,7 +181,7 @@ class CacheError(
 
 
 class LockError(ZooError):
-    """A lock file that is malformed, or something else than what it pins."""
+    """A lock file that is malformed, or bytes that differ from the pinned ones."""
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
@@ -190,7 +190,7 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
 
 
 def listing(names: Iterable[str], limit: int = 6) -> str:
-    """Return the first names joined by commas, and how many more there are."""
+    """Return the first names joined by commas, and the count of the rest."""
     names = list(names)
     rest = f" and {len(names) - limit} more" if len(names) > limit else ""
     return (", ".join(names[:limit]) + rest) if names else "none"
@@ -204,7 +204,7 @@ def counted(count: int, what: str) -> str:
 
 
 def shorten(value: object) -> str:
-    """Return the value's `repr`, cut where it is too long for an error line; never all of it."""
+    """Return the value's `repr`, cut to the length of an error line."""
     text = _REPR.repr(value)
     return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
 

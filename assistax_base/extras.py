@@ -1,4 +1,4 @@
-"""Packages that only some features need: imported on use, or named with their extra."""
+"""Import of optional packages, with an error that names their extra."""
 
 import importlib
 from typing import Any
@@ -8,7 +8,7 @@ def optional(module: str, purpose: str, extra: str) -> Any:
     """Return a module of a package that need not be installed.
 
     Raises:
-        ValueError: It is not; says what for it is needed, and how to install it.
+        ValueError: It is not installed. The error says its purpose and how to install it.
     """
     try:
         return importlib.import_module(module)

@@ -1,4 +1,4 @@
-"""Files that are seen whole or not at all: the one home of atomic writes. Imports nothing heavy.
+"""Atomic writes: readers see a file whole or not at all. Imports nothing heavy.
 
 `atomic_write` takes bytes, `atomic_path` lends a path for writers that want one (Polars, a zip).
 Both flush to disk before the rename, so that a power cut leaves the old file or the new one.

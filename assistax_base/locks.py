@@ -1,4 +1,4 @@
-"""One folder, one writer: locks that end with their process, even a killed one."""
+"""Locks of folders. They end with their process, even if it is killed."""
 
 import contextlib
 import sqlite3
@@ -14,7 +14,7 @@ LOCK_FILE = ".lock"
 def locked(
     folder: Path, name: str = LOCK_FILE, *, shared: bool = False, wait: bool = False
 ) -> Generator[None]:
-    """Hold a folder's lock; a file system without locks goes without.
+    """Hold a folder's lock. On a file system without locks, hold nothing.
 
     Args:
         folder: What is written to; it is created.

@@ -1,4 +1,4 @@
-"""Work in threads that nothing waits for: neither an interrupt, nor a server that never ends."""
+"""Work in daemon threads, so that interrupts and the end of a process do not wait for it."""
 
 import contextlib
 import queue
@@ -16,7 +16,7 @@ T = TypeVar("T")
 def run_all(
     works: Sequence[Callable[[threading.Event], T]], workers: int, size: int, what: str
 ) -> list[T]:
-    """Return what every work returns; the first error stops the others through their event.
+    """Return the results of all works, in order. The first error stops the others by their event.
 
     The threads are daemons: neither an interrupt nor a server that sends a byte a second waits for
     them. All must be done within `SLACK` seconds and what `size` bytes take at `SLOWEST`.

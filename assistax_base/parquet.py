@@ -1,4 +1,4 @@
-"""The one reader and the one writer of Parquet files. No path is a pattern, a home or an address.
+"""Reading and writing of Parquet files. A path is never a pattern, a home or an address.
 
 Anybody may have damaged a file: it is read, or refused in one line.
 """
@@ -68,7 +68,7 @@ def read_parquet(path: Path) -> pl.DataFrame:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Return what a Parquet file says of itself, by key; see `check_readable` first."""
+    """Return the metadata of a Parquet file by key. Call `check_readable` before."""
     return pl.read_parquet_metadata(_source(path))
 
 
@@ -79,7 +79,7 @@ def write_parquet(table: pl.DataFrame, path: Path, **options: Any) -> None:
 
 
 def check_readable(paths: Sequence[Path]) -> None:
-    """Let another process read files first, where a stranger or time may have changed them.
+    """Let another process read files first, if a stranger or time may have changed them.
 
     A page says how many values it holds, and Polars asks for the memory of as many. Where there is
     not so much, Rust aborts: no handler is asked, and the whole process is gone.
@@ -111,7 +111,7 @@ _VALUES, _VALUES_PER_BYTE = 20_000_000, 100
 
 
 def check_size(path: Path) -> None:
-    """Refuse a file that says of itself that it holds far more than its size allows.
+    """Refuse a file that claims far more rows than its size allows.
 
     A run of one value is some kilobytes as a file, and gigabytes as a table.
 

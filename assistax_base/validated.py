@@ -19,7 +19,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def validated(cls: type[C]) -> type[C]:
-    """Make a class a frozen dataclass; creating it with other values raises a ValueError.
+    """Make a class a frozen dataclass that refuses values of other types with a ValueError.
 
     Numbers are finite, and a text is not taken for a number, nor true for 1.
     """
@@ -39,7 +39,7 @@ def validated(cls: type[C]) -> type[C]:
 
 
 def first_problem(error: ValidationError) -> str:
-    """Say in one line which value is refused, what is allowed, and how many problems follow."""
+    """Return one line: the refused value, the allowed values, and the count of further problems."""
     problems = error.errors(include_url=False)
     problem, more = problems[0], len(problems) - 1
     where = ".".join(map(str, problem["loc"]))[:200]

@@ -26,7 +26,7 @@ _FILE = "chunk-000/file-000.parquet"
 
 
 def check_place(path: Path, format: str) -> None:
-    """Check, before anything is played, that a recording can be written there in this format.
+    """Refuse a place or format that a recording cannot be written to.
 
     Raises:
         ValueError: The format is unknown, its package is missing, or the place is taken or has a
@@ -48,7 +48,7 @@ def check_place(path: Path, format: str) -> None:
 
 
 def write_dataset(table: "pl.DataFrame", path: Path, about: Mapping[str, Any], format: str) -> None:
-    """Write what `trajectories` recorded as a folder of that format, whole or not at all."""
+    """Write recorded trajectories as a folder of that format, whole or not at all."""
     write = {"minari": write_minari, "lerobot": write_lerobot}[format]
     path.parent.mkdir(parents=True, exist_ok=True)
     # Absolute: Minari takes a relative folder for one beside its own files.

@@ -1,4 +1,4 @@
-"""Modules of the user that have the names of ours, and would be imported instead."""
+"""Refusal of the user's modules that would be imported in place of ours."""
 
 import importlib.machinery
 import sys

@@ -169,7 +169,7 @@ def _who(name: str, seat: "Seated") -> dict[str, Any]:
 
 
 def _about(pair: "Pair", facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return who played what, on which machine."""
+    """Return the metadata of a recording: policies, task and machine."""
     from assistax_envs.disability import Disability
     from assistax_envs.models.build import scene_sha256
     from evaluation.record.manifest import describe_machine

@@ -30,7 +30,7 @@ FigureKind = Literal["zsc", "disability", "preference", "profile"]
 
 
 class TemporaryFolder:
-    """A folder that goes with the last result that holds it."""
+    """A temporary folder, removed with the last result that holds it."""
 
     def __init__(self) -> None:
         outer = Path(tempfile.mkdtemp(prefix="assistax-zoo-"))
@@ -41,10 +41,10 @@ class TemporaryFolder:
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class _Result:
-    """What a finished folder offers, whatever was played."""
+    """Base of the results: the figures, tables and pages of a finished folder."""
 
     summary: Any  # every figure, as docs/evaluation.md lists them
-    notes: tuple[str, ...]  # what a reader has to know of the figures
+    notes: tuple[str, ...]  # remarks on the figures for their readers
     folder: Path  # holds the tables
     keep: TemporaryFolder | None = dataclasses.field(default=None, compare=False)
     _hashes: dict[str, str] = dataclasses.field(init=False, compare=False)  # of its tables
@@ -66,7 +66,7 @@ class _Result:
         return cls(summary=summary, folder=folder, keep=keep, **figures)
 
     def _own(self, *names: str) -> Path:
-        """Return the folder, if these tables of it, or all, are still those of this result."""
+        """Return the folder, if its tables are still those of this result."""
         hashes = table_hashes(self.folder)
         names = names or tuple({*self._hashes, *hashes})
         if any(hashes.get(name) != self._hashes.get(name) for name in names):
@@ -175,7 +175,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
 
     @property
     def met(self) -> MetSummary:
-        """What is known of the partners that the robots met in training, and who is left out."""
+        """Known training partners of the robots, and the partners that figures leave out."""
         return self.summary.met or MetSummary(known=False, source="not known", left_out=())
 
     @property
@@ -268,7 +268,7 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
 
 
 def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
-    """Return the result that a finished folder holds.
+    """Return the result of a finished folder.
 
     Raises:
         FileNotFoundError: There is none, or it is not finished.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Zoo:
-    """A registry of policies, and where to take those from that are not here yet.
+    """A registry of policies, and the remote from which missing ones are fetched.
 
     Examples:
         >>> open_zoo().list("scratch/ippo-d1-s0-v1")

@@ -1,4 +1,4 @@
-"""What the cache holds by kind: where each kind lies, how large it is, and how it is removed.
+"""Kinds of cached files: place, size and removal.
 
 Only files that have the names which this package gives them are counted and removed. So nothing of
 the user's is lost where the cache was pointed at a folder that holds other things too.
@@ -24,7 +24,7 @@ _HIDDEN = r"\..+\.(partial|tmp)"  # what a killed process left
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """One kind of what is cached."""
+    """A kind of cached files."""
 
     name: str
     what: str  # and what its loss costs
@@ -77,7 +77,7 @@ KINDS = {
 
 @dataclasses.dataclass(frozen=True)
 class Held:
-    """What the cache holds of one kind."""
+    """Number and size of the cached files of a kind."""
 
     kind: str
     what: str
@@ -87,7 +87,7 @@ class Held:
 
 
 def held(kind: str) -> Held:
-    """Return what the cache holds of a kind; a link counts as itself."""
+    """Return the number and size of the cached files of a kind. A link counts as itself."""
     files = [file for entry in _entries(KINDS[kind]) for file in _files(entry)]
     sizes = [size for file in files if (size := _size(file)) is not None]
     place = KINDS[kind]
@@ -95,7 +95,7 @@ def held(kind: str) -> Held:
 
 
 def chosen_kinds(names: Sequence[str] = ()) -> list[str]:
-    """Return the kinds to remove: those named, else all but those whose loss is not made good.
+    """Return the named kinds; without names, all kinds whose files can be made again.
 
     Raises:
         ValueError: There is no such kind.
@@ -106,7 +106,7 @@ def chosen_kinds(names: Sequence[str] = ()) -> list[str]:
 
 
 def clean(kind: str) -> tuple[Held, list[str]]:
-    """Remove what the cache holds of a kind.
+    """Remove the cached files of a kind.
 
     Returns:
         What was removed, and the paths of what was not: another process writes to it.
@@ -127,7 +127,7 @@ def clean(kind: str) -> tuple[Held, list[str]]:
 
 
 def warn_once() -> None:
-    """Say in one line of our own that this process cannot keep what JAX compiles.
+    """Warn in one line that this process cannot cache compiled programs.
 
     JAX warns of every program, and names neither a remedy nor us. A program that was kept in part,
     because the disk was full or its writer was killed, it would never replace: that one is removed.
@@ -173,7 +173,7 @@ def _remove_folder(path: Path) -> bool:
 
 
 def _entries(kind: Kind) -> list[Path]:
-    """Return what lies directly in a kind's folder and has a name of ours."""
+    """Return the entries directly in a kind's folder that have a name of ours."""
     try:
         return sorted(path for path in kind.folder().iterdir() if kind.names.fullmatch(path.name))
     except (FileNotFoundError, NotADirectoryError):

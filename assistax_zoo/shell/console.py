@@ -1,4 +1,4 @@
-"""What every command shares: JSON on standard output, progress and messages on standard error."""
+"""Output of the commands: JSON on standard output, progress and messages on standard error."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def print_json(value: Any) -> None:
 
 
 def answer(json: bool, content: Any, *lines: str) -> None:
-    """Print what a command found: one JSON document, or lines for a reader.
+    """Print the answer of a command: one JSON document, or lines for a reader.
 
     Received text may be in a line: a terminal obeys none of it. What may hold line breaks is made
     `printable` where it enters a line.
@@ -57,7 +57,7 @@ def answer(json: bool, content: Any, *lines: str) -> None:
 
 
 def first_lines(start: str, texts: Sequence[str], what: str) -> list[str]:
-    """Return a line for each of the first texts, and how many more there are.
+    """Return a line for each of the first texts, and a line with the count of the rest.
 
     A folder that was received may have hundreds of thousands of problems.
 
@@ -74,7 +74,7 @@ def first_lines(start: str, texts: Sequence[str], what: str) -> list[str]:
 
 
 def confirm(question: str, changes: Sequence[str], yes: bool) -> bool:
-    """Show changes and return whether the user takes them; only a terminal is asked."""
+    """Show changes and return whether the user takes them. Without a terminal, do not ask."""
     print(*(printable(f"  {change}") for change in changes), sep="\n", file=sys.stderr)
     if yes or not sys.stdin.isatty():
         return yes
@@ -91,7 +91,7 @@ def new_table(title: str) -> "Table":
 
 
 def print_table(table: "Table") -> None:
-    """Print a table, 80 columns wide where no terminal says otherwise."""
+    """Print a table, 80 columns wide if there is no terminal."""
     from rich.console import Console
 
     console = Console()
@@ -200,7 +200,7 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
 
 
 class Line:
-    """Says how far work is: on one line that changes, or on a line every ten seconds."""
+    """Shows the progress of work: on one line that changes, or on a line every ten seconds."""
 
     def __init__(self, shown: float | None = None) -> None:
         """Wait before the first line, unless `shown`, the time of the last one, is long ago."""
@@ -223,7 +223,7 @@ class Line:
 
 
 class TrainingLine(Line):
-    """Says how far a training is; what training functions take as `progress`."""
+    """Shows the progress of a training; a `progress` of the training functions."""
 
     def __init__(self, name: str) -> None:
         super().__init__(-math.inf)
@@ -256,20 +256,20 @@ def _duration(seconds: float) -> str:
 
 
 def _harmless(text: str) -> str:
-    """Replace what a terminal obeys, but for line breaks, and bold, which our tables have."""
+    """Replace control characters. Keep line breaks, and the bold type of our tables."""
     parts = re.split("(\n|\033\\[[01]m)", text)
     return "".join(part if i % 2 else printable(part) for i, part in enumerate(parts))
 
 
 def _escaped(line: str) -> str:
-    """Escape what is not printable in a line of JSON: only its strings have such characters."""
+    """Escape unprintable characters in a line of JSON. Only its strings have them."""
     if line.isprintable():
         return line
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line)
 
 
 def _plain(value: Any) -> Any:
-    """Turn NumPy scalars and arrays, paths, sets and tuples into what JSON knows."""
+    """Turn NumPy scalars and arrays, paths, sets and tuples into values of JSON."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

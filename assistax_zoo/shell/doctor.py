@@ -57,7 +57,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Return what was found, problems first; nothing is changed, and no check ends another."""
+    """Return the findings, problems first. Nothing is changed, and no check ends another."""
     findings: list[Finding] = []
     for topic, check in CHECKS.items():
         try:
@@ -123,7 +123,7 @@ def _machine() -> Iterator[Finding]:
 
 
 def _settings(found: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """Yield which settings of the process change JAX, and whether they matter."""
+    """Yield a finding for each setting of the process that changes JAX."""
     for name, (value, fate) in found.items():
         details = {"name": name, "value": value, "fate": fate}
         text = f"{name} is {shorten(str(value))}: {_FATES[fate]}"
@@ -159,7 +159,7 @@ def _jax(probed: Mapping[str, Any]) -> Finding:
 
 
 def _probe() -> dict[str, Any]:
-    """Return what `assistax_zoo.shell.probe` finds; a process that ends badly is JAX's error."""
+    """Return the findings of `assistax_zoo.shell.probe`. A process that fails is JAX's error."""
     root = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join(part for part in (root, os.environ.get("PYTHONPATH")) if part)
     command = [sys.executable, "-P", "-m", "assistax_zoo.shell.probe"]
@@ -228,7 +228,7 @@ def _added() -> Iterator[Finding]:
 
 
 def _roots(topic: str, name: str, registry: Registry) -> Iterator[Finding]:
-    """Yield whether a registry's releases are what their roots say, and what it holds."""
+    """Yield findings about a registry: releases that differ from their roots, and the contents."""
     problems = root_problems(registry.data)
     for problem in problems:
         yield Finding(topic, "broken", f"{name}: {printable(problem)}")
@@ -280,7 +280,7 @@ def _remote() -> Iterator[Finding]:
 
 
 def _unreachable(name: str) -> str | None:
-    """Return why a remote's registry cannot be read, None where it can; wait a few seconds."""
+    """Return the reason why a remote's registry is unreadable; None if it can be read."""
     answers: list[str | None] = []
 
     def ask() -> None:

@@ -1,4 +1,4 @@
-"""Commands of the other distributions: whoever installed one has its commands.
+"""Commands of the other installed distributions.
 
 A distribution names them in its entry points: group `assistax_zoo.commands`, where "serve" is a
 command and "token.create" one of a group or below another command, and `assistax_zoo.groups`, where

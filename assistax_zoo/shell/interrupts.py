@@ -83,7 +83,7 @@ def end_now() -> NoReturn:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Remember Ctrl-C before anybody's handler can make another error of it.
+    """Remember Ctrl-C before a handler can turn it into another error.
 
     A module of C++ that is being loaded, such as JAX's, lets no exception through: it aborts.
     """
@@ -94,12 +94,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """End the process once its work is done: nothing is left to be stopped."""
+    """End the process after its work is done."""
     end_now()
 
 
 def _hide_interrupts(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Say nothing where Ctrl-C struck in a destructor and was lost: `_watch` ends the process."""
+    """Print nothing if Ctrl-C was lost in a destructor: `_watch` ends the process."""
     if unraisable.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(unraisable)
 

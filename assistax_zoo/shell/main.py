@@ -1,4 +1,4 @@
-"""The command line: which commands there are, and what happens when one fails.
+"""The command line: its commands, and the handling of their errors.
 
 Commands are registered by import path, so that `assistax-zoo list` never pays for JAX, MuJoCo or
 matplotlib.
@@ -255,11 +255,11 @@ def _fail(message: str, code: int) -> int:
 
 
 def _check_stdout() -> None:
-    """Say it now, not after the work, that there is nowhere to print to."""
+    """Refuse a closed standard output before the work, not after it."""
     if sys.stdout is None:
         raise ValueError("standard output is closed; direct it to a file, or to /dev/null")
 
 
 def _silence_stdout() -> None:
-    """Point standard output at nothing: the interpreter's flush on exit would fail again."""
+    """Point standard output at the null device, or the flush at exit would fail again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""What JAX and the compilers do on this machine, found out in a process of its own.
+"""Probe of JAX and the compilers on this machine, run in a process of its own.
 
 A driver may hang, and XLA ends the whole process on a flag that it does not know: `doctor` runs
 this module and reads one JSON object from its standard output.
@@ -17,7 +17,7 @@ from assistax_envs.stdout import stdout_is_data
 
 
 def probe() -> dict[str, Any]:
-    """Return what runs here; an error stands, as text, in the place of what it prevented."""
+    """Return the findings by name. The text of an error replaces the finding that it prevented."""
     return {name: _tried(work) for name, work in PARTS.items()}
 
 
@@ -66,7 +66,7 @@ def _clang() -> float:
 
 
 def _nvrtc() -> float | None:
-    """Return the seconds of a small program for this machine's GPU, None where JAX has none."""
+    """Return the seconds of a small program for this machine's GPU; None if JAX has no GPU."""
     import jax
 
     from assistax_envs.physics.fused.runtime import gpu, toolchain

@@ -1,4 +1,4 @@
-"""Compares what this installation declares that it needs with what is installed."""
+"""Comparison of the declared requirements with the installed packages."""
 
 import contextlib
 import dataclasses
@@ -14,7 +14,7 @@ NAME = "assistax-zoo"
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
-    """A package that is not installed, or of a version that does not do."""
+    """A package that is missing, or installed in a version that is not allowed."""
 
     name: str
     requirement: str  # as pip takes it
@@ -22,12 +22,12 @@ class Missing:
 
     @property
     def told(self) -> str:
-        """What is wrong, in some words."""
+        """The problem in a few words."""
         return f"{self.name} {self.installed}" if self.installed else self.name
 
 
 def version_of(name: str) -> str | None:
-    """Return the version of a package, None where it is not installed."""
+    """Return the version of a package; None if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -35,7 +35,7 @@ def version_of(name: str) -> str | None:
 
 
 def required_python() -> SpecifierSet | None:
-    """Return the versions of Python that this package allows, None where it does not say."""
+    """Return the versions of Python that this package allows; None if it does not declare them."""
     try:
         text = metadata(NAME)["Requires-Python"]
     except PackageNotFoundError:
@@ -44,7 +44,7 @@ def required_python() -> SpecifierSet | None:
 
 
 def extras() -> list[str]:
-    """Return the names of the optional parts; none of a checkout that is not installed."""
+    """Return the names of the extras. A checkout that is not installed has no extras."""
     try:
         return metadata(NAME).get_all("Provides-Extra") or []
     except PackageNotFoundError:

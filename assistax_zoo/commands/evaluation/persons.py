@@ -1,4 +1,4 @@
-"""The command that says which persons robots fail."""
+"""The command that ranks the numbers of persons by their effect on robots."""
 
 from pathlib import Path
 from typing import Any

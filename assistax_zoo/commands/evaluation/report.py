@@ -1,4 +1,4 @@
-"""What finished folders show: differences of methods, strategies of partners, and a page."""
+"""Commands that read finished folders: differences of methods, strategies, and a page."""
 
 import tempfile
 import textwrap
@@ -186,7 +186,7 @@ def _worst_episode(folder: Path, registry: str | None, *, run_code: bool) -> byt
 
 
 def _common_means(difference: "Difference", digits: int) -> str:
-    """Say which means the difference is of, and of how much each of them is."""
+    """Print the two means whose difference is compared."""
     first, second = difference.means
     seeds = " and ".join(map(str, difference.seeds))
     return (
