@@ -12,7 +12,7 @@ from evaluation.cast.roster import registry_roster
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.figures.summary import CrossPlaySummary
 from evaluation.play.evaluator import check_folder, clear_results, run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.progress import OnProgress
 from evaluation.play.runner import share_cores
 from evaluation.play.shares import run_blocks_on_ray

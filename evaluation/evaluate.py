@@ -12,7 +12,7 @@ from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
 from evaluation.play.baselines import play_references
 from evaluation.play.evaluator import check_folder, clear_results, run_job
-from evaluation.play.how import How
+from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.play.progress import OnProgress
 from evaluation.play.robot_checks import check_distinct, describe_robots, robot_notes
@@ -125,7 +125,7 @@ def evaluate(
     return summary
 
 
-def _job(cast: Cast, how: How, baselines: bool) -> "tuple[Env, Job, Split]":
+def _job(cast: Cast, how: PlaySettings, baselines: bool) -> "tuple[Env, Job, Split]":
     """Return the environment, the job, and the split that it is of; robots from outside answer."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
