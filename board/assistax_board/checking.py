@@ -1,4 +1,4 @@
-"""Whether what a service keeps is whole: its database, its ledger, its artefacts, its receipts."""
+"""Integrity checks of a service: its database, ledger, artefacts and receipts."""
 
 from collections.abc import Iterator
 from typing import Any

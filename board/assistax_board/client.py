@@ -66,7 +66,7 @@ class Client:
             pause = min(2 * pause, 5.0)
 
     def about(self) -> dict[str, Any]:
-        """Return what the server is."""
+        """Return the server's description."""
         return self.call("GET", "/api/about").json()
 
     def submit(self, data: bytes, **fields: Any) -> dict[str, Any]:
@@ -74,7 +74,7 @@ class Client:
         return self.call("POST", "/api/submissions", params=fields, content=data).json()
 
     def limits(self) -> dict[str, Any]:
-        """Return what the token's owner may still hand in."""
+        """Return the limits of the token's owner."""
         return self.call("GET", "/api/limits").json()
 
     def submission(self, id: str) -> dict[str, Any]:
@@ -86,16 +86,16 @@ class Client:
         return self.call("POST", f"/api/submissions/{id}/withdraw").json()
 
     def enter(self, season: str, submissions: Sequence[str]) -> list[dict[str, Any]]:
-        """Choose what plays a season's panel B."""
+        """Choose the submissions that play a season's panel B."""
         params = {"submission": list(submissions)}
         return self.call("POST", f"/api/seasons/{season}/entries", params=params).json()
 
     def scores(self, id: str) -> list[dict[str, Any]]:
-        """Return what was released of a submission."""
+        """Return the released scores of a submission."""
         return self.call("GET", f"/api/submissions/{id}/scores").json()
 
     def standing(self, id: str) -> dict[str, Any]:
-        """Return where the method of a scored submission stands on its board."""
+        """Return the place of a scored submission's method on its board."""
         return self.call("GET", f"/submissions/{id}/standing.json").json()
 
     def receipt(self, id: str) -> dict[str, Any]:
@@ -114,7 +114,7 @@ class Client:
         return Work(**fields)
 
     def beat(self, work: Work) -> bool:
-        """Extend the lease of a job; False where it was lost."""
+        """Extend the lease of a job; return False if it was lost."""
         return self._about_job("POST", work, "beat").json()["held"]
 
     def give_back(self, work: Work) -> None:
@@ -130,7 +130,7 @@ class Client:
         self._about_job("POST", work, "refused", json={"code": code})
 
     def result(self, work: Work, data: bytes, seconds: float) -> bool:
-        """Bring a result; False where it was there already."""
+        """Bring a result; return False if it was there already."""
         options = {"content": data, "params": {"seconds": seconds}}
         return self._about_job("PUT", work, "result", **options).json()["counted"]
 

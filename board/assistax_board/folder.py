@@ -1,4 +1,4 @@
-"""A service's folder: what lies in it, and the tokens that it keeps.
+"""A service's folder: its files and its tokens.
 
 DIR/service.db      SQLite, if no other database is given
 DIR/artefacts/      robots, results and private releases by sha256, if no store is given
@@ -32,14 +32,14 @@ def check_folder(data: Path) -> None:
     Raises:
         ValueError: It holds other files than a service's, and no service.
     """
-    own = (DATABASE_FILE, ARTEFACTS_FOLDER, KEY_FILE, FILMS_FOLDER, "crossplays", SECRET_FILE)
-    own += (WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE)
+    known = (DATABASE_FILE, ARTEFACTS_FOLDER, KEY_FILE, FILMS_FOLDER, "crossplays", SECRET_FILE)
+    known += (WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE)
     if not data.exists() or (data / KEY_FILE).exists():
         return
     if not data.is_dir():
         raise ValueError(f"{data} is a file; name a new folder, such as my-board")
     found = sorted(path.name for path in data.iterdir())
-    if other := [name for name in found if not name.startswith((".", *own))]:
+    if other := [name for name in found if not name.startswith((".", *known))]:
         raise ValueError(
             f"{data} holds files that are not a service's ({listing(other)}), and keys would lie "
             "beside them; name a new folder, such as my-board"
@@ -60,8 +60,8 @@ def about_token(service: Service, data: Path) -> list[str]:
         token = service.create_token(("organise", "submit"), label="first", submitter="organiser")
         atomic_write(path, f"{token}\n".encode(), OWNER)
         lines = [f"organiser's token: {token}"]
-    kept = f"the token is in {path}; `cat {path}` prints it"
-    return [*lines, kept if path.is_file() else "the organiser has a token; it is not kept here"]
+    place = f"the token is in {path}; `cat {path}` prints it"
+    return [*lines, place if path.is_file() else "the organiser has a token; it is not kept here"]
 
 
 def worker_token(service: Service, data: Path) -> str:

@@ -1,4 +1,4 @@
-"""Random words that name things: they do not tell how many there are, nor who made them."""
+"""Random ids, which reveal neither a count nor an origin."""
 
 import secrets
 

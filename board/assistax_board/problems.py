@@ -1,4 +1,4 @@
-"""What can be wrong with a request: a code, what came, and what to do next."""
+"""Errors of a request: a code, and a message that says what to do next."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""A rehearsal: a whole tiny season on this machine, by what a real one is made by.
+"""A rehearsal: a whole tiny season on this machine, made with the real commands and server.
 
 Hidden partners are trained from a private plan, a server with a worker runs as `serve` starts it,
 two labs hand robots in over HTTP, the season closes at its date, and anybody's proof is made. The
@@ -159,10 +159,10 @@ class Server:
             )
 
         def serves() -> bool:
-            told = self._log.read_text()[began:]
+            output = self._log.read_text()[began:]
             if self.process.poll() is not None:
-                raise ValueError(f"the server ended: {told[-1000:].strip()}")
-            if found := re.search(r"serving (\S+) from ", told):
+                raise ValueError(f"the server ended: {output[-1000:].strip()}")
+            if found := re.search(r"serving (\S+) from ", output):
                 self.address = found[1]
             return found is not None
 
@@ -183,7 +183,7 @@ class Server:
 
 @contextlib.contextmanager
 def running_server(stage: Stage) -> Generator[Server]:
-    """Run a server of the version before, and stop at the end what then runs."""
+    """Run a server of the version before; at the end, stop the server that then runs."""
     server = Server(stage)
     server.start(stage.older)
     try:
@@ -242,8 +242,8 @@ def scores_of(submitted: Sequence[tuple[Client, str]]) -> Iterator[str]:
             raise ValueError(
                 f"submission {id} is {submission['state']}: {submission['reason_text']}"
             )
-        shown = {score["panel"]: score["figures"]["mean"] for score in client.scores(id)}
-        means = ", ".join(f"{panel} {mean:.1f}" for panel, mean in sorted(shown.items()))
+        means_by_panel = {score["panel"]: score["figures"]["mean"] for score in client.scores(id)}
+        means = ", ".join(f"{panel} {mean:.1f}" for panel, mean in sorted(means_by_panel.items()))
         yield f"{id} is scored ({means}); its receipt is signed: {bool(client.receipt(id))}"
 
 
@@ -268,7 +268,7 @@ def kill(stage: Stage, service: Service, server: Server) -> Iterator[str]:
 
 
 def check(stage: Stage, service: Service, visitor: Client, season: str, root: str) -> Iterator[str]:
-    """Check what a closed season owes everybody, and what its organiser keeps."""
+    """Check the proof, scores and page of a closed season, and make a backup."""
     proof = verify_revealed(visitor, SEASON, root)
     yield f"proved: the {proof['partners']} partners that are revealed are those it opened with"
     played = [score for score in service.queries.scores(season=season) if score.panel == "B"]
@@ -282,9 +282,9 @@ def check(stage: Stage, service: Service, visitor: Client, season: str, root: st
     if not all(score.method in page for score in played):
         raise ValueError("the season's page lacks an entry")
     yield f"the season's page shows them: {visitor.address}/seasons/{season}"
-    ledger, kept = check_ledger(visitor), check_service(service)
+    ledger, counts = check_ledger(visitor), check_service(service)
     yield f"the ledger's {ledger['entries']} entries are a chain"
-    yield f"{kept['artefacts']} artefacts and {kept['receipts']} receipts are whole"
+    yield f"{counts['artefacts']} artefacts and {counts['receipts']} receipts are whole"
     count = back_up(stage.data, stage.folder / "board.zip")
     yield f"a backup has the database, the key and {count} artefacts"
 

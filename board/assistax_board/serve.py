@@ -81,7 +81,7 @@ def open_service(
 
 @contextlib.contextmanager
 def _extras_named() -> Generator[None]:
-    """Say what to install where a module of an extra is missing."""
+    """Name the extra to install if its module is missing."""
     try:
         yield
     except ImportError as error:
@@ -110,7 +110,7 @@ def only_server(data: Path) -> Generator[None]:
 
 
 def add_references_later(service: Service, seconds: float = SETTLED_SECONDS) -> threading.Timer:
-    """Queue the rows to measure by after a while: who tries the server out comes first."""
+    """Queue the reference rows after a while, so that first submissions come before them."""
     timer = threading.Timer(seconds, service.add_references)
     timer.daemon = True
     timer.start()
@@ -155,7 +155,7 @@ def config_of(app: Any, proxy: str | None = None) -> uvicorn.Config:
 
 
 class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
-    """Hangs up on who says nothing, or takes nothing: a thousand of them would be all there are."""
+    """Closes idle connections, which would otherwise use up all there are."""
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -211,7 +211,7 @@ class _Server(uvicorn.Server):
 
 @contextlib.contextmanager
 def stopped_by_signals() -> Generator[None]:
-    """End the block, with its workers, at Ctrl-C and at SIGTERM, whatever it is doing.
+    """End the block and its workers at Ctrl-C and at SIGTERM.
 
     uvicorn answers what is under way, then raises the signal once more; before it has started,
     nothing else would catch it. The wake-up pipe of other commands, which ends those within two

@@ -1,7 +1,8 @@
-"""The service as one object: what the API, the pages and the commands call."""
+"""The service as one object, called by the API, the pages and the commands."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from assistax_board.rules.scoring import Work
 from assistax_board.rules.submissions import Admitted, Draft
 from assistax_board.store import notices, schema
 from assistax_board.store.artefacts import Artefacts
-from assistax_board.store.database import Database
+from assistax_board.store.database import Database, Reader, Transaction
 from assistax_board.store.queries import Queries, unplayed_b
 from assistax_board.store.receipts import Signer
 from assistax_board.store.schema import JOB, SUBMISSION
@@ -35,7 +36,7 @@ Admit = Callable[[bytes, str], Admitted]  # (file, task); raises Refusal
 
 @dataclasses.dataclass(frozen=True)
 class Service:
-    """Everything that happens, happens through here."""
+    """Entry point of every change to the board."""
 
     database: Database
     artefacts: Artefacts
@@ -46,8 +47,12 @@ class Service:
 
     @property
     def queries(self) -> Queries:
-        """What may be shown to anybody."""
+        """Questions whose answers are public."""
         return Queries(self.database)
+
+    def begin(self) -> AbstractContextManager[Transaction]:
+        """Return a transaction of the only writer, at the time of the board's clock."""
+        return self.database.begin(self.clock)
 
     def submit(self, submitter: str, draft: Draft) -> str:
         """Take a submission in and return its id; `submitter` is an id."""
@@ -55,49 +60,53 @@ class Service:
         if known := submissions.known(self.database, submitter, draft.request):
             return known
         draft = submissions.admitted(self.admit, draft)
-        return submissions.submit(
-            self.database, self.artefacts, self.catalogue, submitter, draft, self.clock()
-        )
+        with self.begin() as transaction:
+            return submissions.submit(transaction, self.artefacts, self.catalogue, submitter, draft)
 
     def withdraw(self, submission: str, submitter: str) -> None:
         """End a submission because its submitter wants so; a scored one leaves its board."""
-        submissions.withdraw(self.database, submission, submitter, self.clock())
-        with self.database.write() as connection:
-            self._reveal(connection, submission)
+        with self.begin() as transaction:
+            submissions.withdraw(transaction, submission, submitter)
+            self._reveal(transaction, submission)
 
     def lease(self, worker: str, versions: Sequence[str]) -> Work | None:
         """Give a worker the next job that it can do."""
-        closing.close_due(self.database, self.clock())
-        lease, exhausted = jobs.lease_job(self.database, worker, versions, self.clock())
+        closing.close_due(self)
+        with self.begin() as transaction:
+            lease, exhausted = jobs.lease_job(transaction, worker, versions)
         for submission in exhausted:
             self.fail(submission, "worker_errors")
         return None if lease is None else self._work(lease)
 
     def beat(self, job: str, secret: str) -> bool:
-        """Extend a lease; False where it was lost."""
-        return jobs.beat(self.database, job, secret, self.clock())
+        """Extend a lease; return False if it was lost."""
+        with self.begin() as transaction:
+            return jobs.beat(transaction, job, secret)
 
     def give_back(self, job: str, secret: str) -> None:
         """Take a job back that its worker could not finish because it stops."""
-        jobs.give_back(self.database, job, secret)
+        with self.begin() as transaction:
+            jobs.give_back(transaction, job, secret)
 
     def job_failed(self, job: str, secret: str) -> None:
         """Note that a worker could not do a job; several times are too often."""
-        if submission := jobs.fail_job(self.database, job, secret):
+        with self.begin() as transaction:
+            submission = jobs.fail_job(transaction, job, secret)
+        if submission is not None:
             self.fail(submission, "worker_errors")
 
     def job_refused(self, job: str, secret: str, code: str) -> None:
         """End a submission whose robot a worker could not play."""
-        with self.database.write() as connection:
-            row = jobs.held_job(connection, job, secret)
+        with self.begin() as transaction:
+            row = jobs.held_job(transaction, job, secret)
             if row is None:
                 raise Problem("lease_lost", "this job is no longer yours; take the next")
-            submissions.refuse(connection, row.submission, code, self.clock())
-            jobs.cancel_jobs(connection, row.submission, row.version)
-            self._reveal(connection, row.submission)
+            submissions.refuse(transaction, row.submission, code)
+            jobs.cancel_jobs(transaction, row.submission, row.version)
+            self._reveal(transaction, row.submission)
 
     def result(self, job: str, secret: str, data: bytes, seconds: float) -> bool:
-        """Take a job's result; False where it was there already."""
+        """Take a job's result; return False if it was there already."""
         with self.database.read() as connection:
             row = connection.execute(sa.select(schema.jobs).where(JOB.id == job)).first()
             if row is None:
@@ -105,28 +114,26 @@ class Service:
             partners = self._partners(connection, row)
             preferences = self._preferences(connection, row.submission)
             episodes = panel_episodes(_task_of(connection, row.submission), row.panel)
-        store = results.ResultStore(self.database, self.artefacts, self.signer)
-        return results.accept(
-            store, job, secret, data, partners, episodes, preferences, seconds, self.clock()
-        )
+        return results.accept(self, job, secret, data, partners, episodes, preferences, seconds)
 
     def create_season(self, plan: seasons.Plan, folder: Path, public: Any) -> str:
         """Make a season of a private release; see `seasons`."""
-        return seasons.create_season(
-            self.database, self.artefacts, plan, folder, public, self.clock()
-        )
+        return seasons.create_season(self, plan, folder, public)
 
     def open_season(self, name: str, closes_at: float | None = None) -> str:
         """Open a season until a date, and return its Merkle root."""
-        return seasons.open_season(self.database, name, self.clock(), closes_at)
+        with self.begin() as transaction:
+            return seasons.open_season(transaction, name, closes_at)
 
     def enter(self, season: str, submitter: str, chosen: Sequence[str]) -> None:
-        """Choose what a lab plays panel B with; see `closing`."""
-        closing.enter(self.database, season, submitter, chosen, self.clock())
+        """Choose a lab's submissions for panel B; see `closing`."""
+        with self.begin() as transaction:
+            closing.enter(transaction, season, submitter, chosen)
 
     def close_season(self, name: str) -> None:
         """Close a season before its date: panel B is played, then everything is revealed."""
-        closing.close_season(self.database, name, self.clock())
+        with self.begin() as transaction:
+            closing.close_season(transaction, name)
 
     def panel_b(self, season: str) -> list[tuple[str, Any]]:
         """Return the episodes of every submission on the panel B of a closed season."""
@@ -134,7 +141,8 @@ class Service:
 
     def create_token(self, scopes: Sequence[Any], **options: Any) -> str:
         """Make a token; see `tokens.create_token`."""
-        return tokens.create_token(self.database, self.clock(), scopes, **options)
+        with self.begin() as transaction:
+            return tokens.create_token(transaction, scopes, **options)
 
     erase_submitter = organising.erase_submitter
     retry = organising.retry
@@ -147,38 +155,38 @@ class Service:
 
     def extend_season(self, name: str, closes_at: float) -> None:
         """Let an open season close later than was announced."""
-        organising.extend(self.database, name, closes_at, self.clock())
+        with self.begin() as transaction:
+            organising.extend(transaction, name, closes_at)
 
     def note(self, kind: str, about: str) -> None:
         """Tell the organiser something; see `notices`."""
-        with self.database.write() as connection:
-            notices.note(connection, kind, about, self.clock())
+        with self.begin() as transaction:
+            notices.note(transaction, kind, about)
 
     def add_references(self) -> None:
-        """Queue what every board measures by, each once, to be played when nobody else waits."""
-        with self.database.write() as connection:
-            nobody = tokens.find_or_add(connection, REFERENCE, None, self.clock())
+        """Queue the reference rows of every board, each once, behind all other submissions."""
+        with self.begin() as transaction:
+            owner = tokens.find_or_add(transaction, REFERENCE, None)
         for task in self.catalogue.tasks:
             for name, method in self.catalogue.references(task).items():
                 request = f"{task} {name}"
-                self.submit(nobody, Draft(task, method, request, kind="reference", format=name))
+                self.submit(owner, Draft(task, method, request, kind="reference", format=name))
 
     def fail(self, submission: str, reason: str) -> None:
         """End a submission without a score, for a reason of `vocabulary.FAILURES`."""
-        now = self.clock()
-        with self.database.write() as connection:
-            submissions.fail(connection, submission, reason, now)
+        with self.begin() as transaction:
+            submissions.fail(transaction, submission, reason)
             if reason == "worker_errors":
-                season = closing.season_of(connection, submission)
-                on_b = season is not None and submission in unplayed_b(connection, season.id)
-                notices.note(connection, "panel_b" if on_b else reason, submission, now)
-            self._reveal(connection, submission)
+                season = closing.season_of(transaction, submission)
+                on_b = season is not None and submission in unplayed_b(transaction, season.id)
+                notices.note(transaction, "panel_b" if on_b else reason, submission)
+            self._reveal(transaction, submission)
 
-    def _reveal(self, connection: sa.Connection, submission: str) -> None:
+    def _reveal(self, transaction: Transaction, submission: str) -> None:
         """Take a closing season on whose last job was given up."""
-        season = closing.season_of(connection, submission)
+        season = closing.season_of(transaction, submission)
         if season is not None:
-            closing.go_on(connection, season.id, self.clock())
+            closing.go_on(transaction, season.id)
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:
@@ -209,20 +217,20 @@ class Service:
             preferences=preferences,
         )
 
-    def _preferences(self, connection: sa.Connection, submission: str) -> tuple[str, ...]:
-        task = _task_of(connection, submission)
+    def _preferences(self, reader: Reader, submission: str) -> tuple[str, ...]:
+        task = _task_of(reader, submission)
         return tuple(self.catalogue.identity(task).get("preferences", ()))
 
-    def _partners(self, connection: sa.Connection, job: Any) -> tuple[str, ...]:
+    def _partners(self, reader: Reader, job: Any) -> tuple[str, ...]:
         """Return the partners of a job's chunk."""
-        season = closing.season_of(connection, job.submission)
+        season = closing.season_of(reader, job.submission)
         if job.panel == "public":
-            names = self.catalogue.public_panel(_task_of(connection, job.submission))
+            names = self.catalogue.public_panel(_task_of(reader, job.submission))
         else:
             names = seasons.panel_partners(season.secret["leaves"], job.panel)
         return tuple(names[job.chunk * CHUNK : (job.chunk + 1) * CHUNK])
 
 
-def _task_of(connection: sa.Connection, submission: str) -> str:
+def _task_of(reader: Reader, submission: str) -> str:
     query = sa.select(SUBMISSION.task).where(SUBMISSION.id == submission)
-    return connection.execute(query).scalar_one()
+    return reader.execute(query).scalar_one()

@@ -69,7 +69,7 @@ def check_file(
     sizes = robot_sizes(loaded)
     if task not in sizes:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
-    format, said = Admission(sizes)(data, task)
+    format, claimed = Admission(sizes)(data, task)
     catalogue = ZooCatalogue(loaded, BACKEND)
     panel = catalogue.public_panel(task)
     if whole:
@@ -88,7 +88,7 @@ def check_file(
         "mean_return": round(float(table["return"].to_numpy().mean()), 1),
         "nonfinite": int(table["nonfinite"].sum()),
     }
-    if warning := warning_of(said, catalogue.identity(task)["env_version"], None):
+    if warning := warning_of(claimed, catalogue.identity(task)["env_version"], None):
         answer["warning"] = warning
     if not whole:
         return answer | {"note": "a few episodes say that it plays, not how well"}
@@ -128,7 +128,7 @@ def watch_submission(client: Client, id: str) -> dict[str, Any]:
 
 
 def for_reader(submission: dict[str, Any], address: str) -> dict[str, Any]:
-    """Return of a submission what its submitter reads first; --json has all."""
+    """Return the fields of a submission that its submitter reads first; --json has all."""
     shown = {
         name: submission[name] for name in ("id", "state", "reason_text") if submission.get(name)
     }
@@ -146,7 +146,7 @@ def for_reader(submission: dict[str, Any], address: str) -> dict[str, Any]:
 
 
 def limits_for_reader(limits: dict[str, Any]) -> dict[str, Any]:
-    """Return what may still be handed in as its submitter reads it; --json has all."""
+    """Return a submitter's limits in a short form; --json has all."""
     requests = f"{limits['requests_left']} of {limits['requests_an_hour']} left this hour"
     shown = {"largest file": f"{limits['file_bytes']} bytes", "requests": requests}
     for season in limits["seasons"]:
@@ -158,7 +158,7 @@ def limits_for_reader(limits: dict[str, Any]) -> dict[str, Any]:
 
 
 def verify_revealed(client: Client, name: str, root: str) -> dict[str, Any]:
-    """Fetch what a closed season reveals and hold it against the root; return what was proved."""
+    """Verify a closed season's release against its root; return the proven facts."""
     statement = client.call("GET", f"/api/seasons/{name}/revealed").json()
     packed = client.call("GET", f"/api/seasons/{name}/release").content
     with tempfile.TemporaryDirectory() as folder:

@@ -92,7 +92,8 @@ def test_a_revoked_token_is_worth_nothing(service: Service, http: TestClient) ->
     headers = {"Authorization": f"Bearer {token}"}
     body = {"worker": "w", "versions": []}
     assert http.post("/api/work/lease", json=body, headers=headers).status_code == 204
-    revoke_token(service.database, 0.0, list_tokens(service.database)[0].id)
+    with service.begin() as transaction:
+        revoke_token(transaction, list_tokens(service.database)[0].id)
     assert http.post("/api/work/lease", json=body, headers=headers).status_code == 401
 
 

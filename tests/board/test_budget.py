@@ -51,7 +51,7 @@ def work_with(service: Service, takes: str, **budget: Any) -> list[str]:
         anew.append("anew")
         scorer.stopped.set()
 
-    worker = Worker(client, scorer, budget=Budget(**budget), anew=begin_anew)
+    worker = Worker(client, scorer, budget=Budget(**budget), restart=begin_anew)
     worker.run(until_empty=True)
     return anew
 

@@ -31,6 +31,7 @@ from assistax_board.rules import results
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.service import Service
 from assistax_board.store import schema
+from assistax_board.store.database import Transaction
 from assistax_board.store.queries import Queries
 from assistax_board.store.schema import RESULT, SEASON, SUBMISSION
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter
@@ -232,24 +233,24 @@ def test_a_planted_leak_is_found(
     leak: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     # The leak is planted where a panel's end is written.
-    real = results._finish_panel
+    real = results._score_panel
     log = logging.getLogger("assistax_board")
 
-    def finish(desk: Any, connection: Any, job: Any, now: float) -> None:
-        real(desk, connection, job, now)
+    def finish(service: Service, transaction: Transaction, job: Any) -> None:
+        real(service, transaction, job)
         if job.panel != "A":
             return
-        args = desk.artefacts, connection, job.submission, job.version, "A"
+        args = service.artefacts, transaction, job.submission, job.version, "A"
         value = float(results.panel_table(*args).sort("partner")["return"][0])
         if leak == "log":
             log.info("scored", extra={"fields": {"worst": value}})
         if leak == "body":
             update = sa.update(schema.submissions).where(SUBMISSION.id == job.submission)
-            connection.execute(update.values(method=f"mine {value}"))
+            transaction.execute(update.values(method=f"mine {value}"))
         if leak == "statements":
             plant_statements(monkeypatch, value)
 
-    monkeypatch.setattr(results, "_finish_panel", finish)
+    monkeypatch.setattr(results, "_score_panel", finish)
     assert differences(request.getfixturevalue("two")) != []
 
 

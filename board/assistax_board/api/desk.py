@@ -1,4 +1,4 @@
-"""Where robots are handed in: a queue of its own, in which nobody who reads has to wait."""
+"""Checks submitted files in threads of its own, so that pages never wait."""
 
 import asyncio
 import contextlib
@@ -56,7 +56,7 @@ class Desk:
             self._owners += Counter()  # forgets who has none
 
     async def run(self, function: Callable[..., Any], *args: Any) -> Any:
-        """Return what a function returns, which runs in a thread of the desk."""
+        """Run a function in a thread of the desk and return its result."""
         self._waiting += 1
         try:
             return await asyncio.get_running_loop().run_in_executor(self._threads, function, *args)

@@ -1,4 +1,4 @@
-"""What stands before every request: size, rate, and who asks."""
+"""Checks before every request: size, rate, and identity."""
 
 import asyncio
 import ipaddress
@@ -58,7 +58,7 @@ class BodyLimit:
         self._app, self._most, self._seconds = app, most, seconds
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Pass a request on, counting what arrives of it."""
+        """Pass a request on, counting the bytes that arrive."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

@@ -1,4 +1,4 @@
-"""Health, metrics and logs. None of them holds a secret or a value of a hidden partner."""
+"""Health, metrics and logs, without secrets and without values of hidden partners."""
 
 import json
 import logging
@@ -28,7 +28,7 @@ class JsonLines(logging.Formatter):
 
 
 class Metrics:
-    """What a monitoring system reads."""
+    """Metrics for a monitoring system."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()

@@ -1,4 +1,4 @@
-"""What anybody may read: boards, submissions, seasons, the ledger and the key of receipts."""
+"""Public routes: boards, submissions, seasons, the ledger and the key of receipts."""
 
 from typing import Annotated, Any
 
@@ -29,7 +29,7 @@ Limit = Annotated[int, Query(ge=1, le=1000)]
 
 
 class About(BaseModel):
-    """What this server is."""
+    """Description of this server."""
 
     statement: str
     tasks: list[str]
@@ -46,7 +46,7 @@ class Board(BaseModel):
 
 @router.get("/about")
 def about(service: TheService) -> About:
-    """Return the tasks, the key that signs receipts, and what a board does not mean."""
+    """Return the tasks, the key that signs receipts, and the limits of a board's meaning."""
     tasks, key = list(service.catalogue.tasks), service.signer.public_key
     return About(statement=STATEMENT, tasks=tasks, key=key)
 
@@ -77,13 +77,13 @@ def submissions(
 
 @router.get("/submissions/{id}")
 def submission(service: TheService, id: str) -> Submission:
-    """Return one submission: its state, its place in the queue, and what became of it."""
+    """Return one submission: its state, its place in the queue, and its result."""
     return existing(service.queries.submission(id), "submission")
 
 
 @router.get("/submissions/{id}/scores")
 def scores(service: TheService, id: str) -> list[Score]:
-    """Return what was released of a submission, by panel and version."""
+    """Return the released scores of a submission, by panel and version."""
     submission(service, id)
     return service.queries.scores(submission=id)
 
@@ -117,7 +117,7 @@ def season(service: TheService, id: str) -> Season:
 
 @router.get("/seasons/{id}/attempts")
 def attempts(service: TheService, id: str) -> list[Attempts]:
-    """Return who has made how many attempts."""
+    """Return the number of attempts of each submitter."""
     return service.queries.attempts(season(service, id).id)
 
 

@@ -1,4 +1,4 @@
-"""What a submitter may do: hand in and take back."""
+"""Routes of submitters: hand in and withdraw."""
 
 import dataclasses
 from typing import Annotated, Any
@@ -55,7 +55,7 @@ async def submit(
 
 
 async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submission:
-    """Take in what a token's owner drafted; its season may be given by name."""
+    """Submit a draft of a token's owner; its season may be given by name."""
     state = request.app.state
     state.limiter.hit(SUBMIT, principal.token)
     return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
@@ -71,12 +71,12 @@ def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
 
 @router.get("/limits", dependencies=[Depends(count_read)])
 def limits(request: Request, principal: Submitter) -> Limits:
-    """Return what you may still hand in: requests of this hour, and attempts of open seasons."""
+    """Return your limits: requests left this hour, and attempts left in open seasons."""
     return limits_of(request, principal)
 
 
 def limits_of(request: Request, principal: Principal) -> Limits:
-    """Return what a token's owner may still hand in; nothing is spent by asking."""
+    """Return the limits of a token's owner; asking spends nothing."""
     state, submitter = request.app.state, str(principal.submitter)
     queries, catalogue = state.service.queries, state.service.catalogue
     seasons = [
@@ -111,7 +111,7 @@ def enter(
     id: str,
     submission: Annotated[list[str] | None, Query(max_length=20)] = None,
 ) -> list[Submission]:
-    """Choose what plays panel B, in place of what was chosen before; return what is chosen.
+    """Replace the choice of submissions for panel B and return the new choice.
 
     At most two methods, each with the submissions that are its seeds. Without any choice it is the
     submission whose score on panel A was shown last.

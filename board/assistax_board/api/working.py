@@ -1,4 +1,4 @@
-"""What a worker may do: take jobs, beat for them, and bring results."""
+"""Routes of workers: take jobs, extend leases, and bring results."""
 
 from typing import Annotated, Any
 
@@ -18,7 +18,7 @@ Version = Annotated[str, Field(max_length=64)]
 
 
 class LeaseRequest(BaseModel):
-    """Who asks, and what it can score."""
+    """A worker's name and the versions that it scores."""
 
     worker: str = Field(min_length=1, max_length=80)
     versions: list[Version] = Field(max_length=100)
@@ -48,7 +48,7 @@ _REFUSED, _REFUSED_BODY = json_body(Refused)
 
 @router.post("/lease", responses={204: {"description": "nothing waits"}}, openapi_extra=_LEASE_BODY)
 def lease(service: TheService, worker: Worker, body: Annotated[Any, _LEASE]) -> Any:
-    """Take the next job, or 204 where nothing waits."""
+    """Take the next job; answer 204 if the queue is empty."""
     work: Work | None = service.lease(body.worker, body.versions)
     return Response(status_code=204) if work is None else work
 

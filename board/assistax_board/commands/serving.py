@@ -56,7 +56,7 @@ def serve(
             data, database=database, artefacts=artefacts, registry=registry, backend=backend
         )
         with service.database.only_server(), serving.listen(host, port) as (port, listeners):
-            own = folder.worker_token(service, data) if workers else ""
+            token = folder.worker_token(service, data) if workers else ""
             service.adopt_version()
             if references:
                 serving.add_references_later(service)
@@ -65,7 +65,7 @@ def serve(
             print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
             options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
             local = address.replace("0.0.0.0", "127.0.0.1")
-            playing = serving.local_workers(workers, local, own, options)
+            playing = serving.local_workers(workers, local, token, options)
             with watched(service, data, webhook), playing as stop_workers:
                 pages = folder.page_folders(data, registry)
                 serving.run_server(service, listeners, stop_workers, proxy, **pages)

@@ -63,4 +63,5 @@ def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None
     from assistax_board.rules.tokens import revoke_token
 
     service = open_folder(data, database)
-    revoke_token(service.database, service.clock(), id)
+    with service.begin() as transaction:
+        revoke_token(transaction, id)

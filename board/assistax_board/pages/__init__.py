@@ -51,21 +51,21 @@ class Tasks(Protocol):
 
 
 class Service(Protocol):
-    """What pages need of the service."""
+    """Interface of the service that pages need."""
 
     @property
     def queries(self) -> Queries:
-        """What may be asked."""
+        """Public questions to the database."""
         ...
 
     @property
     def catalogue(self) -> Tasks:
-        """What is scored."""
+        """Tasks that are scored."""
         ...
 
     @property
     def artefacts(self) -> Artefacts:
-        """What was handed in."""
+        """Submitted files."""
         ...
 
     def panel_b(self, season: str) -> Sequence[tuple[str, Any]]:

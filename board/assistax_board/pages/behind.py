@@ -1,4 +1,4 @@
-"""Values that take long, computed behind their readers, who meanwhile see the one before."""
+"""Slow values, computed in the background while readers see the previous one."""
 
 import dataclasses
 import threading
@@ -14,28 +14,28 @@ class Behind(Generic[Value]):
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: dict[str, _Kept[Value]] = {}
+        self._slots: dict[str, _Slot[Value]] = {}
 
     def value(self, name: str, key: Hashable, make: Callable[[], Value]) -> Value | None:
         """Return the value of a name: of this key, else an older one, else None."""
         with self._lock:
-            kept = self._kept.setdefault(name, _Kept())
-            kept.newest_key = key
-            if kept.key != key and (kept.thread is None or not kept.thread.is_alive()):
-                kept.thread = threading.Thread(target=kept.renew, args=(key, make), daemon=True)
-                kept.thread.start()
-        if kept.key != key and kept.thread is not None:
-            kept.thread.join(PATIENCE)
-        return kept.value
+            slot = self._slots.setdefault(name, _Slot())
+            slot.newest_key = key
+            if slot.key != key and (slot.thread is None or not slot.thread.is_alive()):
+                slot.thread = threading.Thread(target=slot.renew, args=(key, make), daemon=True)
+                slot.thread.start()
+        if slot.key != key and slot.thread is not None:
+            slot.thread.join(PATIENCE)
+        return slot.value
 
     def is_behind(self, name: str) -> bool:
-        """Return whether the value of a name is older than what was asked for last."""
-        kept = self._kept.get(name)
-        return kept is not None and kept.newest_key != kept.key
+        """Return whether the value of a name is older than the last request for it."""
+        slot = self._slots.get(name)
+        return slot is not None and slot.newest_key != slot.key
 
 
 @dataclasses.dataclass
-class _Kept(Generic[Value]):
+class _Slot(Generic[Value]):
     key: Hashable = None
     newest_key: Hashable = None
     value: Value | None = None

@@ -28,7 +28,7 @@ _NEWEST = 100_000  # submissions of a board; all of them
 
 @dataclasses.dataclass(frozen=True)
 class Played:
-    """The submissions of one method, its seeds, and what they earned with every partner."""
+    """Submissions of one method, which are its seeds, with their returns by partner."""
 
     submissions: tuple[Submission, ...]  # the oldest first
     returns: np.ndarray  # [S, P, K]
@@ -78,7 +78,7 @@ class Boards:
     def __init__(self, queries: Queries, crossplays: CrossPlays) -> None:
         self._queries, self._crossplays = queries, crossplays
         self._boards: Behind[Board | None] = Behind()
-        self._memories: dict[str, _Memory] = {}
+        self._caches: dict[str, _ReturnsCache] = {}
 
     def of(self, task: str, version: str | None = None) -> Board | None:
         """Return the board of a task under a version, or None while it is empty.
@@ -99,7 +99,7 @@ class Boards:
         return self._boards.is_behind(_name(task, version))
 
     def _scored(self, task: str, version: str | None) -> "_Scored | None":
-        """Return what a board is of: its version, and all submissions that count."""
+        """Return the version of a board, and all submissions that count on it."""
         versions = self._queries.versions(task)
         chosen = next((row for row in versions if version in (None, row[0])), None)
         if chosen is None:
@@ -114,12 +114,12 @@ class Boards:
 
     def _board(self, task: str, scored: "_Scored", is_newest: bool) -> Board | None:
         # What old boards read is not kept: they hardly change.
-        memory = self._memories.setdefault(task, _Memory()) if is_newest else _Memory()
-        memory.learn(self._queries, scored)
-        methods = memory.methods(scored.submissions)
+        cache = self._caches.setdefault(task, _ReturnsCache()) if is_newest else _ReturnsCache()
+        cache.update(self._queries, scored)
+        methods = cache.methods(scored.submissions)
         if not methods:
             return None
-        partners = memory.panel()
+        partners = cache.panel()
         references = {
             method.newest.method: method.returns for method in methods if method.is_reference
         }
@@ -131,7 +131,7 @@ class Boards:
             SEED_SDS.get(task),
         )
         by_name = {method.newest.id: method for method in methods}
-        named = tuple((row, by_name[row.name]) for row in memory.rows(by_name, panel))
+        named = tuple((row, by_name[row.name]) for row in cache.rows(by_name, panel))
         return Board(task, scored.version, scored.identity, partners, named)
 
 
@@ -141,14 +141,14 @@ def _name(task: str, version: str | None) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class _Scored:
-    """What a board is of."""
+    """Version and submissions of a board."""
 
     version: str
     identity: Mapping[str, Any]
     submissions: tuple[Submission, ...]
 
 
-class _Memory:
+class _ReturnsCache:
     """Returns and rows of submissions under one version; of one thread at a time."""
 
     def __init__(self) -> None:
@@ -158,8 +158,8 @@ class _Memory:
         self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
         self._rows: dict[str, BoardRow] = {}  # by a hash of all that a row follows from
 
-    def learn(self, queries: Queries, scored: _Scored) -> None:
-        """Read the returns of the submissions that are new, and forget those that are gone."""
+    def update(self, queries: Queries, scored: _Scored) -> None:
+        """Read the returns of new submissions, and delete those of submissions that are gone."""
         if scored.version != self._version:
             self.__init__()
             self._version = scored.version
@@ -208,11 +208,11 @@ class _Memory:
             self._rows[key] = before.get(key) or unplaced(method, panel)
             return self._rows[key]
 
-        shown = [
+        played = [
             Method(name, method.returns, not method.is_reference)
             for name, method in methods.items()
         ]
-        return board_rows(shown, panel, figures)
+        return board_rows(played, panel, figures)
 
 
 def bounds_of(

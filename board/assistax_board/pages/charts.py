@@ -14,7 +14,7 @@ class Axis:
     width: float = 200.0
 
     def at(self, value: float) -> float:
-        """Return where a value stands, kept on the line."""
+        """Return the position of a value, clipped to the line."""
         share = (value - self.low) / (self.high - self.low)
         return round(self.width * min(max(share, 0.0), 1.0), 1)
 

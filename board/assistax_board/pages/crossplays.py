@@ -1,4 +1,4 @@
-"""Finished cross-plays: the matrix of the explorer, and what is known of each pair in it."""
+"""Finished cross-plays: the matrix of the explorer, and the facts of each pair."""
 
 import dataclasses
 import functools

@@ -1,4 +1,4 @@
-"""The published partners of a task: what a reader can choose by, and one partner's card."""
+"""The published partners of a task, the filters of their list, and a partner's card."""
 
 import dataclasses
 from typing import Any
@@ -44,7 +44,7 @@ def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) ->
 
 
 def choices(partners: list[PartnerCard]) -> dict[str, list[str]]:
-    """Return what each trait can be chosen by."""
+    """Return the choices of each filter."""
     return {
         trait: sorted(
             {value for partner in partners if (value := getattr(partner, trait)) is not None}
@@ -54,7 +54,7 @@ def choices(partners: list[PartnerCard]) -> dict[str, list[str]]:
 
 
 def choose(partners: list[PartnerCard], traits: dict[str, str]) -> list[PartnerCard]:
-    """Keep the partners that have every wanted trait; an empty wish is none."""
+    """Return the partners that match every filter; an empty filter matches all."""
     return [
         partner
         for partner in partners

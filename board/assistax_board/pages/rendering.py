@@ -34,7 +34,7 @@ def render(template: str, **values: Any) -> str:
 
 @functools.cache
 def static_files() -> dict[str, Page]:
-    """Return what /static serves, by "name" with the hash of its content before the ending."""
+    """Return the files of /static, by "name" with the hash of its content before the ending."""
     folder = resources.files(_PACKAGE) / "static"
     # The cross-play's viewer and the player of episodes are those of reports.
     of_reports = resources.files("evaluation.report") / "assets"
@@ -77,7 +77,7 @@ def _environment() -> jinja2.Environment:
 
 
 def figure(value: float | None) -> str:
-    """Round a return for reading: 987.2, 0.31, or a dash where there is none."""
+    """Round a return for reading: 987.2, 0.31, or a dash if there is none."""
     if value is None or not math.isfinite(value):
         return "–"
     return f"{value:,.1f}" if abs(value) >= 10 else f"{value:.2f}"

@@ -34,7 +34,7 @@ class SeasonBoards:
         self._boards: Behind[tuple[tuple[BoardRow, Entry], ...]] = Behind()
 
     def of(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
-        """Return the rows of a season, the highest first; none before it closed."""
+        """Return the rows of a season, the highest first; empty until it is closed."""
         if season.state != "closed":
             return ()
         scores = self._queries.scores(season=season.id, panel="B")

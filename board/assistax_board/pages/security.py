@@ -1,4 +1,4 @@
-"""What keeps a page from doing what its reader did not ask for: headers, and tokens on forms."""
+"""Protection against foreign pages and scripts: headers, and tokens on forms."""
 
 import hashlib
 import hmac

@@ -1,4 +1,4 @@
-"""What all pages share: where their facts come from, and how they are kept and answered."""
+"""Base of all pages: their sources, their cache and their responses."""
 
 import contextlib
 import dataclasses
@@ -29,7 +29,7 @@ STILL = 60.0  # a page of published files
 
 
 class NotFoundError(Exception):
-    """There is no such thing; the text says what, and where to look."""
+    """Error of a missing page; its text names the thing and the place to look."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Site:
             for ego in self.registry.policies:
                 if ego.task == task and ego.trained_against:
                     with contextlib.suppress(ZooError):  # its parameters are not on this machine
-                        said = f"the training side of {ego.trained_against.split}"
+                        side = f"the training side of {ego.trained_against.split}"
                         met |= {
-                            sha256(policy_file(ego.id, form, lambda: self.registry)): said
+                            sha256(policy_file(ego.id, form, lambda: self.registry)): side
                             for form in ("safetensors", "onnx")
                         }
             self.met[task] = met
@@ -73,7 +73,7 @@ class Site:
         return task
 
     def public_in_words(self, task: str) -> str:
-        """Return what a task's public half is: who is played, in which version."""
+        """Return the public half of a task in words: its partners and version."""
         entries = public_entries(self.registry, task)
         return partners_in_words(describe_partners(self.registry, entries))
 
@@ -111,7 +111,7 @@ class Site:
         return respond(request, self.cache.page(f"{template} {key}", seconds, rendered, media_type))
 
     def render(self, template: str, path: str, **values: Any) -> str:
-        """Return a page with what every page shows."""
+        """Return a page with the values that every page shows."""
         return render(template, tasks=self.tasks, path=path, **values)
 
     def form(self, request: Request, template: str, status: int = 200, **values: Any) -> Response:
@@ -125,6 +125,6 @@ class Site:
         return response
 
     def fresh(self, template: str, path: str, status: int = 200, **values: Any) -> Response:
-        """Answer with a page that is nobody else's."""
+        """Return a private page, which no cache may store."""
         page: Page = pack(self.render(template, path, **values).encode())
         return Response(page.body, status, {"Cache-Control": "no-store"}, page.media_type)

@@ -43,7 +43,7 @@ Run = Callable[[Sequence[str], Path], None]  # (arguments, folder in which they 
 
 
 class Filmed(Protocol):
-    """What a film is of."""
+    """Subject of a film."""
 
     @property
     def key(self) -> str:
@@ -103,7 +103,7 @@ class HandedIn:
         return f"{ROBOT}{json_sha256([self.task, *seats, self.env_version])[:32]}"
 
     def make(self, run: Run, film: Path, place: Path) -> None:
-        """Film one episode, and keep what a player shows of it."""
+        """Film one episode, and store the data that its player shows."""
         from assistax_board.robots.admission import is_safetensors
 
         data = self.read(self.robot)
@@ -143,7 +143,7 @@ class Videos:
         return film
 
     def episode(self, key: str) -> Path | None:
-        """Return what players show of a finished film; those of older versions have nothing."""
+        """Return the data that a player shows of a finished film; empty for older versions."""
         film = self.film(key)
         path = None if film is None else film.with_name(_EPISODE)
         return path if path is not None and path.is_file() else None
@@ -157,7 +157,7 @@ class Videos:
         return Pair(**fields | {"content": tuple(fields["content"])})
 
     def returns(self, pair: Pair) -> list[float] | None:
-        """Return what the pair earned in each episode, once its film is made."""
+        """Return the pair's return in each episode, once its film is made."""
         path = self._folder / pair.key / _RETURNS
         return json.loads(path.read_text()) if path.is_file() else None
 
@@ -204,17 +204,17 @@ class Videos:
             filmed.make(self._run, made / f"{_FILM}.{ending}", Path(place))
             shutil.rmtree(self._folder / filmed.key, ignore_errors=True)
             made.replace(self._folder / filmed.key)
-        self._forget(keep=filmed.key)
+        self._make_room(keep=filmed.key)
 
-    def _forget(self, keep: str) -> None:
+    def _make_room(self, keep: str) -> None:
         """Remove the films that were looked at longest ago, until the others have room."""
-        kept = {path: _bytes_of(path) for path in self._folder.iterdir() if path.name != keep}
-        total = _bytes_of(self._folder / keep) + sum(kept.values())
-        for path in sorted(kept, key=lambda path: path.stat().st_mtime):
+        sizes = {path: _bytes_of(path) for path in self._folder.iterdir() if path.name != keep}
+        total = _bytes_of(self._folder / keep) + sum(sizes.values())
+        for path in sorted(sizes, key=lambda path: path.stat().st_mtime):
             if total <= MOST_BYTES:
                 return
             shutil.rmtree(path, ignore_errors=True)
-            total -= kept[path]
+            total -= sizes[path]
 
 
 def erase_robots(folder: Path) -> None:

@@ -1,1 +1,1 @@
-"""Robots that are handed in: whether one is admitted, and what it may cost."""
+"""Submitted robots: their admission and their cost."""

@@ -1,4 +1,4 @@
-"""What may be handed in. The server and `submit --check` at home run this very code."""
+"""Admission of robots' files. The server and `submit --check` at home run this very code."""
 
 import dataclasses
 import tempfile
@@ -23,7 +23,7 @@ BYTES = 1536 * 1024 * 1024  # of memory, of which JAX and its programs are a six
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """An admitted robot: what plays it, and its parameters."""
+    """Spec and parameters of an admitted robot."""
 
     format: str
     spec: Seat  # of a network of ours, or of an ONNX graph
@@ -39,7 +39,7 @@ class Admission:
         self._sizes = sizes
 
     def __call__(self, data: bytes, task: str) -> Admitted:
-        """Return what a robot's file is; it is read in a process of its own.
+        """Return the format and version of a robot's file, read in a process of its own.
 
         Raises:
             Refusal: It cannot be scored, and why.
@@ -82,7 +82,7 @@ class Admission:
 
 
 def _admit(sizes: dict[str, tuple[int, int]], data: bytes, task: str) -> dict[str, Any]:
-    """Return what admission says of a file, as JSON; in a process that nobody else uses."""
+    """Return the admission of a file as JSON; run in a process of its own."""
     import jax
 
     jax.config.update("jax_platforms", "cpu")
@@ -159,7 +159,7 @@ def _read_onnx(data: bytes, observation_size: int, action_size: int) -> Robot:
 
 
 def _check_cost(robot: Robot) -> None:
-    """Refuse what a worker would play for hours, or need gigabytes for."""
+    """Refuse a robot that would take a worker hours or gigabytes."""
     cost = nanoseconds(robot.spec.player(), robot.params, robot.spec.observation_size)
     if cost > MOST:
         raise Refusal("too_slow", f"{cost:.3g} of {MOST:.3g} nanoseconds for an observation")

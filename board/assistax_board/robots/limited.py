@@ -1,4 +1,4 @@
-"""A function in a process of its own, with so many seconds and bytes: what a stranger's file costs.
+"""Runs a function in a process of its own, limited in seconds and bytes, on untrusted files.
 
 The process is forked from one that has imported what is heavy (a fork server), so it begins at
 once, and its memory is given back when it ends. Its answer is JSON: nothing that it says is
@@ -54,7 +54,7 @@ _FROM_OUTSIDE = (-signal.SIGTERM, -signal.SIGKILL, -signal.SIGINT)
 
 
 def run_limited(function: Callable[..., Any], *args: Any, seconds: int, most_bytes: int) -> Any:
-    """Return what a function of a module returns, played in a process of its own.
+    """Run a module's function in a process of its own and return its result.
 
     Args:
         function: Of a module; its answer is JSON.
@@ -94,14 +94,14 @@ def run_limited(function: Callable[..., Any], *args: Any, seconds: int, most_byt
 
 
 def stop_limited() -> None:
-    """End all that run, and let none begin: this process is about to end."""
+    """End all running processes and start no more, since this process is about to end."""
     _stopping.set()
     for process in list(_running):
         process.kill()
 
 
 def resident_bytes(pid: int) -> int:
-    """Return how much memory a process has, 0 where the system does not say."""
+    """Return a process's resident memory in bytes, 0 if the system does not report it."""
     with contextlib.suppress(OSError), open(f"/proc/{pid}/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize()
     return 0

@@ -1,4 +1,4 @@
-"""What a robot costs for one observation, counted from its program before it is compiled.
+"""Cost of a robot for one observation, counted from its program before it is compiled.
 
 Every number that an operator writes costs about two nanoseconds of a core, whatever the operator:
 the batch does not fit the cache, so that memory is what it waits for. A product within a matrix

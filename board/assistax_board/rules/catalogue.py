@@ -1,4 +1,4 @@
-"""What the service scores with: tasks, public panels and the version of everything that plays."""
+"""Tasks, public panels and versions of the scorer."""
 
 import functools
 from typing import Any, Protocol
@@ -11,7 +11,7 @@ PUBLIC_SEED = 0  # of the public half's episodes, the same for all
 
 
 class Catalogue(Protocol):
-    """What the service knows about tasks. Tests have a small one that needs no registry."""
+    """Tasks of a service. Tests have a small one that needs no registry."""
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -23,7 +23,7 @@ class Catalogue(Protocol):
         ...
 
     def identity(self, task: str) -> dict[str, Any]:
-        """Return what decides a score's value besides the robot: see `version_id`."""
+        """Return all that determines a score besides the robot; see `version_id`."""
         ...
 
     def references(self, task: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""How a season ends: what was handed in by its date is played, then each lab's entries decide.
+"""The end of a season: submissions that came in time are played, then entries play panel B.
 
     open -> closing -> closed
             |  |  `- all of panel B is played: everything is revealed
@@ -14,7 +14,7 @@ whose score on panel A was shown last.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
@@ -22,48 +22,47 @@ from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs, submissions
 from assistax_board.rules.release_pack import secret_persons
-from assistax_board.store import ledger, schema
-from assistax_board.store.database import Database
+from assistax_board.store import schema
+from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.notices import note
 from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import ERASED, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
+
+if TYPE_CHECKING:
+    from assistax_board.service import Service
 
 ENTRIES = 2  # methods of one lab on panel B
 SEEDS = 10  # submissions of one of them
 WAIT_SECONDS = 7 * 86_400.0  # for the organiser to queue again what workers failed
 
 
-def enter(
-    database: Database, season: str, submitter: str, chosen: Sequence[str], now: float
-) -> None:
-    """Choose what a lab plays panel B with, in place of what it chose before.
+def enter(transaction: Transaction, season: str, submitter: str, chosen: Sequence[str]) -> None:
+    """Replace a lab's choice of submissions for panel B.
 
     Args:
-        database: Of the service.
+        transaction: In which the choice is recorded.
         season: Name or id.
         submitter: Id of the lab.
         chosen: Ids of its submissions; those of one method are seeds of one entry.
-        now: The time.
 
     Raises:
         Problem: The season is not open, or the choice is not within the rules.
     """
-    with database.write() as connection:
-        row = find_season(connection, season, "open", now)
-        mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
-        rows = connection.execute(
-            sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
-        ).all()
-        _check(rows, chosen)
-        connection.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
-        connection.execute(
-            sa.update(schema.submissions)
-            .where(*mine, SUBMISSION.id.in_(chosen))
-            .values(entered_at=now)
-        )
-        body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
-        ledger.append(connection, now, "entry", body)
+    row = find_season(transaction, season, "open", in_time=True)
+    mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
+    rows = transaction.execute(
+        sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
+    ).all()
+    _check(rows, chosen)
+    transaction.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
+    transaction.execute(
+        sa.update(schema.submissions)
+        .where(*mine, SUBMISSION.id.in_(chosen))
+        .values(entered_at=transaction.now)
+    )
+    body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
+    transaction.record("entry", body)
 
 
 def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
@@ -78,44 +77,44 @@ def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
         raise Problem("invalid", f"an entry has at most {SEEDS} submissions, its seeds")
 
 
-def close_season(database: Database, name: str, now: float) -> None:
-    """Take no more submissions; what was handed in is played."""
-    with database.write() as connection:
-        row = find_season(connection, name, "open", None)
-        _close(connection, row.id, now)
+def close_season(transaction: Transaction, name: str) -> None:
+    """Close an open season to submissions; those that it has are still played."""
+    row = find_season(transaction, name, "open")
+    _close(transaction, row.id)
 
 
-def close_due(database: Database, now: float) -> None:
-    """Close the seasons whose date has come, and go on with those that waited long enough."""
+def close_due(service: "Service") -> None:
+    """Close the seasons whose date has come, and advance those that wait for nothing more."""
+    now = service.clock()
     due = sa.select(SEASON.id).where(SEASON.state == "open", SEASON.closes_at <= now)
     closing = sa.select(schema.seasons).where(SEASON.state == "closing")
-    with database.read() as connection:
+    with service.database.read() as connection:
         rows = connection.execute(closing).all()
         ready = [row.id for row in rows if not _waits(connection, row, now)]
         ready += connection.execute(due).scalars()
     for season in ready:
-        with database.write() as connection:
-            if connection.execute(due.where(SEASON.id == season)).first():
-                _close(connection, season, now)
+        with service.begin() as transaction:
+            if transaction.execute(due.where(SEASON.id == season)).first():
+                _close(transaction, season)
             else:
-                go_on(connection, season, now)
+                go_on(transaction, season)
 
 
-def go_on(connection: sa.Connection, season: str, now: float) -> None:
+def go_on(transaction: Transaction, season: str) -> None:
     """Take a closing season to its next step, if all of the one before is done."""
-    row = connection.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
-    if row.state != "closing" or _waits(connection, row, now):
+    row = transaction.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
+    if row.state != "closing" or _waits(transaction, row, transaction.now):
         return
-    if not _states_of_b(connection, season) and (entries := _entries(connection, season)):
-        _play_b(connection, row, entries, now)
+    if not _states_of_b(transaction, season) and (entries := _entries(transaction, season)):
+        _play_b(transaction, row, entries)
     else:
-        _reveal(connection, row, now)
+        _reveal(transaction, row)
 
 
-def _waits(connection: sa.Connection, season: Any, now: float) -> bool:
-    """Return whether something of a closing season is being played, or may yet be."""
-    if states := _states_of_b(connection, season.id):
-        failed_at = unplayed_b(connection, season.id).values()
+def _waits(reader: Reader, season: Any, now: float) -> bool:
+    """Return whether a closing season has open jobs, or failed ones that may be queued again."""
+    if states := _states_of_b(reader, season.id):
+        failed_at = unplayed_b(reader, season.id).values()
         is_mended = any(at > now - WAIT_SECONDS for at in failed_at)
         return is_mended or bool({"held", "waiting", "leased"} & states)
     of_labs = SUBMISSION.season == season.id, SUBMISSION.kind != "reference"
@@ -124,69 +123,69 @@ def _waits(connection: sa.Connection, season: Any, now: float) -> bool:
     mendable = (SUBMISSION.reason == "worker_errors") & (SUBMISSION.finished_at > since)
     waiting = SUBMISSION.state.not_in(FINAL_STATES) | mendable
     query = sa.select(SUBMISSION.id).where(*of_labs, waiting)
-    return connection.execute(query.limit(1)).first() is not None
+    return reader.execute(query.limit(1)).first() is not None
 
 
-def _states_of_b(connection: sa.Connection, season: str) -> set[str]:
+def _states_of_b(reader: Reader, season: str) -> set[str]:
     query = (
         sa.select(JOB.state)
         .join(schema.submissions, SUBMISSION.id == JOB.submission)
         .where(SUBMISSION.season == season, JOB.panel == "B")
     )
-    return set(connection.execute(query).scalars())
+    return set(reader.execute(query).scalars())
 
 
-def find_season(connection: sa.Connection, name: str, state: str, now: float | None) -> Any:
+def find_season(transaction: Transaction, name: str, state: str, *, in_time: bool = False) -> Any:
     """Return a season by its name or id, if it is in this state.
 
     Args:
-        connection: A transaction.
+        transaction: In which the season is read.
         name: Name or id.
         state: That it must be in.
-        now: If given, an open one whose date has come is refused.
+        in_time: Whether a season whose closing date has come is refused.
 
     Raises:
         Problem: There is none, or it is in another state.
     """
     query = sa.select(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
-    row = connection.execute(query).first()
+    row = transaction.execute(query).first()
     if row is None:
         raise Problem(
             "not_found", f"no season {name!r}; GET /api/seasons lists the open and closed ones"
         )
     if row.state != state:
         raise Problem("too_late", f"season {row.name} is {row.state}; expected {state}")
-    if now is not None and row.closes_at is not None and row.closes_at <= now:
+    if in_time and row.closes_at is not None and row.closes_at <= transaction.now:
         raise Problem("too_late", f"the closing date of season {row.name} has passed")
     return row
 
 
-def season_of(connection: sa.Connection, submission: str) -> Any:
+def season_of(reader: Reader, submission: str) -> Any:
     """Return the season of a submission, secrets included: never to be shown."""
     query = sa.select(schema.seasons).join(schema.submissions, SUBMISSION.season == SEASON.id)
-    return connection.execute(query.where(SUBMISSION.id == submission)).first()
+    return reader.execute(query.where(SUBMISSION.id == submission)).first()
 
 
-def _close(connection: sa.Connection, season: str, now: float) -> None:
+def _close(transaction: Transaction, season: str) -> None:
     mine = SEASON.id == season
-    closes_at = connection.execute(sa.select(SEASON.closes_at).where(mine)).scalar()
-    values = {"state": "closing", "closes_at": min(now, closes_at or now)}
-    connection.execute(sa.update(schema.seasons).where(mine).values(values))
-    ledger.append(connection, now, "season_close", {"season": season})
-    go_on(connection, season, now)
+    closes_at = transaction.execute(sa.select(SEASON.closes_at).where(mine)).scalar()
+    values = {"state": "closing", "closes_at": min(transaction.now, closes_at or transaction.now)}
+    transaction.execute(sa.update(schema.seasons).where(mine).values(values))
+    transaction.record("season_close", {"season": season})
+    go_on(transaction, season)
 
 
-def _entries(connection: sa.Connection, season: str) -> list[Any]:
+def _entries(transaction: Transaction, season: str) -> list[Any]:
     """Return the submissions that play panel B: those entered, else each lab's last one shown."""
     query = sa.select(schema.submissions).where(
         SUBMISSION.season == season, SUBMISSION.kind == "file"
     )
     query = query.where(SUBMISSION.artefact.not_in(ERASED))
-    scored = connection.execute(query.where(SUBMISSION.state == "scored")).all()
+    scored = transaction.execute(query.where(SUBMISSION.state == "scored")).all()
     by_lab: dict[str, list[Any]] = {}
     for row in scored:
         by_lab.setdefault(row.submitter, []).append(row)
-    shown = _last_shown(connection, season)
+    shown = _last_shown(transaction, season)
     return [
         row
         for lab in sorted(by_lab)
@@ -195,7 +194,7 @@ def _entries(connection: sa.Connection, season: str) -> list[Any]:
     ]
 
 
-def _last_shown(connection: sa.Connection, season: str) -> dict[str, str]:
+def _last_shown(transaction: Transaction, season: str) -> dict[str, str]:
     """Return each lab's submission whose score on panel A was shown last, of those that stand."""
     query = (
         sa.select(SUBMISSION.submitter, SUBMISSION.id)
@@ -204,26 +203,28 @@ def _last_shown(connection: sa.Connection, season: str) -> dict[str, str]:
         .where(SCORE.panel == "A", SCORE.released.is_not(None))
         .order_by(SCORE.created_at, SUBMISSION.created_at, SUBMISSION.id)
     )
-    return {row.submitter: row.id for row in connection.execute(query)}
+    return {row.submitter: row.id for row in transaction.execute(query)}
 
 
-def _play_b(connection: sa.Connection, season: Any, entries: list[Any], now: float) -> None:
+def _play_b(transaction: Transaction, season: Any, entries: list[Any]) -> None:
     """Queue panel B for the entries, and for the rows that they are measured by."""
     ids = [row.id for row in entries]
     # The version that they were planned under last: after an upgrade no worker plays another.
     newest = sa.select(JOB.version).where(JOB.submission.in_(ids))
-    version = connection.execute(newest.order_by(JOB.created_at.desc()).limit(1)).scalar_one()
-    connection.execute(
-        sa.update(schema.submissions).where(SUBMISSION.id.in_(ids)).values(entered_at=now)
+    version = transaction.execute(newest.order_by(JOB.created_at.desc()).limit(1)).scalar_one()
+    transaction.execute(
+        sa.update(schema.submissions)
+        .where(SUBMISSION.id.in_(ids))
+        .values(entered_at=transaction.now)
     )
     chunks = submissions.count_chunks(season.panel_sizes["B"])
-    for id in (*ids, *_references(connection, season, now)):
-        jobs.add_jobs(connection, id, version, "B", chunks, turn=0, now=now)
+    for id in (*ids, *_references(transaction, season)):
+        jobs.add_jobs(transaction, id, version, "B", chunks, turn=0)
     body = {"season": season.id, "submissions": sorted(ids)}
-    ledger.append(connection, now, "season_entries", body)
+    transaction.record("season_entries", body)
 
 
-def _references(connection: sa.Connection, season: Any, now: float) -> list[str]:
+def _references(transaction: Transaction, season: Any) -> list[str]:
     """Add the references of the public board to a season, and return their submissions."""
     from evaluation.figures.normalised import SELF_PLAY
 
@@ -249,21 +250,21 @@ def _references(connection: sa.Connection, season: Any, now: float) -> list[str]
             "state": "queued",
             "reason": None,
             "turn": 0,
-            "created_at": now,
+            "created_at": transaction.now,
             "finished_at": None,
         }
-        for row in connection.execute(query).mappings().all()
+        for row in transaction.execute(query).mappings().all()
     ]
     if rows:
-        connection.execute(sa.insert(schema.submissions), rows)
+        transaction.execute(sa.insert(schema.submissions), rows)
     return [row["id"] for row in rows]
 
 
-def _reveal(connection: sa.Connection, season: Any, now: float) -> None:
+def _reveal(transaction: Transaction, season: Any) -> None:
     """Publish the leaves of a season; the weights go with them."""
-    values = {"state": "closed", "closed_at": now}
-    connection.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
+    values = {"state": "closed", "closed_at": transaction.now}
+    transaction.execute(sa.update(schema.seasons).where(SEASON.id == season.id).values(values))
     body = {"season": season.id, "root": season.root, "release": season.release}
-    unplayed = sorted(unplayed_b(connection, season.id))
-    ledger.append(connection, now, "season_reveal", body | {"unplayed": unplayed})
-    note(connection, "season_incomplete" if unplayed else "season_closed", season.name, now)
+    unplayed = sorted(unplayed_b(transaction, season.id))
+    transaction.record("season_reveal", body | {"unplayed": unplayed})
+    note(transaction, "season_incomplete" if unplayed else "season_closed", season.name)

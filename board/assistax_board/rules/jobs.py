@@ -15,11 +15,11 @@ import sqlalchemy as sa
 from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.store import schema
-from assistax_board.store.database import Database
+from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
 LEASE_SECONDS = 60.0
-CLOCKS_APART = 60.0  # a lease begins before its transaction, which may have waited
+CLOCKS_APART = 60.0  # a lease that begins later than this is of a clock that was set back
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,14 +35,13 @@ class Lease:
 
 
 def add_jobs(
-    connection: sa.Connection,
+    transaction: Transaction,
     submission: str,
     version: str,
     panel: str,
     chunks: int,
     *,
     turn: int,
-    now: float,
     held: bool = False,
 ) -> None:
     """Add a job for each chunk of a panel; `turn` orders them, see `submissions`."""
@@ -53,131 +52,122 @@ def add_jobs(
         "state": "held" if held else "waiting",
         "failures": 0,
         "turn": turn,
-        "created_at": now,
+        "created_at": transaction.now,
     }
     rows = [{"id": new_id(), "chunk": chunk, **common} for chunk in range(chunks)]
-    connection.execute(sa.insert(schema.jobs), rows)
+    transaction.execute(sa.insert(schema.jobs), rows)
 
 
 def lease_job(
-    database: Database,
-    worker: str,
-    versions: Sequence[str],
-    now: float,
+    transaction: Transaction, worker: str, versions: Sequence[str]
 ) -> tuple[Lease | None, list[str]]:
     """Take the next job that a worker of these versions can do.
 
     Returns:
-        The lease, or None where nothing waits; and the submissions that have failed too often.
+        The lease, or None if nothing waits; and the submissions that have failed too often.
     """
-    with database.write() as connection:
-        exhausted = expire_leases(connection, now)
-        query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
-        order = query.order_by(
-            JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk
-        ).limit(1)
-        row = connection.execute(order).first()
-        if row is None:
-            return None, exhausted
-        secret = secrets.token_urlsafe(32)
-        values = {
-            "state": "leased",
-            "lease": sha256(secret.encode()),
-            "worker": worker,
-            "leased_at": now,
-            "expires_at": now + LEASE_SECONDS,
-        }
-        connection.execute(sa.update(schema.jobs).where(JOB.id == row.id).values(values))
-        begun = (SUBMISSION.id == row.submission) & (SUBMISSION.state == "queued")
-        connection.execute(sa.update(schema.submissions).where(begun).values(state="running"))
+    exhausted = expire_leases(transaction)
+    query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
+    order = query.order_by(JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk).limit(1)
+    row = transaction.execute(order).first()
+    if row is None:
+        return None, exhausted
+    secret = secrets.token_urlsafe(32)
+    values = {
+        "state": "leased",
+        "lease": sha256(secret.encode()),
+        "worker": worker,
+        "leased_at": transaction.now,
+        "expires_at": transaction.now + LEASE_SECONDS,
+    }
+    transaction.execute(sa.update(schema.jobs).where(JOB.id == row.id).values(values))
+    begun = (SUBMISSION.id == row.submission) & (SUBMISSION.state == "queued")
+    transaction.execute(sa.update(schema.submissions).where(begun).values(state="running"))
     return Lease(row.id, secret, row.submission, row.version, row.panel, row.chunk), exhausted
 
 
-def expire_leases(connection: sa.Connection, now: float) -> list[str]:
+def expire_leases(transaction: Transaction) -> list[str]:
     """Put jobs of broken leases back; return the submissions whose jobs failed too often.
 
-    A lease that begins far in the future was given before the clock was set back; nobody knows how
-    old it is, so it is over.
+    A lease that begins far in the future was given before the clock was set back. Its age is
+    unknown, so it counts as expired.
     """
-    broken = (JOB.expires_at < now) | (JOB.leased_at > now + CLOCKS_APART)
+    broken = (JOB.expires_at < transaction.now) | (JOB.leased_at > transaction.now + CLOCKS_APART)
     query = sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
-    rows = connection.execute(query).all()
+    rows = transaction.execute(query).all()
     for row in rows:
-        _put_back(connection, row.id, row.failures + 1)
+        _put_back(transaction, row.id, row.failures + 1)
     return [row.submission for row in rows if row.failures + 1 >= MAX_FAILURES]
 
 
-def beat(database: Database, job: str, secret: str, now: float) -> bool:
-    """Extend a lease; return False where it is no longer held: the worker may stop."""
-    with database.write() as connection:
-        values = {"leased_at": now, "expires_at": now + LEASE_SECONDS}
-        held = sa.update(schema.jobs).where(*_held(job, secret)).values(values)
-        return connection.execute(held).rowcount == 1
+def beat(transaction: Transaction, job: str, secret: str) -> bool:
+    """Extend a lease; return False if it expired, so that the worker stops."""
+    values = {"leased_at": transaction.now, "expires_at": transaction.now + LEASE_SECONDS}
+    held = sa.update(schema.jobs).where(*_held(job, secret)).values(values)
+    return transaction.execute(held).rowcount == 1
 
 
-def give_back(database: Database, job: str, secret: str) -> None:
+def give_back(transaction: Transaction, job: str, secret: str) -> None:
     """Return a job undone, by a worker that stops; this is no failure."""
-    with database.write() as connection:
-        held = sa.update(schema.jobs).where(*_held(job, secret))
-        connection.execute(held.values(state="waiting", lease=None, expires_at=None))
+    held = sa.update(schema.jobs).where(*_held(job, secret))
+    transaction.execute(held.values(state="waiting", lease=None, expires_at=None))
 
 
-def fail_job(database: Database, job: str, secret: str) -> str | None:
+def fail_job(transaction: Transaction, job: str, secret: str) -> str | None:
     """Put back a job that a worker could not do; name its submission if it failed too often."""
-    with database.write() as connection:
-        row = connection.execute(sa.select(schema.jobs).where(*_held(job, secret))).first()
-        if row is None:
-            return None
-        _put_back(connection, job, row.failures + 1)
-        return row.submission if row.failures + 1 >= MAX_FAILURES else None
+    row = transaction.execute(sa.select(schema.jobs).where(*_held(job, secret))).first()
+    if row is None:
+        return None
+    _put_back(transaction, job, row.failures + 1)
+    return row.submission if row.failures + 1 >= MAX_FAILURES else None
 
 
-def held_job(connection: sa.Connection, job: str, secret: str) -> Any:
+def held_job(reader: Reader, job: str, secret: str) -> Any:
     """Return the row of a job that this lease was the last to hold, also after it ran out."""
-    row = connection.execute(sa.select(schema.jobs).where(JOB.id == job)).first()
+    row = reader.execute(sa.select(schema.jobs).where(JOB.id == job)).first()
     return row if row is not None and row.lease == sha256(secret.encode()) else None
 
 
-def release_held(connection: sa.Connection, submission: str, version: str) -> None:
+def release_held(transaction: Transaction, submission: str, version: str) -> None:
     """Let the hidden panels of a submission be played, once its public panel is done."""
     where = (JOB.submission == submission) & (JOB.version == version) & (JOB.state == "held")
-    connection.execute(sa.update(schema.jobs).where(where).values(state="waiting"))
+    transaction.execute(sa.update(schema.jobs).where(where).values(state="waiting"))
 
 
-def cancel_jobs(connection: sa.Connection, submission: str, version: str | None = None) -> None:
-    """Take what is left of a submission out of the queue."""
+def cancel_jobs(transaction: Transaction, submission: str, version: str | None = None) -> None:
+    """Cancel the unfinished jobs of a submission, of one version or of all."""
     where = (JOB.submission == submission) & JOB.state.in_(("held", "waiting", "leased"))
     where = where if version is None else where & (JOB.version == version)
-    connection.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
+    transaction.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
 
 
-def queue_again(connection: sa.Connection, submission: str, version: str) -> bool:
-    """Queue what is not done of a submission as if nothing had failed; False if there is nothing.
+def queue_again(transaction: Transaction, submission: str, version: str) -> bool:
+    """Queue the cancelled jobs of a submission again; return False if it has no jobs.
 
     Its hidden panel is held back until the public one is done.
     """
     mine = JOB.submission == submission, JOB.version == version
-    jobs = connection.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
+    jobs = transaction.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
     held = any(panel == "public" and state != "done" for panel, state in jobs)
     for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
         again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
-        connection.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
+        transaction.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
     return bool(jobs)
 
 
-def queue_b_again(connection: sa.Connection, submission: str) -> None:
-    """Queue what is not done of panel B as if nothing had failed."""
+def queue_b_again(transaction: Transaction, submission: str) -> None:
+    """Queue the cancelled jobs of panel B again, with no failures counted."""
     again = sa.update(schema.jobs).where(
         JOB.submission == submission, JOB.panel == "B", JOB.state == "cancelled"
     )
-    connection.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
+    transaction.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
 
 
-def _put_back(connection: sa.Connection, job: str, failures: int) -> None:
+def _put_back(transaction: Transaction, job: str, failures: int) -> None:
     # The lease's hash stays: should its worker answer after all, the answer counts.
     state = "cancelled" if failures >= MAX_FAILURES else "waiting"
     values = {"state": state, "failures": failures, "expires_at": None}
-    connection.execute(sa.update(schema.jobs).where(JOB.id == job).values(values))
+    transaction.execute(sa.update(schema.jobs).where(JOB.id == job).values(values))
 
 
 def _held(job: str, secret: str) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""What an organiser does to submissions, labs and seasons; all of it stands in the ledger."""
+"""Acts of an organiser on submissions, labs and seasons, each with a ledger entry."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Any
@@ -9,8 +9,8 @@ from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.seasons import MAX_OPEN_SECONDS
-from assistax_board.store import ledger, schema
-from assistax_board.store.database import Database
+from assistax_board.store import schema
+from assistax_board.store.database import Database, Transaction
 from assistax_board.store.notices import withdraw_notice
 from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import (
@@ -68,7 +68,7 @@ def failures(database: Database) -> list[Failure]:
 
 
 def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
-    """Queue again what workers failed: a submission, or its panel B in a season that closes.
+    """Queue a submission again that workers failed, or its panel B in a closing season.
 
     A submission takes the attempt again that its failure gave back. If its lab has used that one
     since, nothing is queued, unless the organiser gives it one more attempt than the season has.
@@ -81,19 +81,18 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
     Raises:
         Problem: Workers did not fail it, its season takes no more, or the attempts are used up.
     """
-    database, now = service.database, service.clock()
-    with database.write() as connection:
+    with service.begin() as transaction:
         # Locks its season too: no attempt is taken while one is given back.
-        row = submissions.find_submission(connection, id)
+        row = submissions.find_submission(transaction, id)
         if row is None:
             raise Problem("not_found", f"no submission {id!r}; `service failures` lists them")
-        season = closing.season_of(connection, id)
+        season = closing.season_of(transaction, id)
         entry: dict[str, Any] = {"id": id}
-        if season is not None and id in unplayed_b(connection, season.id):
-            _retry_b(connection, season, row)
+        if season is not None and id in unplayed_b(transaction, season.id):
+            _retry_b(transaction, season, row)
             entry["panel"] = "B"
         elif (row.state, row.reason) == ("failed", "worker_errors"):
-            if _retry_submission(service, connection, row, season, extra_attempt):
+            if _retry_submission(service, transaction, row, season, extra_attempt):
                 entry["extra_attempt"] = True
         else:
             raise Problem(
@@ -102,18 +101,18 @@ def retry(service: "Service", id: str, *, extra_attempt: bool = False) -> None:
                 "submissions that failed with worker_errors can be queued again",
             )
         for kind in ("worker_errors", "panel_b"):
-            withdraw_notice(connection, kind, id)
-        ledger.append(connection, now, "retry", entry)
+            withdraw_notice(transaction, kind, id)
+        transaction.record("retry", entry)
 
 
 def _retry_submission(
-    service: "Service", connection: sa.Connection, row: Any, season: Any, extra: bool
+    service: "Service", transaction: Transaction, row: Any, season: Any, extra: bool
 ) -> bool:
     """Queue a failed submission; return whether its lab needed an extra attempt for it."""
     needs_extra = False
     if season is not None:
-        _check_takes(connection, season)
-        needs_extra = submissions.attempts_left(connection, season, row.submitter) == 0
+        _check_takes(transaction, season)
+        needs_extra = submissions.attempts_left(transaction, season, row.submitter) == 0
     if needs_extra and not extra:
         raise Problem(
             "budget_spent",
@@ -123,31 +122,33 @@ def _retry_submission(
         )
     attempt = "free" if season is None else "reserved"
     again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
-    connection.execute(again.values(state="queued", reason=None, finished_at=None, attempt=attempt))
+    transaction.execute(
+        again.values(state="queued", reason=None, finished_at=None, attempt=attempt)
+    )
     version = version_id(service.catalogue.identity(row.task))
-    if not jobs.queue_again(connection, row.id, version):
-        submissions.plan_jobs(connection, service.catalogue, row._mapping, season, service.clock())
+    if not jobs.queue_again(transaction, row.id, version):
+        submissions.plan_jobs(transaction, service.catalogue, row._mapping, season)
     return needs_extra
 
 
-def _retry_b(connection: sa.Connection, season: Any, row: Any) -> None:
-    """Queue what is left of panel B, which the season waits for, by the version that it has."""
+def _retry_b(transaction: Transaction, season: Any, row: Any) -> None:
+    """Queue the open jobs of panel B again, at the version that they have."""
     if season.state != "closing":
         raise Problem("too_late", f"season {season.name} closed without it")
     if row.state == "failed":  # a reference, which plays this panel alone
         again = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
-        connection.execute(again.values(state="queued", reason=None, finished_at=None))
-    jobs.queue_b_again(connection, row.id)
+        transaction.execute(again.values(state="queued", reason=None, finished_at=None))
+    jobs.queue_b_again(transaction, row.id)
 
 
-def _check_takes(connection: sa.Connection, season: Any) -> None:
+def _check_takes(transaction: Transaction, season: Any) -> None:
     """Refuse a season that plays panel B, or is over."""
     of_b = (
         sa.select(JOB.id)
         .join(schema.submissions, SUBMISSION.id == JOB.submission)
         .where(SUBMISSION.season == season.id, JOB.panel == "B")
     )
-    if season.state == "closed" or connection.execute(of_b.limit(1)).first():
+    if season.state == "closed" or transaction.execute(of_b.limit(1)).first():
         raise Problem("too_late", f"season {season.name} plays panel B, or has played it")
 
 
@@ -165,110 +166,109 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
     Raises:
         Problem: There is no such season or lab, or nothing of the lab stands in it.
     """
-    database, now = service.database, service.clock()
-    with database.write() as connection:
+    with service.begin() as transaction:
         is_season = (SEASON.id == season) | (SEASON.name == season)
-        season_row = connection.execute(sa.select(schema.seasons).where(is_season)).first()
-        owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == lab)).scalar()
+        season_row = transaction.execute(sa.select(schema.seasons).where(is_season)).first()
+        owner = transaction.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == lab)).scalar()
         if season_row is None or owner is None:
             missing = f"season {season!r}" if season_row is None else f"lab {lab!r}"
             raise Problem("not_found", f"there is no {missing}")
         mine = SUBMISSION.season == season_row.id, SUBMISSION.submitter == owner
         standing = SUBMISSION.state.in_(("queued", "running", "scored"))
-        rows = connection.execute(sa.select(schema.submissions).where(*mine, standing)).all()
+        rows = transaction.execute(sa.select(schema.submissions).where(*mine, standing)).all()
         if not rows:
             raise Problem("not_found", f"{lab} has no submission in season {season}")
         for row in rows:
             if row.state not in FINAL_STATES:
-                submissions.end(connection, row, "failed", "disqualified", "spent", now)
+                submissions.end(transaction, row, "failed", "disqualified", "spent")
         values = {"state": "retracted", "reason": "disqualified", "entered_at": None}
         scored = sa.update(schema.submissions).where(*mine, SUBMISSION.state == "scored")
-        connection.execute(scored.values(values))
+        transaction.execute(scored.values(values))
         for row in rows:
-            jobs.cancel_jobs(connection, row.id)
+            jobs.cancel_jobs(transaction, row.id)
         body = {
             "season": season_row.id,
             "submitter": owner,
             "submissions": [row.id for row in rows],
         }
-        ledger.append(connection, now, "disqualify", body)
-        closing.go_on(connection, season_row.id, now)
+        transaction.record("disqualify", body)
+        closing.go_on(transaction, season_row.id)
     return len(rows)
 
 
-def extend(database: Database, name: str, closes_at: float, now: float) -> None:
+def extend(transaction: Transaction, name: str, closes_at: float) -> None:
     """Let an open season close later than was announced.
 
     Raises:
         Problem: It is not open, or the date is not later.
     """
-    with database.write() as connection:
-        row = closing.find_season(connection, name, "open", now)
-        if not (row.closes_at or now) < closes_at < now + MAX_OPEN_SECONDS:
-            raise Problem(
-                "invalid",
-                f"season {row.name} has a closing date that labs rely on; give a later one, within "
-                "three years from now, or close it by `season close`",
-            )
-        connection.execute(
-            sa.update(schema.seasons).where(SEASON.id == row.id).values(closes_at=closes_at)
+    row = closing.find_season(transaction, name, "open", in_time=True)
+    if not (row.closes_at or transaction.now) < closes_at < transaction.now + MAX_OPEN_SECONDS:
+        raise Problem(
+            "invalid",
+            f"season {row.name} has a closing date that labs rely on; give a later one, within "
+            "three years from now, or close it by `season close`",
         )
-        body = {"season": row.id, "closes_at": closes_at}
-        ledger.append(connection, now, "season_extend", body)
+    transaction.execute(
+        sa.update(schema.seasons).where(SEASON.id == row.id).values(closes_at=closes_at)
+    )
+    body = {"season": row.id, "closes_at": closes_at}
+    transaction.record("season_extend", body)
 
 
 def erase_submitter(service: "Service", submitter: str) -> None:
     """Remove a person's data; the ledger holds ids and hashes alone, so its chain stays whole."""
-    database, now = service.database, service.clock()
-    with database.write() as connection:
+    with service.begin() as transaction:
         where = SUBMITTER.id == submitter
-        row = connection.execute(sa.select(schema.submitters).where(where)).first()
+        row = transaction.execute(sa.select(schema.submitters).where(where)).first()
         if row is None:
             raise Problem("not_found", f"no submitter {submitter!r}")
-        connection.execute(
+        transaction.execute(
             sa.update(schema.submitters)
             .where(where)
-            .values(name=f"erased-{submitter}", contact=None, erased_at=now)
+            .values(name=f"erased-{submitter}", contact=None, erased_at=transaction.now)
         )
         open_tokens = sa.update(schema.tokens).where(TOKEN.submitter == submitter)
-        connection.execute(open_tokens.values(revoked_at=now, label="erased"))
-        mine = connection.execute(
+        transaction.execute(open_tokens.values(revoked_at=transaction.now, label="erased"))
+        mine = transaction.execute(
             sa.select(SUBMISSION.id, SUBMISSION.artefact, SUBMISSION.season).where(
                 SUBMISSION.submitter == submitter
             )
         ).all()
         seasons = sorted({row.season for row in mine if row.season})
         for row in mine:
-            submissions.fail(connection, row.id, "withdrawn", now)
-            jobs.cancel_jobs(connection, row.id)  # of a scored one, whose file goes too
+            submissions.fail(transaction, row.id, "withdrawn")
+            jobs.cancel_jobs(transaction, row.id)  # of a scored one, whose file goes too
             update = sa.update(schema.submissions).where(SUBMISSION.id == row.id)
             # Its client chose the request, and may have written anything.
             nothing = dict.fromkeys(submissions.DESCRIPTION)
-            connection.execute(update.values(method="erased", request=row.id, **nothing))
-            _sign_anew(service, connection, row.id)
+            transaction.execute(update.values(method="erased", request=row.id, **nothing))
+            _sign_anew(service, transaction, row.id)
         others = sa.select(SUBMISSION.artefact).where(
             SUBMISSION.submitter != submitter, SUBMISSION.artefact.is_not(None)
         )
-        kept = set(connection.execute(others).scalars())
-        gone = {row.artefact for row in mine if row.artefact} - kept
-        connection.execute(
-            sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(gone)).values(erased_at=now)
+        needed = set(transaction.execute(others).scalars())
+        gone = {row.artefact for row in mine if row.artefact} - needed
+        transaction.execute(
+            sa.update(schema.artefacts)
+            .where(ARTEFACT.sha256.in_(gone))
+            .values(erased_at=transaction.now)
         )
-        ledger.append(connection, now, "erase", {"submitter": submitter})
+        transaction.record("erase", {"submitter": submitter})
         for season in seasons:
-            closing.go_on(connection, season, now)
-    with database.write() as connection:
+            closing.go_on(transaction, season)
+    with service.begin() as transaction:
         # Another lab may have handed one in since; nobody hands one in now.
-        for name in connection.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
+        for name in transaction.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
             service.artefacts.erase(name)
 
 
-def _sign_anew(service: "Service", connection: sa.Connection, submission: str) -> None:
+def _sign_anew(service: "Service", transaction: Transaction, submission: str) -> None:
     """Sign receipts without the method's name: the same score, at the same place of the ledger."""
     query = sa.select(RECEIPT.version, RECEIPT.content).where(RECEIPT.submission == submission)
-    for row in connection.execute(query).all():
+    for row in transaction.execute(query).all():
         content = row.content | {"method": "erased"}
         mine = sa.update(schema.receipts).where(
             RECEIPT.submission == submission, RECEIPT.version == row.version
         )
-        connection.execute(mine.values(content=content, signature=service.signer.sign(content)))
+        transaction.execute(mine.values(content=content, signature=service.signer.sign(content)))

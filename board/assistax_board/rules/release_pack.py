@@ -1,4 +1,4 @@
-"""A private release: whom it hides, and all of it as one file, which workers fetch by sha256."""
+"""A private release: its hidden partners, and all of it as one file, fetched by sha256."""
 
 import io
 import secrets
@@ -157,7 +157,7 @@ def _empty_release() -> "RegistryFile":
 
 
 def ordinal(index: int) -> str:
-    """Return the name of a hidden partner: it tells nothing of what it is."""
+    """Return the name of a hidden partner, which tells nothing about the partner."""
     return f"hidden-{index:04d}"
 
 

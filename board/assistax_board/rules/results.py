@@ -1,8 +1,7 @@
 """From results to scores: a result is taken once, and the last one of a panel makes its score."""
 
-import dataclasses
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -11,25 +10,18 @@ import sqlalchemy as sa
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.scoring import decode_table, table_bytes
-from assistax_board.store import ledger, schema
+from assistax_board.store import schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
-from assistax_board.store.database import Database, insert_once
-from assistax_board.store.receipts import Signer
+from assistax_board.store.database import Database, Reader, Transaction
 from assistax_board.store.schema import JOB, RESULT, SCORE, SEASON, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES
 
-
-@dataclasses.dataclass(frozen=True)
-class ResultStore:
-    """What accepting a result needs."""
-
-    database: Database
-    artefacts: Artefacts
-    signer: Signer
+if TYPE_CHECKING:
+    from assistax_board.service import Service
 
 
 def accept(
-    store: ResultStore,
+    service: "Service",
     job: str,
     secret: str,
     data: bytes,
@@ -37,90 +29,89 @@ def accept(
     episodes: int,
     preferences: tuple[str, ...],
     seconds: float,
-    now: float,
 ) -> bool:
-    """Take a job's result; return False where it was there already.
+    """Take a job's result; return False if it was there already.
 
     Raises:
         Problem: The lease was not the last to hold this job, or the table is not of this job.
     """
-    with store.database.read() as connection:
+    with service.database.read() as connection:
         row = jobs.held_job(connection, job, secret)
     if row is None or row.state == "cancelled":
         raise Problem("lease_lost", "this job is no longer yours; take the next")
-    kept = table_bytes(decode_table(data, partners, episodes, preferences))
-    name = store.artefacts.put(kept)
-    with store.database.write() as connection:
-        held = jobs.held_job(connection, job, secret)
+    packed = table_bytes(decode_table(data, partners, episodes, preferences))
+    name = service.artefacts.put(packed)
+    with service.begin() as transaction:
+        held = jobs.held_job(transaction, job, secret)
         if held is None or held.state not in ("leased", "waiting"):
             return False
-        record_artefact(connection, name, len(kept), now)
-        result = {"table": name, "seconds": seconds, "created_at": now}
+        record_artefact(transaction, name, len(packed))
+        result = {"table": name, "seconds": seconds, "created_at": transaction.now}
         result |= {key: getattr(row, key) for key in ("submission", "version", "panel", "chunk")}
-        if not insert_once(connection, schema.results, result):
+        if not transaction.insert_once(schema.results, result):
             return False
-        connection.execute(
-            sa.update(schema.jobs).where(JOB.id == job).values(state="done", done_at=now)
+        transaction.execute(
+            sa.update(schema.jobs)
+            .where(JOB.id == job)
+            .values(state="done", done_at=transaction.now)
         )
-        if _left(connection, row, row.panel) == 0:
-            _finish_panel(store, connection, row, now)
+        if _count_unfinished(transaction, row, row.panel) == 0:
+            _score_panel(service, transaction, row)
     return True
 
 
-def _left(connection: sa.Connection, job: Any, *panels: str) -> int:
-    """Return how many jobs of these panels are not done."""
+def _count_unfinished(transaction: Transaction, job: Any, *panels: str) -> int:
+    """Return the number of unfinished jobs of these panels."""
     where = [
         JOB.submission == job.submission,
         JOB.version == job.version,
         JOB.panel.in_(panels),
         JOB.state != "done",
     ]
-    return connection.execute(sa.select(sa.func.count()).where(*where)).scalar_one()
+    return transaction.execute(sa.select(sa.func.count()).where(*where)).scalar_one()
 
 
-def _finish_panel(store: ResultStore, connection: sa.Connection, job: Any, now: float) -> None:
-    """Make the score of a panel whose last result has come, and go on to what comes next."""
-    table = panel_table(store.artefacts, connection, job.submission, job.version, job.panel)
+def _score_panel(service: "Service", transaction: Transaction, job: Any) -> None:
+    """Score a complete panel, then start the next."""
+    table = panel_table(service.artefacts, transaction, job.submission, job.version, job.panel)
     row = {
         "submission": job.submission,
         "version": job.version,
         "panel": job.panel,
         "figures": figures(table),
-        "created_at": now,
+        "created_at": transaction.now,
     }
     # Panel B is played when nobody submits any more: all of it may be shown.
     row["released"] = row["figures"] if job.panel == "B" else None
-    connection.execute(sa.insert(schema.scores).values(row))
+    transaction.execute(sa.insert(schema.scores).values(row))
     if job.panel == "B":
-        _finish_b(store, connection, job, row["figures"], now)
+        _record_b(service, transaction, job, row["figures"])
         return
     if job.panel == "public":
-        connection.execute(sa.insert(schema.partner_scores), _partner_rows(job, table))
-        jobs.release_held(connection, job.submission, job.version)
-    if _left(connection, job, "public", "A") == 0:
-        _release(store, connection, job, now)
+        transaction.execute(sa.insert(schema.partner_scores), _partner_rows(job, table))
+        jobs.release_held(transaction, job.submission, job.version)
+    if _count_unfinished(transaction, job, "public", "A") == 0:
+        _release(service, transaction, job)
 
 
-def _finish_b(
-    store: ResultStore, connection: sa.Connection, job: Any, figures: dict[str, Any], now: float
+def _record_b(
+    service: "Service", transaction: Transaction, job: Any, figures: dict[str, Any]
 ) -> None:
     """Note a score on panel B, and reveal the season after its last one."""
     body = {"id": job.submission, "version": job.version, "released": {"B": figures}}
-    ledger.append(connection, now, "score", body)
-    row = submissions.find_submission(connection, job.submission)
+    transaction.record("score", body)
+    row = submissions.find_submission(transaction, job.submission)
     if row.state not in FINAL_STATES:  # a reference plays this panel alone
-        submissions.end(connection, row, "scored", None, "spent", now)
-    closing.go_on(connection, row.season, now)
+        submissions.end(transaction, row, "scored", None, "spent")
+    closing.go_on(transaction, row.season)
 
 
 def panel_table(
-    artefacts: Artefacts, connection: sa.Connection, submission: str, version: str, panel: str
+    artefacts: Artefacts, reader: Reader, submission: str, version: str, panel: str
 ) -> pl.DataFrame:
     """Return all episodes of a panel, in the order of its chunks."""
     where = RESULT.submission == submission, RESULT.version == version, RESULT.panel == panel
-    names = connection.execute(
-        sa.select(RESULT.table).where(*where).order_by(RESULT.chunk)
-    ).scalars()
+    names = reader.execute(sa.select(RESULT.table).where(*where).order_by(RESULT.chunk)).scalars()
     return pl.concat([pl.read_parquet(io.BytesIO(artefacts.get(name))) for name in names])
 
 
@@ -186,45 +177,45 @@ def _partner_rows(job: Any, table: pl.DataFrame) -> list[dict[str, Any]]:
     return [{**identity, **row} for row in grouped.to_dicts()]
 
 
-def _release(store: ResultStore, connection: sa.Connection, job: Any, now: float) -> None:
-    """Show what may be shown, end the submission, and sign the receipt: all in one transaction."""
+def _release(service: "Service", transaction: Transaction, job: Any) -> None:
+    """Release the scores, end the submission and sign its receipt, all in one transaction."""
     mine = (SCORE.submission == job.submission) & (SCORE.version == job.version)
     query = sa.select(SCORE.panel, SCORE.figures).where(mine)
-    scores = {row.panel: row.figures for row in connection.execute(query)}
-    shown = {"public": scores["public"]}
-    row = submissions.find_submission(connection, job.submission)
-    if "A" in scores and (answer := _hidden_answer(store, connection, job, row)):
-        shown["A"] = answer
-    for panel, value in shown.items():
+    scores = {row.panel: row.figures for row in transaction.execute(query)}
+    released = {"public": scores["public"]}
+    row = submissions.find_submission(transaction, job.submission)
+    if "A" in scores and (answer := _hidden_answer(service, transaction, job, row)):
+        released["A"] = answer
+    for panel, value in released.items():
         update = sa.update(schema.scores).where(mine, SCORE.panel == panel)
-        connection.execute(update.values(released=value))
-    body = {"id": row.id, "version": job.version, "released": shown}
-    entry = ledger.append(connection, now, "score", body)
+        transaction.execute(update.values(released=value))
+    body = {"id": row.id, "version": job.version, "released": released}
+    entry = transaction.record("score", body)
     if row.state not in FINAL_STATES:
-        submissions.end(connection, row, "scored", None, "spent", now)
-    _sign(store, connection, row, job.version, shown, entry, now)
+        submissions.end(transaction, row, "scored", None, "spent")
+    _sign(service, transaction, row, job.version, released, entry)
     if row.season is not None:
-        closing.go_on(connection, row.season, now)
+        closing.go_on(transaction, row.season)
 
 
 def _hidden_answer(
-    store: ResultStore, connection: sa.Connection, job: Any, row: Any
+    service: "Service", transaction: Transaction, job: Any, row: Any
 ) -> dict[str, Any] | None:
-    """Return what the Ladder shows of panel A: a rounded mean, or nothing."""
+    """Return the Ladder's answer for panel A: a rounded mean, or None for silence."""
     from assistax_board.places.ladder import ladder_release
 
     def means(submission: str) -> np.ndarray:
-        table = panel_table(store.artefacts, connection, submission, job.version, "A")
+        table = panel_table(service.artefacts, transaction, submission, job.version, "A")
         return partner_means(table)
 
-    best = _shown_last(connection, row, job.version)
+    best = _shown_last(transaction, row, job.version)
     new = means(row.id)
-    attempt = 1 + _scored_before(connection, row, job.version)
+    attempt = 1 + _scored_before(transaction, row, job.version)
     value = ladder_release(None if best is None else means(best), new, attempt=attempt)
     return None if value is None else {"mean": value, "n": int(new.size)}
 
 
-def _scored_before(connection: sa.Connection, row: Any, version: str) -> int:
+def _scored_before(transaction: Transaction, row: Any, version: str) -> int:
     """Return how many other submissions of this lab panel A has scored in this season."""
     query = (
         sa.select(sa.func.count())
@@ -237,10 +228,10 @@ def _scored_before(connection: sa.Connection, row: Any, version: str) -> int:
         )
         .where(SCORE.panel == "A", SCORE.version == version)
     )
-    return connection.execute(query).scalar_one()
+    return transaction.execute(query).scalar_one()
 
 
-def _shown_last(connection: sa.Connection, row: Any, version: str) -> str | None:
+def _shown_last(transaction: Transaction, row: Any, version: str) -> str | None:
     """Return the submission of this lab whose score on panel A was shown last in this season."""
     query = (
         sa.select(SCORE.submission)
@@ -253,17 +244,16 @@ def _shown_last(connection: sa.Connection, row: Any, version: str) -> str | None
         .where(SCORE.panel == "A", SCORE.version == version, SCORE.released.is_not(None))
         .order_by(SCORE.created_at.desc())
     )
-    return connection.execute(query.limit(1)).scalar()
+    return transaction.execute(query.limit(1)).scalar()
 
 
 def _sign(
-    store: ResultStore,
-    connection: sa.Connection,
+    service: "Service",
+    transaction: Transaction,
     row: Any,
     version: str,
-    shown: dict[str, Any],
+    released: dict[str, Any],
     entry: Any,
-    now: float,
 ) -> None:
     content = {
         "submission": row.id,
@@ -272,16 +262,16 @@ def _sign(
         "artefact": row.artefact,
         "season": row.season,
         "version": version,
-        "scores": shown,
+        "scores": released,
         "ledger": {"seq": entry.seq, "hash": entry.hash},
-        "issued_at": now,
-        "key": store.signer.public_key,
+        "issued_at": transaction.now,
+        "key": service.signer.public_key,
     }
     values = {
         "submission": row.id,
         "version": version,
         "content": content,
-        "signature": store.signer.sign(content),
-        "created_at": now,
+        "signature": service.signer.sign(content),
+        "created_at": transaction.now,
     }
-    connection.execute(sa.insert(schema.receipts).values(values))
+    transaction.execute(sa.insert(schema.receipts).values(values))

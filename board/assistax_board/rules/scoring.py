@@ -1,4 +1,4 @@
-"""What a worker is asked to play, and who plays it: one interface, so that tests inject one."""
+"""A worker's job, the interface that plays it, and the format of its result."""
 
 import dataclasses
 import io
@@ -122,7 +122,7 @@ def decode_table(
 
 
 def table_bytes(table: pl.DataFrame) -> bytes:
-    """Return a result as it is kept, Parquet in one order: who played it does not show."""
+    """Return a result as Parquet with sorted rows, the same bytes for every worker."""
     buffer = io.BytesIO()
     _in_order(table).write_parquet(buffer, compression="zstd")
     return buffer.getvalue()
@@ -136,5 +136,5 @@ def _in_order(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def cut(panel: tuple[str, ...], size: int) -> list[tuple[str, ...]]:
-    """Cut a panel into chunks; who plays them, and how many at once, changes nothing."""
+    """Return a panel cut into chunks of `size`; the last one may be shorter."""
     return [panel[start : start + size] for start in range(0, len(panel), size)]

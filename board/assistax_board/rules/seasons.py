@@ -28,13 +28,14 @@ from assistax_board.rules.release_pack import (
     secret_persons,
     unpack,
 )
-from assistax_board.store import ledger, schema
+from assistax_board.store import schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
-from assistax_board.store.database import Database
+from assistax_board.store.database import Database, Transaction
 from assistax_board.store.played import describe_partners
 from assistax_board.store.schema import SEASON
 
 if TYPE_CHECKING:
+    from assistax_board.service import Service
     from zoo.registry import Registry
     from zoo.schema import PolicyEntry
 
@@ -51,7 +52,7 @@ DEFAULT_RULES = (
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What an organiser wants."""
+    """An organiser's plan of a season."""
 
     name: str
     task: str
@@ -60,14 +61,7 @@ class Plan:
     small: bool = False  # allow fewer than `ENOUGH_IN_B` partners in panel B
 
 
-def create_season(
-    database: Database,
-    artefacts: Artefacts,
-    plan: Plan,
-    folder: Path,
-    public: "Registry",
-    now: float,
-) -> str:
+def create_season(service: "Service", plan: Plan, folder: Path, public: "Registry") -> str:
     """Make a season of the private release in a folder, and return its id.
 
     Raises:
@@ -96,51 +90,48 @@ def create_season(
         "state": "draft",
         "budget": plan.budget,
         "rules": plan.rules,
-        "release": artefacts.put(packed),
+        "release": service.artefacts.put(packed),
         "secret": {"leaves": leaves},
         "panel_sizes": sizes,
         "hidden": describe_partners(private, entries),
-        "created_at": now,
     }
-    with database.write() as connection:
-        if connection.execute(sa.select(SEASON.id).where(SEASON.name == plan.name)).first():
+    with service.begin() as transaction:
+        if transaction.execute(sa.select(SEASON.id).where(SEASON.name == plan.name)).first():
             raise Problem("conflict", f"there is a season {plan.name!r}; choose another name")
-        _check_unseen(connection, row["id"], leaves)
-        record_artefact(connection, row["release"], len(packed), now)
-        connection.execute(sa.insert(schema.seasons).values(row))
+        _check_unseen(transaction, row["id"], leaves)
+        record_artefact(transaction, row["release"], len(packed))
+        transaction.execute(sa.insert(schema.seasons).values(row | {"created_at": transaction.now}))
     return row["id"]
 
 
-def open_season(database: Database, name: str, now: float, closes_at: float | None = None) -> str:
+def open_season(transaction: Transaction, name: str, closes_at: float | None = None) -> str:
     """Publish the Merkle root and the closing date, and let labs submit; return the root.
 
     Args:
-        database: Of the service.
+        transaction: In which the opening is recorded.
         name: Name or id of the season.
-        now: The time.
         closes_at: When it closes by itself; `OPEN_SECONDS` from now if not given.
 
     Raises:
         Problem: There is no such draft, or the date is not ahead.
     """
-    closes_at = now + OPEN_SECONDS if closes_at is None else closes_at
-    if not now < closes_at < now + MAX_OPEN_SECONDS:
+    closes_at = transaction.now + OPEN_SECONDS if closes_at is None else closes_at
+    if not transaction.now < closes_at < transaction.now + MAX_OPEN_SECONDS:
         raise Problem("invalid", "a season closes within three years from now")
-    with database.write() as connection:
-        row = find_season(connection, name, "draft", None)
-        _check_unseen(connection, row.id, row.secret["leaves"])
-        check_program(row.name, row.secret["leaves"])
-        root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
-        values = {"state": "open", "root": root, "opened_at": now, "closes_at": closes_at}
-        connection.execute(sa.update(schema.seasons).where(SEASON.id == row.id).values(values))
-        body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
-        body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
-        ledger.append(connection, now, "season_open", body)
+    row = find_season(transaction, name, "draft")
+    _check_unseen(transaction, row.id, row.secret["leaves"])
+    check_program(row.name, row.secret["leaves"])
+    root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
+    values = {"state": "open", "root": root, "opened_at": transaction.now, "closes_at": closes_at}
+    transaction.execute(sa.update(schema.seasons).where(SEASON.id == row.id).values(values))
+    body = {"season": row.id, "name": row.name, "task": row.task, "root": root}
+    body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
+    transaction.record("season_open", body)
     return root
 
 
 def revealed(database: Database, name: str) -> dict[str, Any]:
-    """Return what a closed season publishes: its root, its leaves with their salts, its release.
+    """Return the statement of a closed season: root, leaves with salts, and release.
 
     Raises:
         Problem: It is not closed; nothing of it is told before.
@@ -204,11 +195,11 @@ def panel_seed(leaves: Sequence[dict[str, Any]], panel: str) -> str:
     return next(leaf["seeds"][panel] for leaf in leaves if "seeds" in leaf)
 
 
-def _check_unseen(connection: sa.Connection, id: str, leaves: Sequence[dict[str, Any]]) -> None:
+def _check_unseen(transaction: Transaction, id: str, leaves: Sequence[dict[str, Any]]) -> None:
     """Refuse partners of a season that was opened: they are known, or will be when it closes."""
     mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
     others = sa.select(SEASON.name, SEASON.secret).where(SEASON.id != id, SEASON.state != "draft")
-    for name, secret in connection.execute(others):
+    for name, secret in transaction.execute(others):
         if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
             raise Problem(
                 "conflict",

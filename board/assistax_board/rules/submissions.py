@@ -20,9 +20,9 @@ from assistax_board.problems import Problem, Refusal
 from assistax_board.rules import jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
 from assistax_board.rules.scoring import cut
-from assistax_board.store import ledger, schema
+from assistax_board.store import schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
-from assistax_board.store.database import Database, insert_once
+from assistax_board.store.database import Database, Reader, Transaction
 from assistax_board.store.played import warning_of
 from assistax_board.store.schema import JOB, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
@@ -36,7 +36,7 @@ DESCRIPTION = {"about": 600, "link": 200, "citation": 1000}
 
 
 class Admitted(NamedTuple):
-    """What admission found in a file."""
+    """Result of a file's admission."""
 
     format: str
     env_version: int | None = None  # in which its robot was trained, as it says
@@ -62,7 +62,7 @@ class Draft:
 
 
 def check_draft(draft: Draft, catalogue: Catalogue) -> None:
-    """Refuse what no admission has to look at.
+    """Check the fields of a draft, before its file is admitted.
 
     Raises:
         Problem: A field is not of the form.
@@ -97,48 +97,45 @@ def known(database: Database, submitter: str, request: str) -> str | None:
 
 
 def submit(
-    database: Database,
+    transaction: Transaction,
     artefacts: Artefacts,
     catalogue: Catalogue,
     submitter: str,
     draft: Draft,
-    now: float,
 ) -> str:
     """Record a submission with its jobs, and return its id; a repeated request adds nothing."""
-    kept = None
-    with database.write() as connection:
-        erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
-        if connection.execute(erased).scalar() is not None:
-            raise Problem(
-                "not_signed_in", "this token's lab was erased; ask the organiser for a new token"
-            )
-        if before := _known(connection, submitter, draft.request):
-            return before
-        season = _open_season(connection, draft, now) if draft.season else None
-        if season is not None and draft.refusal is None:
-            _check_not_disqualified(connection, season, submitter)
-            _check_budget(connection, season, submitter)
-        if draft.data is not None and draft.refusal is None:
-            kept = artefacts.put(draft.data)
-            record_artefact(connection, kept, len(draft.data), now)
-        public = catalogue.identity(draft.task).get("env_version")
-        row = _row(connection, submitter, draft, kept, now)
-        row["warning"] = warning_of(draft.env_version, public, season)
-        connection.execute(sa.insert(schema.submissions).values(row))
-        if draft.refusal is None:
-            plan_jobs(connection, catalogue, row, season, now)
-        names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
-        body = {name: row[name] for name in names}
-        ledger.append(connection, now, "submission", body)
+    artefact = None
+    erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
+    if transaction.execute(erased).scalar() is not None:
+        raise Problem(
+            "not_signed_in", "this token's lab was erased; ask the organiser for a new token"
+        )
+    if before := _known(transaction, submitter, draft.request):
+        return before
+    season = _open_season(transaction, draft) if draft.season else None
+    if season is not None and draft.refusal is None:
+        _check_not_disqualified(transaction, season, submitter)
+        _check_budget(transaction, season, submitter)
+    if draft.data is not None and draft.refusal is None:
+        artefact = artefacts.put(draft.data)
+        record_artefact(transaction, artefact, len(draft.data))
+    public = catalogue.identity(draft.task).get("env_version")
+    row = _row(transaction, submitter, draft, artefact)
+    row["warning"] = warning_of(draft.env_version, public, season)
+    transaction.execute(sa.insert(schema.submissions).values(row))
+    if draft.refusal is None:
+        plan_jobs(transaction, catalogue, row, season)
+    names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
+    body = {name: row[name] for name in names}
+    transaction.record("submission", body)
     return row["id"]
 
 
 def plan_jobs(
-    connection: sa.Connection,
+    transaction: Transaction,
     catalogue: Catalogue,
     row: Any,
     season: Any | None,
-    now: float,
 ) -> None:
     """Cut a submission into jobs: the public panel, and then panel A of its season.
 
@@ -147,14 +144,19 @@ def plan_jobs(
     """
     identity = catalogue.identity(row["task"])
     version = version_id(identity)
-    known = {"id": version, "task": row["task"], "identity": identity, "created_at": now}
-    insert_once(connection, schema.versions, known)
+    known = {
+        "id": version,
+        "task": row["task"],
+        "identity": identity,
+        "created_at": transaction.now,
+    }
+    transaction.insert_once(schema.versions, known)
     public = len(cut(catalogue.public_panel(row["task"]), CHUNK))
-    order: dict[str, Any] = {"turn": row["turn"], "now": now}
-    jobs.add_jobs(connection, row["id"], version, "public", public, **order)
+    order: dict[str, Any] = {"turn": row["turn"]}
+    jobs.add_jobs(transaction, row["id"], version, "public", public, **order)
     if season is not None:
         hidden = count_chunks(season.panel_sizes["A"])
-        jobs.add_jobs(connection, row["id"], version, "A", hidden, held=True, **order)
+        jobs.add_jobs(transaction, row["id"], version, "A", hidden, held=True, **order)
 
 
 def count_chunks(partners: int) -> int:
@@ -162,85 +164,83 @@ def count_chunks(partners: int) -> int:
     return -(-partners // CHUNK)
 
 
-def fail(connection: sa.Connection, id: str, reason: str, now: float) -> None:
+def fail(transaction: Transaction, id: str, reason: str) -> None:
     """End a submission without a score; one that has ended stays as it is."""
-    row = find_submission(connection, id)
+    row = find_submission(transaction, id)
     if row is None or row.state in FINAL_STATES:
         return
-    spent = row.season is not None and reason in OWN_FAILURES and _met_hidden(connection, id)
-    end(connection, row, "failed", reason, "spent" if spent else "refunded", now)
+    spent = row.season is not None and reason in OWN_FAILURES and _met_hidden(transaction, id)
+    end(transaction, row, "failed", reason, "spent" if spent else "refunded")
 
 
-def refuse(connection: sa.Connection, id: str, code: str, now: float) -> None:
+def refuse(transaction: Transaction, id: str, code: str) -> None:
     """End a submission that a worker could not play for the robot's own fault."""
-    row = find_submission(connection, id)
+    row = find_submission(transaction, id)
     if row is None or row.state in FINAL_STATES:
         return
-    if row.season is not None and _met_hidden(connection, id):
+    if row.season is not None and _met_hidden(transaction, id):
         reason = code if code == "too_slow" else "broke_down"
-        end(connection, row, "failed", reason, "spent", now)
+        end(transaction, row, "failed", reason, "spent")
     else:
-        end(connection, row, "refused", code, "refunded", now)
+        end(transaction, row, "refused", code, "refunded")
 
 
 def end(
-    connection: sa.Connection,
+    transaction: Transaction,
     row: Any,
     state: str,
     reason: str | None,
     attempt: str,
-    now: float,
 ) -> None:
     """Bring a submission to its end, in state, attempt, queue and ledger."""
     attempt = attempt if row.season is not None else "free"
-    values = {"state": state, "reason": reason, "attempt": attempt, "finished_at": now}
-    connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
-    jobs.cancel_jobs(connection, row.id)
+    values = {"state": state, "reason": reason, "attempt": attempt, "finished_at": transaction.now}
+    transaction.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
+    jobs.cancel_jobs(transaction, row.id)
     body = {"id": row.id, "state": state, "reason": reason, "attempt": attempt}
-    ledger.append(connection, now, "end", body)
+    transaction.record("end", body)
 
 
-def withdraw(database: Database, id: str, submitter: str, now: float) -> None:
+def withdraw(transaction: Transaction, id: str, submitter: str) -> None:
     """End a submission because its submitter wants so."""
-    with database.write() as connection:
-        row = find_submission(connection, id)
-        if row is None or row.submitter != submitter:
-            raise Problem("not_found", f"you have no submission {id!r}")
-        if row.state == "scored":
-            _retract(connection, row, now)
-        elif row.state in FINAL_STATES:
-            raise Problem("too_late", f"submission {id} has ended: {row.state}")
-        else:
-            fail(connection, id, "withdrawn", now)
+    row = find_submission(transaction, id)
+    if row is None or row.submitter != submitter:
+        raise Problem("not_found", f"you have no submission {id!r}")
+    if row.state == "scored":
+        _retract(transaction, row)
+    elif row.state in FINAL_STATES:
+        raise Problem("too_late", f"submission {id} has ended: {row.state}")
+    else:
+        fail(transaction, id, "withdrawn")
 
 
-def _retract(connection: sa.Connection, row: Any, now: float) -> None:
+def _retract(transaction: Transaction, row: Any) -> None:
     """Take a scored submission off its board; its score, attempt and receipt stay known."""
     closing = sa.select(SEASON.name).where(SEASON.id == row.season, SEASON.state == "closing")
-    if name := connection.execute(closing).scalar():
+    if name := transaction.execute(closing).scalar():
         raise Problem(
             "too_late",
             f"season {name} is closing, so its submissions can no longer be withdrawn",
         )
     values = {"state": "retracted", "reason": "withdrawn", "entered_at": None}
-    connection.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
-    jobs.cancel_jobs(connection, row.id)
-    ledger.append(connection, now, "retract", {"id": row.id})
+    transaction.execute(sa.update(schema.submissions).where(SUBMISSION.id == row.id).values(values))
+    jobs.cancel_jobs(transaction, row.id)
+    transaction.record("retract", {"id": row.id})
 
 
-def find_submission(connection: sa.Connection, id: str) -> Any:
-    """Return a submission's row, or None."""
+def find_submission(transaction: Transaction, id: str) -> Any:
+    """Return a submission's row, or None if there is no such submission."""
     query = sa.select(schema.submissions).where(SUBMISSION.id == id)
-    return connection.execute(query).first()
+    return transaction.execute(query).first()
 
 
-def _known(connection: sa.Connection, submitter: str, request: str) -> str | None:
+def _known(reader: Reader, submitter: str, request: str) -> str | None:
     where = SUBMISSION.submitter == submitter, SUBMISSION.request == request
-    return connection.execute(sa.select(SUBMISSION.id).where(*where)).scalar()
+    return reader.execute(sa.select(SUBMISSION.id).where(*where)).scalar()
 
 
 def _row(
-    connection: sa.Connection, submitter: str, draft: Draft, kept: str | None, now: float
+    transaction: Transaction, submitter: str, draft: Draft, artefact: str | None
 ) -> dict[str, Any]:
     refused = draft.refusal is not None
     attempt = "free" if draft.season is None else "refunded" if refused else "reserved"
@@ -254,7 +254,7 @@ def _row(
         "task": draft.task,
         "method": draft.method,
         "kind": draft.kind,
-        "artefact": kept,
+        "artefact": artefact,
         "format": draft.format,
         "licence": draft.licence,
         "season": draft.season,
@@ -262,36 +262,36 @@ def _row(
         "reason": draft.refusal,
         "attempt": attempt,
         # Who has more in the queue waits longer: one lab cannot keep all others out.
-        "turn": LAST if draft.kind == "reference" else connection.execute(waiting).scalar_one(),
-        "created_at": now,
-        "finished_at": now if refused else None,
+        "turn": LAST if draft.kind == "reference" else transaction.execute(waiting).scalar_one(),
+        "created_at": transaction.now,
+        "finished_at": transaction.now if refused else None,
         **{name: getattr(draft, name) or None for name in DESCRIPTION},
     }
 
 
-def _open_season(connection: sa.Connection, draft: Draft, now: float) -> Any:
-    row = connection.execute(sa.select(schema.seasons).where(SEASON.id == draft.season)).first()
+def _open_season(transaction: Transaction, draft: Draft) -> Any:
+    row = transaction.execute(sa.select(schema.seasons).where(SEASON.id == draft.season)).first()
     if row is None or row.task != draft.task:
         raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
     if row.state != "open":
         raise Problem("too_late", f"season {row.name} is {row.state}; it must be open")
-    if row.closes_at is not None and row.closes_at <= now:
+    if row.closes_at is not None and row.closes_at <= transaction.now:
         raise Problem("too_late", f"the closing date of season {row.name} has passed")
     return row
 
 
-def attempts_left(connection: sa.Connection, season: Any, submitter: str) -> int:
+def attempts_left(transaction: Transaction, season: Any, submitter: str) -> int:
     """Count attempts anew each time: a counter could be lost between two transactions."""
     query = sa.select(sa.func.count()).where(
         SUBMISSION.season == season.id,
         SUBMISSION.submitter == submitter,
         SUBMISSION.attempt.in_(("reserved", "spent")),
     )
-    return max(0, season.budget - connection.execute(query).scalar_one())
+    return max(0, season.budget - transaction.execute(query).scalar_one())
 
 
-def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> None:
-    if attempts_left(connection, season, submitter) == 0:
+def _check_budget(transaction: Transaction, season: Any, submitter: str) -> None:
+    if attempts_left(transaction, season, submitter) == 0:
         raise Problem(
             "budget_spent",
             f"all {season.budget} attempts of season {season.name} are made or under way; submit "
@@ -299,23 +299,23 @@ def _check_budget(connection: sa.Connection, season: Any, submitter: str) -> Non
         )
 
 
-def _check_not_disqualified(connection: sa.Connection, season: Any, submitter: str) -> None:
+def _check_not_disqualified(transaction: Transaction, season: Any, submitter: str) -> None:
     out = SUBMISSION.submitter == submitter, SUBMISSION.reason == "disqualified"
     query = sa.select(SUBMISSION.id).where(SUBMISSION.season == season.id, *out)
-    if connection.execute(query.limit(1)).first():
+    if transaction.execute(query.limit(1)).first():
         raise Problem("not_allowed", f"the organiser disqualified you from season {season.name}")
 
 
-def _met_hidden(connection: sa.Connection, id: str) -> bool:
+def _met_hidden(transaction: Transaction, id: str) -> bool:
     """Return whether a worker ever took up a hidden panel of this submission."""
     query = sa.select(JOB.id).where(
         JOB.submission == id, JOB.panel == "A", JOB.leased_at.is_not(None)
     )
-    return connection.execute(query.limit(1)).first() is not None
+    return transaction.execute(query.limit(1)).first() is not None
 
 
 def admitted(admit: Any, draft: Draft) -> Draft:
-    """Return the draft with what admission says of its file: its format, or why it is refused."""
+    """Return the draft with its file's format, or with the reason of its refusal."""
     if draft.data is None:
         return draft
     try:

@@ -1,4 +1,4 @@
-"""Tokens: who asks, and what they may do. Only hashes are kept; they travel in headers alone."""
+"""Tokens with their scopes. The database holds only hashes; tokens travel in headers alone."""
 
 import dataclasses
 import secrets
@@ -10,7 +10,7 @@ from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.store import schema
-from assistax_board.store.database import Database
+from assistax_board.store.database import Database, Transaction
 from assistax_board.store.schema import SUBMITTER, TOKEN
 from assistax_board.vocabulary import SCOPES, Scope
 
@@ -19,7 +19,7 @@ PREFIX = "azt_"  # so that scanners of leaked secrets can know one
 
 @dataclasses.dataclass(frozen=True)
 class Principal:
-    """Who a valid token belongs to."""
+    """Owner and scopes of a valid token."""
 
     token: str  # its id
     scopes: tuple[Scope, ...]
@@ -28,7 +28,7 @@ class Principal:
 
 @dataclasses.dataclass(frozen=True)
 class TokenInfo:
-    """What is known of a token, without its secret."""
+    """Description of a token, without its secret."""
 
     id: str
     label: str
@@ -39,8 +39,7 @@ class TokenInfo:
 
 
 def create_token(
-    database: Database,
-    now: float,
+    transaction: Transaction,
     scopes: Sequence[Scope],
     *,
     label: str = "",
@@ -50,8 +49,7 @@ def create_token(
     """Make a token and return it: the only time that it is seen.
 
     Args:
-        database: Where it is kept.
-        now: The time.
+        transaction: In which it is made.
         scopes: What it may do.
         label: For the organiser's list.
         submitter: Name of the lab that submits with it; made if it is new.
@@ -62,22 +60,21 @@ def create_token(
     if "submit" in scopes and not submitter:
         raise Problem("invalid", "a token that submits needs the name of a submitter")
     token = PREFIX + secrets.token_urlsafe(32)
-    with database.write() as connection:
-        owner = find_or_add(connection, submitter, contact, now) if submitter else None
-        row = {
-            "id": new_id(8),
-            "sha256": sha256(token.encode()),
-            "scopes": list(scopes),
-            "submitter": owner,
-            "label": label,
-            "created_at": now,
-        }
-        connection.execute(sa.insert(schema.tokens).values(row))
+    owner = find_or_add(transaction, submitter, contact) if submitter else None
+    row = {
+        "id": new_id(8),
+        "sha256": sha256(token.encode()),
+        "scopes": list(scopes),
+        "submitter": owner,
+        "label": label,
+        "created_at": transaction.now,
+    }
+    transaction.execute(sa.insert(schema.tokens).values(row))
     return token
 
 
 def authenticate(database: Database, token: str) -> Principal:
-    """Return whom a token belongs to.
+    """Return the principal of a token.
 
     Raises:
         Problem: It is unknown or was revoked; which of the two is not told.
@@ -92,11 +89,12 @@ def authenticate(database: Database, token: str) -> Principal:
     return Principal(row.id, tuple(row.scopes), row.submitter)
 
 
-def revoke_token(database: Database, now: float, token_id: str) -> None:
+def revoke_token(transaction: Transaction, token_id: str) -> None:
     """Make a token invalid from now on."""
-    with database.write() as connection:
-        where = (TOKEN.id == token_id) & TOKEN.revoked_at.is_(None)
-        changed = connection.execute(sa.update(schema.tokens).where(where).values(revoked_at=now))
+    where = (TOKEN.id == token_id) & TOKEN.revoked_at.is_(None)
+    changed = transaction.execute(
+        sa.update(schema.tokens).where(where).values(revoked_at=transaction.now)
+    )
     if not changed.rowcount:
         raise Problem("not_found", f"no valid token {token_id!r}; `token list` shows them")
 
@@ -124,11 +122,11 @@ def submitter_id(database: Database, name: str) -> str:
     return owner
 
 
-def find_or_add(connection: sa.Connection, name: str, contact: str | None, now: float) -> str:
+def find_or_add(transaction: Transaction, name: str, contact: str | None) -> str:
     """Return the id of the lab of this name, which is made if it is new."""
-    owner = connection.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
+    owner = transaction.execute(sa.select(SUBMITTER.id).where(SUBMITTER.name == name)).scalar()
     if owner is not None:
         return owner
-    row = {"id": new_id(), "name": name, "contact": contact, "created_at": now}
-    connection.execute(sa.insert(schema.submitters).values(row))
+    row = {"id": new_id(), "name": name, "contact": contact, "created_at": transaction.now}
+    transaction.execute(sa.insert(schema.submitters).values(row))
     return row["id"]

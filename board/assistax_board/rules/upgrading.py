@@ -1,4 +1,4 @@
-"""After an upgrade: what was scored by other versions is scored anew, unless a season closes."""
+"""After an upgrade, plan every submission at the new version, unless a season is closing."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def adopt_version(service: "Service") -> int:
-    """Cut everything into jobs of the current version that has none: after an upgrade.
+    """Plan jobs of the current version for each submission that has none; return their number.
 
     Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
     older versions stay.
@@ -25,13 +25,13 @@ def adopt_version(service: "Service") -> int:
         Problem: A season is closing under another version, or has persons of another program;
             nothing was changed.
     """
-    now, changed = service.clock(), 0
+    changed = 0
     _check_programs(service)
     for task in service.catalogue.tasks:
         _check_closing(service, task)
     for task in service.catalogue.tasks:
         version = version_id(service.catalogue.identity(task))
-        with service.database.write() as connection:
+        with service.begin() as transaction:
             planned = sa.select(JOB.submission).where(JOB.version == version)
             stale = sa.select(schema.submissions).where(
                 SUBMISSION.task == task,
@@ -42,11 +42,11 @@ def adopt_version(service: "Service") -> int:
                 # Nobody has the file of an erased lab.
                 SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
             )
-            for row in connection.execute(stale).mappings().all():
-                jobs.cancel_jobs(connection, row["id"])
-                season = closing.season_of(connection, row["id"])
+            for row in transaction.execute(stale).mappings().all():
+                jobs.cancel_jobs(transaction, row["id"])
+                season = closing.season_of(transaction, row["id"])
                 season = season if season is not None and season.state == "open" else None
-                submissions.plan_jobs(connection, service.catalogue, row, season, now)
+                submissions.plan_jobs(transaction, service.catalogue, row, season)
                 changed += 1
     return changed
 
@@ -60,7 +60,7 @@ def _check_programs(service: "Service") -> None:
 
 
 def _check_closing(service: "Service", task: str) -> None:
-    """Refuse another version while a season closes: what was in by then is played once, by one."""
+    """Refuse another version while a season closes: one version plays all of its submissions."""
     identity = service.catalogue.identity(task)
     query = (
         sa.select(SEASON.name, VERSION.identity)

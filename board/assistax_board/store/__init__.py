@@ -1,1 +1,1 @@
-"""What the board keeps: the database, artefacts, the ledger, receipts, backups."""
+"""Storage of the board: the database, artefacts, the ledger, receipts, backups."""

@@ -10,14 +10,14 @@ from assistax_base.digest import sha256
 from assistax_base.files import atomic_write
 from assistax_board.problems import Problem
 from assistax_board.store import schema
-from assistax_board.store.database import insert_once
+from assistax_board.store.database import Transaction
 from assistax_board.store.schema import ARTEFACT
 
 ARTEFACTS_FOLDER = "artefacts"  # in a data folder, if no store is named
 
 
 class Artefacts:
-    """Bytes that never change; what is read is checked against its name."""
+    """Store of immutable bytes by their sha256, which every read checks."""
 
     def __init__(self, address: str) -> None:
         """Use a folder, or an address such as "s3://bucket/path"."""
@@ -74,8 +74,9 @@ class Artefacts:
         return f"{self._root}/{name[:2]}/{name}"
 
 
-def record_artefact(connection: sa.Connection, name: str, size: int, now: float) -> None:
+def record_artefact(transaction: Transaction, name: str, size: int) -> None:
     """Note an artefact in the database, once; one that was erased is there again."""
-    insert_once(connection, schema.artefacts, {"sha256": name, "bytes": size, "created_at": now})
+    row = {"sha256": name, "bytes": size, "created_at": transaction.now}
+    transaction.insert_once(schema.artefacts, row)
     again = sa.update(schema.artefacts).where(ARTEFACT.sha256 == name)
-    connection.execute(again.where(ARTEFACT.erased_at.is_not(None)).values(erased_at=None))
+    transaction.execute(again.where(ARTEFACT.erased_at.is_not(None)).values(erased_at=None))

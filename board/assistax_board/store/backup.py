@@ -83,7 +83,7 @@ def _copy_database(source: Path, target: Path) -> None:
 
 
 def _check_named(database: Path, folder: Path) -> None:
-    """Refuse a backup that would lack what its database names."""
+    """Refuse a backup that would lack files named in its database."""
     with contextlib.closing(sqlite3.connect(database)) as connection:
         rows = connection.execute("SELECT sha256 FROM artefacts WHERE erased_at IS NULL")
         names = [name for (name,) in rows]

@@ -1,10 +1,11 @@
 """SQLite or PostgreSQL behind one small interface: read, and write as the only writer.
 
-Every rule may thus look first and then write: nothing changes in between. In SQLite `BEGIN
+A rule may thus look first and then write, since nothing changes in between. In SQLite `BEGIN
 IMMEDIATE` makes a second writer wait instead of failing half way; in PostgreSQL a lock does.
 """
 
 import contextlib
+import dataclasses
 import threading
 import weakref
 from collections.abc import Generator
@@ -16,6 +17,10 @@ from sqlalchemy import event
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
 
+from assistax_board.clock import Clock
+from assistax_board.store import ledger
+from assistax_board.store.shown import LedgerEntry
+
 DATABASE_FILE = "service.db"  # in a data folder, if no URL is given
 BUSY_SECONDS = 30  # a writer waits so long for the one before it
 WRITER, SERVER = 1, 2  # locks in PostgreSQL
@@ -24,6 +29,36 @@ ONE_SERVER = (
     "speed start more workers (`assistax-zoo worker`)"
 )
 MIGRATIONS = Path(__file__).parent / "migrations"
+
+
+@dataclasses.dataclass(frozen=True)
+class Transaction:
+    """A transaction of the only writer: all of its changes happen, or none.
+
+    Its entries in the ledger are part of it, and bear its time.
+    """
+
+    connection: sa.Connection
+    now: float  # seconds since 1970, read once when the transaction began
+
+    def execute(self, statement: sa.Executable, rows: Any = None) -> sa.CursorResult[Any]:
+        """Run a statement, once for each of `rows` if any are given."""
+        return self.connection.execute(statement, rows)
+
+    def insert_once(self, table: sa.Table, row: dict[str, Any]) -> bool:
+        """Insert a row unless one of its identity is there; return whether it was inserted."""
+        is_sqlite = self.connection.dialect.name == "sqlite"
+        insert: Any = sqlite_insert if is_sqlite else postgresql_insert
+        statement = insert(table).values(row).on_conflict_do_nothing().returning(sa.literal(1))
+        return self.execute(statement).first() is not None
+
+    def record(self, kind: str, body: dict[str, Any]) -> LedgerEntry:
+        """Append an entry to the ledger and return it."""
+        return ledger.append(self.connection, self.now, kind, body)
+
+
+# The argument of a function that only reads.
+Reader = sa.Connection | Transaction
 
 
 class Database:
@@ -90,6 +125,12 @@ class Database:
             yield connection
 
     @contextlib.contextmanager
+    def begin(self, clock: Clock) -> Generator[Transaction]:
+        """Yield a transaction of the only writer at the time of `clock`; see `write`."""
+        with self.write() as connection:
+            yield Transaction(connection, clock())
+
+    @contextlib.contextmanager
     def only_server(self) -> Generator[None]:
         """Keep other servers away from a PostgreSQL database; one of SQLite lies in a folder.
 
@@ -109,13 +150,6 @@ class Database:
     def close(self) -> None:
         """Give all connections back."""
         self.engine.dispose()
-
-
-def insert_once(connection: sa.Connection, table: sa.Table, row: dict[str, Any]) -> bool:
-    """Insert a row unless one of its identity is there; return whether it was inserted."""
-    insert: Any = sqlite_insert if connection.dialect.name == "sqlite" else postgresql_insert
-    statement = insert(table).values(row).on_conflict_do_nothing().returning(sa.literal(1))
-    return connection.execute(statement).first() is not None
 
 
 def alembic_config(url: sa.URL) -> Any:

@@ -17,7 +17,7 @@ START = "0" * 64  # the hash before the first entry
 
 
 def append(connection: sa.Connection, at: float, kind: str, body: dict[str, Any]) -> LedgerEntry:
-    """Add an entry in the transaction of what it records: neither is without the other."""
+    """Add an entry in the transaction of the event that it records, and return it."""
     query = sa.select(ledger.c.seq, ledger.c.hash).order_by(ledger.c.seq.desc()).limit(1)
     last = connection.execute(query).first()
     seq, previous = (1, START) if last is None else (last.seq + 1, last.hash)

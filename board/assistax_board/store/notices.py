@@ -1,4 +1,4 @@
-"""What the organiser is told: `service check` and the organiser's page show it until it is cleared.
+"""Notices to the organiser, shown by `service check` and the organiser's page until cleared.
 
 A notice is about one thing and counts how often that happened, so that nobody fills the table.
 """
@@ -8,7 +8,7 @@ import dataclasses
 import sqlalchemy as sa
 
 from assistax_board.store import schema
-from assistax_board.store.database import Database, insert_once
+from assistax_board.store.database import Database, Transaction
 from assistax_board.store.schema import NOTICE
 
 KINDS = {
@@ -38,17 +38,17 @@ class Notice:
 
     @property
     def text(self) -> str:
-        """What it means, and what to do."""
+        """Meaning of the notice, and the next step."""
         return KINDS[self.kind]
 
 
-def note(connection: sa.Connection, kind: str, about: str, now: float) -> None:
-    """Tell the organiser something, in the transaction in which it happens."""
+def note(transaction: Transaction, kind: str, about: str) -> None:
+    """Add a notice in the transaction of its event; a repeated one is counted."""
     key = {"kind": kind, "about": about[:MAX_ABOUT]}
-    row = {**key, "count": 1, "first_at": now, "last_at": now}
-    if not insert_once(connection, schema.notices, row):
+    row = {**key, "count": 1, "first_at": transaction.now, "last_at": transaction.now}
+    if not transaction.insert_once(schema.notices, row):
         again = sa.update(schema.notices).where(*_is(**key))
-        connection.execute(again.values(count=NOTICE.count + 1, last_at=now))
+        transaction.execute(again.values(count=NOTICE.count + 1, last_at=transaction.now))
 
 
 def list_notices(database: Database) -> list[Notice]:
@@ -59,14 +59,14 @@ def list_notices(database: Database) -> list[Notice]:
 
 
 def clear_notices(database: Database, until: float) -> None:
-    """Forget the notices of what happened until a time: they were read."""
+    """Delete the notices of events until a time, which were read."""
     with database.write() as connection:
         connection.execute(sa.delete(schema.notices).where(NOTICE.last_at <= until))
 
 
-def withdraw_notice(connection: sa.Connection, kind: str, about: str) -> None:
-    """Forget a notice of what was mended."""
-    connection.execute(sa.delete(schema.notices).where(*_is(kind, about)))
+def withdraw_notice(transaction: Transaction, kind: str, about: str) -> None:
+    """Delete a notice whose cause was repaired."""
+    transaction.execute(sa.delete(schema.notices).where(*_is(kind, about)))
 
 
 def _is(kind: str, about: str) -> tuple[sa.ColumnElement[bool], ...]:

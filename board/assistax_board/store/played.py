@@ -1,4 +1,4 @@
-"""What a season plays, in words: labs must know what to train for, and readers who is no network.
+"""Describes a season's task and partners in words, for labs and readers.
 
 How many of which kind are hidden is public; who they are is not.
 """
@@ -20,7 +20,7 @@ PERSONS = "persons made of numbers, who were trained with no robot"
 
 
 def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
-    """Return what is told of partners, hidden too: how many of which kind, in which version."""
+    """Return the public description of partners: counts by kind and environment version."""
     from zoo.ids import OWN
 
     def count(persons: bool) -> dict[str, int]:
@@ -32,7 +32,7 @@ def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) ->
 
 
 def partners_in_words(played: Mapping[str, Any] | None) -> str:
-    """Return who is played, such as "200 persons (100 muscle, 100 spring), environment version 3".
+    """Return partners in words, as "200 persons (100 muscle, 100 spring), environment version 3".
 
     A season that was made before this was recorded says so.
     """
@@ -49,7 +49,7 @@ def partners_in_words(played: Mapping[str, Any] | None) -> str:
 
 
 def plays_in_words(hidden: Mapping[str, Any] | None, public: int | None) -> str:
-    """Return what a season plays in one line."""
+    """Return a season's task and partners in one line."""
     versions = [] if public is None else [public]
     return f"public half: {in_version(versions)}; hidden: {partners_in_words(hidden)}"
 
@@ -61,7 +61,7 @@ def in_version(versions: Sequence[int]) -> str:
 
 
 def statement_of(hidden: Mapping[str, Any] | None) -> str:
-    """Return what the partners of a season are, and are not."""
+    """Return a statement about the nature of a season's partners."""
     if not hidden:
         who = "Partners are simulated."
     elif hidden["teams"] and hidden["persons"]:

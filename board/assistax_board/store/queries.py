@@ -1,4 +1,4 @@
-"""What pages and the API may ask the database, and nothing else.
+"""All questions of pages and the API to the database.
 
 Every answer is safe to show to anybody: of hidden panels it holds what was released, never more.
 Nothing here imports JAX or plays an episode.
@@ -11,7 +11,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_board.store import schema
-from assistax_board.store.database import Database
+from assistax_board.store.database import Database, Reader
 from assistax_board.store.played import NOT_PEOPLE
 from assistax_board.store.queue import Queue
 from assistax_board.store.schema import (
@@ -131,7 +131,7 @@ class Queries:
     def partner_scores(
         self, submissions: Sequence[str], version: str | None = None
     ) -> list[PartnerScore]:
-        """Return the public half of these submissions, partner by partner: what intervals need."""
+        """Return the public half of these submissions by partner, as intervals need it."""
         query = (
             sa.select(schema.partner_scores)
             .where(PARTNER_SCORE.submission.in_(submissions))
@@ -142,7 +142,7 @@ class Queries:
             return [_partner_score(row) for row in connection.execute(query).mappings()]
 
     def versions(self, task: str) -> list[tuple[str, dict[str, Any]]]:
-        """Return (id, identity) of what scored this task; the first is the newest, the board's."""
+        """Return (id, identity) of the versions that scored this task, the newest first."""
         query = (
             sa.select(VERSION.id, VERSION.identity)
             .where(VERSION.task == task)
@@ -176,11 +176,11 @@ class Queries:
         """Return whether a file that was handed in is still there: it was not erased."""
         query = sa.select(ARTEFACT.sha256).where(ARTEFACT.sha256 == artefact)
         with self.database.read() as connection:
-            kept = connection.execute(query.where(ARTEFACT.erased_at.is_(None)))
-            return kept.first() is not None
+            kept_file = connection.execute(query.where(ARTEFACT.erased_at.is_(None)))
+            return kept_file.first() is not None
 
     def attempts(self, season: str, submitter: str | None = None) -> list[Attempts]:
-        """Return who has made how many attempts in a season: they stand on the board.
+        """Return each submitter's attempts in a season, which the board shows.
 
         `submitter` is the id of the one who is asked about.
         """
@@ -219,8 +219,8 @@ class Queries:
         return None if row is None else {"content": row.content, "signature": row.signature}
 
 
-def unplayed_b(connection: sa.Connection, season: str) -> dict[str, float]:
-    """Return what workers could not play on panel B, each submission with the time of its end."""
+def unplayed_b(reader: Reader, season: str) -> dict[str, float]:
+    """Return the submissions that workers failed on panel B, with the times of their ends."""
     query = (
         sa.select(SUBMISSION.id, sa.func.max(JOB.leased_at))
         .join(schema.jobs, JOB.submission == SUBMISSION.id)
@@ -229,7 +229,7 @@ def unplayed_b(connection: sa.Connection, season: str) -> dict[str, float]:
         .where(JOB.panel == "B", JOB.state == "cancelled", JOB.failures >= MAX_FAILURES)
         .group_by(SUBMISSION.id)
     )
-    return {id: at for id, at in connection.execute(query)}
+    return {id: at for id, at in reader.execute(query)}
 
 
 def _submission_query() -> sa.Select:

@@ -15,10 +15,10 @@ DEFAULT_JOB_SECONDS = 20.0  # of a job, before any was timed
 
 
 class Queue:
-    """The queue as one transaction sees it: who is before whom, and how long that takes."""
+    """Order and waiting times of the submissions, as one transaction sees them."""
 
     def __init__(self, connection: sa.Connection, shown: Sequence[str]) -> None:
-        """Look at who waits, and at the jobs of the submissions that will be described."""
+        """Read the waiting submissions, and the jobs of those that will be described."""
         is_waiting = SUBMISSION.state.not_in(FINAL_STATES)
         counts = (
             sa.select(JOB.submission, JOB.state, sa.func.count())

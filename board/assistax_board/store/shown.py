@@ -1,4 +1,4 @@
-"""What may be shown to anybody of submissions, scores, seasons and the ledger."""
+"""Public views of submissions, scores, seasons and the ledger."""
 
 import dataclasses
 from typing import Any
@@ -37,7 +37,7 @@ class Submission:
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """What may be shown of one panel for one submission."""
+    """Released score of a submission on one panel."""
 
     submission: str
     submitter: str
@@ -91,13 +91,13 @@ class Attempts:
 
     @property
     def left(self) -> int:
-        """How many may still be made."""
+        """Number of attempts left."""
         return max(0, self.budget - self.spent - self.reserved)
 
 
 @dataclasses.dataclass(frozen=True)
 class SeasonLimit:
-    """What a submitter may still do in an open season."""
+    """Limits of a submitter in an open season."""
 
     id: str
     name: str
@@ -112,7 +112,7 @@ class SeasonLimit:
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What a submitter may still do."""
+    """Limits of a submitter."""
 
     file_bytes: int  # that a file may have
     requests_an_hour: int  # with which robots are handed in

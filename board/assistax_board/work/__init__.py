@@ -1,1 +1,1 @@
-"""Workers: processes that play what the board asks."""
+"""Workers: processes that play the board's jobs."""

@@ -107,7 +107,7 @@ def post(url: str, secret: str, words: str, message: dict[str, object]) -> None:
 
 
 def check_address(url: str | None) -> None:
-    """Refuse what cannot be posted to; None is no webhook.
+    """Check a webhook's address; None stands for no webhook.
 
     Raises:
         ValueError: It is not an address of http or https, with a host.

@@ -30,7 +30,7 @@ LOOK_SECONDS = 0.25  # between two looks at what a job takes
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """What a job may take: several times what the dearest admitted robot does."""
+    """Limits of a job, several times the cost of the most expensive admitted robot."""
 
     seconds: float = 1800.0  # of processors, so that a busy machine refuses nobody
     clock_seconds: float = 7200.0  # where an accelerator works instead
@@ -48,7 +48,7 @@ class Worker:
         idle: float = IDLE_SECONDS,
         beat: float = LEASE_SECONDS / 4,
         budget: Budget = Budget(),
-        anew: Callable[[], Any] = lambda: os._exit(1),
+        restart: Callable[[], Any] = lambda: os._exit(1),
     ) -> None:
         """Prepare to work.
 
@@ -58,11 +58,11 @@ class Worker:
             idle: Seconds between two looks at an empty queue.
             beat: Seconds between two beats for a job.
             budget: Of each job; what takes more is refused as `too_slow`.
-            anew: Ends this process, or starts it anew, after such a job: it cannot be stopped.
+            restart: Ends this process, or starts it anew, after such a job: it cannot be stopped.
         """
         self._client, self._scorer = client, scorer
         self._idle, self._beat = idle, beat
-        self._budget, self._anew = budget, anew
+        self._budget, self._restart = budget, restart
         self._name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
         self._stopping = threading.Event()
         self._held: Work | None = None
@@ -73,7 +73,7 @@ class Worker:
         self._stopping.set()
 
     def leave(self) -> None:
-        """Give back the job under way, whatever its thread is doing: the process ends now."""
+        """Give back the current job at once, since the process ends."""
         self.stop()
         if self._held is not None:
             self._tell(self._client.give_back, self._held)
@@ -98,7 +98,7 @@ class Worker:
         return done
 
     def _do(self, work: Work) -> int:
-        """Do one job, and tell the server how it ended; a lost lease is nobody's fault."""
+        """Do one job and report its end to the server; return whether it counted."""
         began = time.monotonic()
         fields = {**fields_of(work), "worker": self._name}
         log.info("job begins", extra={"fields": fields})
@@ -147,7 +147,7 @@ class Worker:
                 self._client.beat(work)
             return True
 
-        with _again_and_again(beat, self._beat):
+        with _poll_while_running(beat, self._beat):
             yield
 
     @contextlib.contextmanager
@@ -164,10 +164,10 @@ class Worker:
                 return True
             log.warning("job is too slow", extra={"fields": fields_of(work)})
             self._tell(self._client.refused, work, "too_slow")
-            self._anew()
+            self._restart()
             return False
 
-        with _again_and_again(watch, LOOK_SECONDS):
+        with _poll_while_running(watch, LOOK_SECONDS):
             yield
 
     def _robot(self, work: Work) -> Any:
@@ -189,12 +189,12 @@ class Worker:
 
 
 @contextlib.contextmanager
-def _again_and_again(look: Callable[[], bool], seconds: float) -> Generator[None]:
-    """Look every so many seconds beside what is done, until that is over or a look says no."""
+def _poll_while_running(check: Callable[[], bool], seconds: float) -> Generator[None]:
+    """Call `check` every `seconds` until the block ends or `check` returns False."""
     over = threading.Event()
 
     def go_on() -> None:
-        while not over.wait(seconds) and look():
+        while not over.wait(seconds) and check():
             pass
 
     thread = threading.Thread(target=go_on, daemon=True)

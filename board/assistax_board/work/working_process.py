@@ -48,15 +48,15 @@ def run_workers_on_ray(
 
 
 def make_scorer(registry: Path | None, backend: str) -> Scorer:
-    """Return what plays with the partners of a registry, the installed one if none is given."""
+    """Return a scorer with the partners of a registry; the default is the installed one."""
     from zoo.registry import load_registry
 
     loaded = load_registry(registry)
     return ZooScorer(loaded, ZooCatalogue(loaded, backend), backend)
 
 
-def _worker(client: Client, scorer: Scorer, anew: Callable[[], Any] | None = None) -> Worker:
-    options: dict[str, Any] = {} if anew is None else {"anew": anew}
+def _worker(client: Client, scorer: Scorer, restart: Callable[[], Any] | None = None) -> Worker:
+    options: dict[str, Any] = {} if restart is None else {"restart": restart}
     return Worker(client, scorer, **options)
 
 

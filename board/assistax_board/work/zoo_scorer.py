@@ -1,4 +1,4 @@
-"""Plays work with the real evaluator: the same table whoever plays it, on one kind of machine.
+"""Plays work with the real evaluator; machines of one kind return the same table.
 
 A chunk is a job of its own with its partners in a fixed order, so its program and its values depend
 on nothing else: not on other chunks, not on how many workers there are. Jobs are made and played by

@@ -81,7 +81,7 @@ def board_router(site: Site) -> APIRouter:
 
 
 def newest_film(site: Site) -> dict[str, Any] | None:
-    """Return what the home page shows of the film that was made last, if its pair is here."""
+    """Return the home page's values of the newest film, if its pair is here."""
     pair = site.videos.newest()
     if pair is None:
         return None
@@ -94,7 +94,7 @@ def newest_film(site: Site) -> dict[str, Any] | None:
 
 
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
-    """Return what the board's page shows; without a version it is of the newest."""
+    """Return the values of a board's page; the default version is the newest."""
     board = site.boards.of(task, version)
     safety = safety_of(site, board) if board else {}
     rows = board.rows if board else ()

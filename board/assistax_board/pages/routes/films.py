@@ -70,7 +70,7 @@ def film_file(path: Path | None, cache: str) -> Response:
 
 
 def film_values(site: Site, submission: Submission) -> dict[str, Any]:
-    """Return what pages show of a robot's film; its state is None if it is not filmed."""
+    """Return the values of a robot's film; its state is None if it is not filmed."""
     try:
         filmed = robot_of(site, submission)
     except NotFoundError:

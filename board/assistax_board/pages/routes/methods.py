@@ -42,7 +42,7 @@ def method_router(site: Site) -> APIRouter:
 
 
 def method_values(site: Site, submission: Submission) -> dict[str, Any]:
-    """Return what the page of a submission's method shows."""
+    """Return the values of the page of a submission's method."""
     board = site.boards.of(submission.task)
     row = board.of(submission.id) if board else None
     scores = site.queries.scores(method_of=submission.id)

@@ -1,4 +1,4 @@
-"""The organiser's page: what is to be known, and a form that acts.
+"""The organiser's page: notices and failures, and a form that acts.
 
 The token comes with each form, as on the page that hands robots in: no cookie signs anybody in.
 """
@@ -68,7 +68,7 @@ def organiser_router(site: Site) -> APIRouter:
 
 
 def answer(site: Site, request: Request, fields: dict[str, str]) -> Response:
-    """Do what an organiser asked for, and show how everything stands."""
+    """Run an organiser's action, and show the page with its result."""
     service: Service = request.app.state.service
     try:
         sign_in(request, fields["account_token"].strip(), "organise")
@@ -86,7 +86,7 @@ def answer(site: Site, request: Request, fields: dict[str, str]) -> Response:
 
 
 def act(service: Service, fields: dict[str, str]) -> str:
-    """Do one of `ACTIONS` and say what was done.
+    """Run one of `ACTIONS` and return a sentence about it.
 
     Raises:
         Problem: It cannot be done.
@@ -113,7 +113,7 @@ def act(service: Service, fields: dict[str, str]) -> str:
 
 
 def overview(service: Service) -> dict[str, Any]:
-    """Return what the page shows an organiser."""
+    """Return the values of the organiser's page."""
     return {
         "notices": list_notices(service.database),
         "failures": service.failures(),

@@ -134,7 +134,7 @@ def behaviours(site: Site, task: str) -> list[tuple[str, dict[str, Any]]]:
 
 
 def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
-    """Return what a partner's card shows."""
+    """Return the values of a partner's card."""
     crossplay = site.crossplays.of(task)
     partner = _partner(site, task, team)
     robots: list[tuple[str, float]] = []
@@ -162,7 +162,7 @@ def persons_of(site: Site, task: str) -> list[tuple[str, int]]:
 
 
 def person_values(site: Site, task: str, team: str) -> dict[str, Any]:
-    """Return what a person's card shows: each number beside its range."""
+    """Return the values of a person's card: each number beside its range."""
     try:
         entry = site.registry.policy(f"{task}/{team}/human")
     except ZooError as error:
@@ -182,7 +182,7 @@ def person_values(site: Site, task: str, team: str) -> dict[str, Any]:
 
 
 def pair_values(site: Site, task: str, robot: str, human: str) -> dict[str, Any]:
-    """Return what a pair's page shows."""
+    """Return the values of a pair's page."""
     pair = find_policies(site, task, robot, human)
     crossplay = site.crossplays.of(task)
     film, returns = site.videos.film(pair.key), site.videos.returns(pair)

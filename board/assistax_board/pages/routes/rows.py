@@ -127,7 +127,7 @@ def board_of(site: Site, task: str, version: str) -> Board:
 
 
 def being_computed(task: str) -> Problem:
-    """Return what is answered in place of a board that is not there yet."""
+    """Return the placeholder page shown while a board is computed."""
     message = f"the board of {task} is being computed; ask again in {AGAIN_SECONDS} seconds"
     return Problem("unavailable", message, retry_after=AGAIN_SECONDS)
 

@@ -1,4 +1,4 @@
-"""Pages of what happened: a submission, the seasons and the ledger."""
+"""Pages of submissions, seasons and the ledger."""
 
 import json
 import time
@@ -78,7 +78,7 @@ def season_router(site: Site) -> APIRouter:
 
 
 def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
-    """Return what a submission's page shows."""
+    """Return the values of a submission's page."""
     versions = [id for id, _ in site.queries.versions(submission.task)]
     scores = site.queries.scores(submission=submission.id)
     board = site.boards.of(submission.task) if submission.state == "scored" else None
@@ -105,7 +105,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
 
 
 def _own_figures(scores: Sequence[Score], versions: Sequence[str]) -> dict[str, Any] | None:
-    """Return what this robot earned on the public panel under the board's version."""
+    """Return this robot's score on the public panel under the board's version."""
     newest = [
         s.figures for s in scores if s.panel == "public" and [s.version] == list(versions[:1])
     ]
@@ -113,7 +113,7 @@ def _own_figures(scores: Sequence[Score], versions: Sequence[str]) -> dict[str, 
 
 
 def season_values(site: Site, id: str) -> dict[str, Any]:
-    """Return what a season's page shows: its rules, who tried how often, and what was released."""
+    """Return the values of a season's page: its rules, attempts and released scores."""
     season = site.queries.season(id)
     if season is None:
         raise NotFoundError(f"There is no season {id!r}; see the list of seasons.")
@@ -136,13 +136,13 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
 
 
 def played_rows(site: Site, task: str, season: Season | None) -> list[tuple[str, str]]:
-    """Return what is played, as rows of name and value: the public half, and what is hidden."""
+    """Return rows of name and value about the public and the hidden partners."""
     rows = [("public half", site.public_in_words(task))]
     return rows if season is None else [*rows, ("hidden", partners_in_words(season.hidden))]
 
 
 def _entered(site: Site, season: str) -> dict[str, list[Submission]]:
-    """Return what each lab chose for panel B."""
+    """Return each lab's choice for panel B."""
     entered: dict[str, list[Submission]] = {}
     for submission in site.queries.submissions(season=season, limit=100_000):
         if submission.entered:

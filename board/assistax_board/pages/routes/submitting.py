@@ -115,7 +115,7 @@ def come_back(
 def form_values(
     site: Site, texts: dict[str, str], message: str = "", limits: Limits | None = None
 ) -> dict[str, Any]:
-    """Return what the form shows: the choices, what was given before, and why it came back."""
+    """Return the values of the form: choices, earlier inputs, and the error if it came back."""
     seasons = [season for season in site.queries.seasons() if season.state == "open"]
     empty = {"task": site.tasks[0], "method": "", "licence": LICENCES[-1], "season": ""}
     texts = empty | dict.fromkeys(DESCRIPTION, "") | texts
