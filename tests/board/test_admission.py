@@ -68,7 +68,7 @@ def disagreements(service: Service, registry: Path, path: Path) -> tuple[list[An
 
 
 @pytest.mark.slow
-def test_home_and_server_agree_on_files_of_every_kind(
+def test_home_and_server_admit_alike(
     server: Service, registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ZooScorer, "play", lambda *_: _nothing())
@@ -79,7 +79,7 @@ def test_home_and_server_agree_on_files_of_every_kind(
     assert len(words) >= 14, words  # two formats, and most words of the vocabulary
 
 
-def test_a_check_that_is_laxer_at_home_is_found(
+def test_laxer_home_check_is_found(
     server: Service, registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ZooScorer, "play", lambda *_: _nothing())

@@ -112,7 +112,7 @@ def test_a_large_body_is_not_read(service: Service, http: TestClient) -> None:
     assert (answer.status_code, answer.json()["error"]["code"]) == (413, "too_large")
 
 
-def test_a_body_that_hides_its_size_is_cut_off(service: Service, http: TestClient) -> None:
+def test_body_without_size_is_cut_off(service: Service, http: TestClient) -> None:
     token = service.create_token(("submit",), submitter="lab")
     headers = {"Authorization": f"Bearer {token}"}
     endless = (bytes(1024 * 1024) for _ in range(20))
@@ -160,7 +160,7 @@ def test_health_and_metrics(service: Service, http: TestClient) -> None:
     assert 'assistax_service_submissions{state="queued"} 1.0' in text
 
 
-def test_methods_that_anybody_invents_are_counted_and_logged_as_one(
+def test_unknown_http_methods_count_as_one(
     http: TestClient, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, logger="assistax_board"):
@@ -207,7 +207,7 @@ def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> Non
         ("/submit", MAX_BODY),
     ],
 )
-def test_a_body_is_as_large_as_its_route_needs(http: TestClient, path: str, most: int) -> None:
+def test_body_limit_depends_on_route(http: TestClient, path: str, most: int) -> None:
     answers = [
         http.post(path, content=bytes(8), headers={"Content-Length": str(size)}).status_code
         for size in (most, most + 1)
@@ -282,7 +282,7 @@ def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -
 
 
 @pytest.mark.usefixtures("one_window")
-def test_who_asked_too_often_is_told_when_to_come_back(http: TestClient) -> None:
+def test_rate_limit_sends_retry_after(http: TestClient) -> None:
     answers = [http.post("/api/work/lease") for _ in range(31)]
     assert answers[-1].status_code == 429
     assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
@@ -303,7 +303,7 @@ def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
 
 
 @pytest.mark.usefixtures("one_window")
-def test_a_lab_sees_what_it_may_still_hand_in(service: Service, http: TestClient) -> None:
+def test_lab_sees_its_limits(service: Service, http: TestClient) -> None:
     open_season(service, budget=3)
     client = client_of(service, http, "submit")
     before = client.limits()
@@ -341,7 +341,7 @@ def test_the_command_prints_limits_and_hands_nothing_in(
     assert service.queries.submissions() == []
 
 
-def test_a_client_asks_again_where_a_stopping_server_cut_it_off() -> None:
+def test_client_retries_after_server_stop() -> None:
     """uvicorn's own 500 is text: the request names itself, so the next server may take it."""
     text = httpx2.Response(500, text="Internal Server Error")
     ours = httpx2.Response(500, json={"error": {"code": "unexpected", "message": "broke"}})

@@ -40,7 +40,7 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Artefacts:
     return Artefacts(request.getfixturevalue("bucket"))
 
 
-def test_what_is_put_is_got_and_can_be_erased(store: Artefacts) -> None:
+def test_artefact_is_stored_read_and_erased(store: Artefacts) -> None:
     name = store.put(b"robot")
     assert name == store.put(b"robot") == sha256(b"robot")
     assert store.get(name) == b"robot"
@@ -64,7 +64,7 @@ def test_damaged_bytes_are_found(tmp_path: Path) -> None:
         store.get(name)
 
 
-def test_a_damaged_artefact_is_repaired_when_it_comes_again(tmp_path: Path) -> None:
+def test_repeated_upload_repairs_damaged_artefact(tmp_path: Path) -> None:
     artefacts = Artefacts(str(tmp_path))
     name = artefacts.put(b"a robot")
     (tmp_path / name[:2] / name).write_bytes(b"a robber")

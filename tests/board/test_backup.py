@@ -35,7 +35,7 @@ def whole(service: Service) -> list[str]:
     return wrong
 
 
-def test_a_backup_of_a_server_at_work_is_whole_and_goes_on(tmp_path: Path) -> None:
+def test_backup_of_running_server_restores_and_continues(tmp_path: Path) -> None:
     service = new_service(tmp_path / "board")
     season, lab = open_season(service, budget=100), new_submitter(service)
     id = service.submit(lab, draft(2.0, "first", season=season))
@@ -100,7 +100,7 @@ def test_a_backup_replaces_nothing(tmp_path: Path) -> None:
         restore(tmp_path / "no.zip", tmp_path / "new")
 
 
-def test_a_backup_without_what_the_database_names_is_none(tmp_path: Path) -> None:
+def test_backup_lacking_named_files_is_refused(tmp_path: Path) -> None:
     """As where artefacts are in an object store, and the folder holds none."""
     service = new_service(tmp_path / "board")
     service.submit(new_submitter(service), draft())

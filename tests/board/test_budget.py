@@ -80,9 +80,7 @@ def test_what_is_within_its_budget_is_scored(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("met", "attempt"), [(0, "refunded"), (3, "spent")])
-def test_too_slow_costs_the_attempt_once_it_met_hidden_partners(
-    tmp_path: Path, met: int, attempt: str
-) -> None:
+def test_too_slow_on_hidden_partners_spends_attempt(tmp_path: Path, met: int, attempt: str) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft(season=open_season(service)))
     work_off(service, most=met)
@@ -91,7 +89,7 @@ def test_too_slow_costs_the_attempt_once_it_met_hidden_partners(
     assert (submission.reason, submission.attempt) == ("too_slow", attempt)
 
 
-def test_a_worker_that_begins_anew_runs_the_same_command() -> None:
+def test_restarted_worker_runs_the_same_command() -> None:
     code = "import sys; sys.argv = ['worker', '--version']; import assistax_board"
     code += ".work.working_process as w; w._start_anew()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

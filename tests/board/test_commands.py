@@ -253,7 +253,7 @@ def test_a_refused_file_says_why_at_home(
     assert "neither .safetensors" in capsys.readouterr().err
 
 
-def test_a_robot_is_not_handed_in_without_a_name(
+def test_submission_without_method_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A name that all share would make seeds of one method of all robots."""
@@ -277,7 +277,7 @@ def test_who_watches_reads_the_range_of_ranks() -> None:
         ("s3fs", {"artefacts": "s3://bucket/path"}, "s3"),
     ],
 )
-def test_a_missing_extra_is_named_with_what_installs_it(
+def test_missing_extra_names_its_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, place: Any, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)

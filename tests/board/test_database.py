@@ -110,7 +110,7 @@ def count(database: Database) -> int:
         return connection.execute(query).scalar_one()
 
 
-def test_a_database_that_nobody_holds_any_more_is_closed(tmp_path: Path) -> None:
+def test_unreferenced_database_is_closed(tmp_path: Path) -> None:
     database = Database(f"sqlite:///{tmp_path / 'service.db'}")
     with database.read():
         pass

@@ -300,7 +300,7 @@ def told_apart(seasons: tuple[Season, Season]) -> bool:
 
 
 @pytest.mark.slow
-def test_the_time_of_an_answer_does_not_tell_them_apart(two: tuple[Season, Season]) -> None:
+def test_answer_times_reveal_no_hidden_value(two: tuple[Season, Season]) -> None:
     assert not told_apart(two)
 
 

@@ -136,9 +136,7 @@ def _check(service: Service, season: str, count: int) -> None:
     assert spent == scored
 
 
-def test_without_a_lease_that_ends_a_kill_would_lose_a_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_endless_lease_would_lose_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The planted defect: leases that never end."""
     monkeypatch.setattr(jobs, "LEASE_SECONDS", 1e12)
     service = new_service(tmp_path)

@@ -64,7 +64,7 @@ def test_who_says_nothing_is_hung_up_on(
 
 
 @pytest.mark.parametrize("loop", ["asyncio", "auto"])
-def test_a_crowd_is_taken_in_a_few_at_a_turn(
+def test_crowd_is_accepted_in_small_groups(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Any
 ) -> None:
     """However many wait, a turn of the event loop takes some of them and leaves the others."""
@@ -110,9 +110,7 @@ def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.slow
-def test_a_body_that_comes_too_slowly_is_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_body_is_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guards.BodyLimit.__init__, "__kwdefaults__", {"most": 2000, "seconds": 0.5})
     service = new_service(tmp_path)
     token = service.create_token(("submit",), submitter="lab")
@@ -130,7 +128,7 @@ def test_a_body_that_comes_too_slowly_is_not_waited_for(
 
 
 @pytest.mark.slow
-def test_slow_forms_of_one_address_keep_nobody_else_out(
+def test_slow_forms_do_not_block_other_addresses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guards, "FORM_SECONDS", 5.0)
@@ -194,7 +192,7 @@ def test_an_upgrade_is_answered_as_a_plain_request(
     assert caplog.messages == []
 
 
-def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path) -> None:
+def test_full_database_refuses_without_loss(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     space = {"pages": 0}
 
@@ -221,7 +219,7 @@ def test_a_full_database_refuses_for_a_while_and_nothing_is_lost(tmp_path: Path)
 
 
 @pytest.mark.parametrize("refused", [2, 3 * jobs.MAX_FAILURES])
-def test_a_disk_that_fills_up_at_a_result_costs_no_score(
+def test_full_disk_at_result_loses_no_score(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: int
 ) -> None:
     """The worker is told so, and brings the result again when there is space."""
@@ -250,9 +248,7 @@ def test_a_disk_that_fills_up_at_a_result_costs_no_score(
 @pytest.mark.usefixtures("one_window")
 @pytest.mark.slow_for("60")
 @pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])
-def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
-    tmp_path: Path, proxy: str | None, answered: int
-) -> None:
+def test_only_a_named_proxy_is_believed(tmp_path: Path, proxy: str | None, answered: int) -> None:
     """Guesses are limited by address, so nobody may choose an address with each guess."""
     with served(new_service(tmp_path), proxy=proxy) as server:
         codes = [
@@ -278,9 +274,7 @@ def test_where_a_request_comes_from_is_believed_of_a_named_proxy_alone(
         ("testclient", "unknown", False),
     ],
 )
-def test_rates_are_counted_by_client_and_one_has_a_network_of_ipv6(
-    first: str, second: str, are_one: bool
-) -> None:
+def test_rates_count_clients_and_ipv6_networks(first: str, second: str, are_one: bool) -> None:
     """Whoever has one address of IPv6 has 2 to the power of 64, and may take another each time."""
     names = [
         guards.client_of(Request({"type": "http", "headers": [], "client": (host, 1)}))

@@ -66,7 +66,7 @@ def play(function: Any, *args: Any, seconds: int = 20, most: int = 1024 * MIB) -
 
 
 @pytest.mark.slow
-def test_a_function_answers_from_another_process_that_is_gone_then() -> None:
+def test_limited_function_runs_in_another_process() -> None:
     pid = play(answer)
     assert pid != os.getpid()
     with pytest.raises(ProcessLookupError):
@@ -91,7 +91,7 @@ def test_seconds_and_bytes_are_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_who_dies_by_itself_is_told_from_who_was_ended() -> None:
+def test_crash_is_distinguished_from_budget_stop() -> None:
     with pytest.raises(DiedError):
         play(abort)
     with pytest.raises(BusyError):
@@ -127,13 +127,13 @@ def seconds_of(function: Any, *args: Any) -> float:
 
 
 @pytest.mark.slow
-def test_many_operators_of_unlike_shapes_are_compiled_at_once() -> None:
+def test_unlike_operators_are_compiled_at_once() -> None:
     first = lambda: Admission(SIZES).read(many_shapes(1), TASK)  # noqa: E731
     first()
     assert seconds_of(Admission(SIZES).read, many_shapes(150), TASK) < 5.0
 
 
-def test_admission_says_what_a_file_took_too_much_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = PolicySpec("robot", OBS, ACT, hidden=(8,))
     good = to_onnx(spec, params_of(spec, 0))
     assert Admission(SIZES)(good, TASK).format == "onnx"
@@ -148,7 +148,7 @@ def test_admission_says_what_a_file_took_too_much_of(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-def test_readers_do_not_wait_for_files_that_are_looked_at(tmp_path: Path) -> None:
+def test_pages_do_not_wait_for_admission(tmp_path: Path) -> None:
     """Forty threads answer all requests; a file that takes long must keep none of them."""
     service, go_on = new_service(tmp_path), threading.Event()
 

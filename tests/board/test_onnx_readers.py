@@ -63,7 +63,7 @@ def test_home_and_board_read_a_file_alike(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["free width", "lstm", "opset 9", "opset 23"])
-def test_what_a_board_does_not_play_plays_at_home(name: str, tmp_path: Path) -> None:
+def test_onnx_beyond_board_limits_plays_at_home(name: str, tmp_path: Path) -> None:
     ego = at_home(onnx_bytes(name), tmp_path)
     answer = call_ego(ego, ["a"], 4, ACT)(BATCH[0], 0)
     [expected] = session(onnx_bytes(name)).run(None, {"x": BATCH[0]})

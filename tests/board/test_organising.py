@@ -48,9 +48,7 @@ def notices(service: Service) -> list[tuple[str, str, int]]:
     return [(row.kind, row.about, row.count) for row in list_notices(service.database)]
 
 
-def test_a_submission_that_workers_failed_is_listed_told_and_played_again(
-    service: Service,
-) -> None:
+def test_failed_submission_is_listed_noticed_and_retried(service: Service) -> None:
     season, lab = open_season(service, budget=1), new_submitter(service)
     id = service.submit(lab, draft(2.0, season=season))
     assert work_off(service, most=1) == 1
@@ -82,7 +80,7 @@ def test_a_retry_costs_an_attempt_that_is_there(service: Service) -> None:
     assert shown(service, id).state == "failed"
 
 
-def test_a_retry_after_an_upgrade_is_of_the_new_version(tmp_path: Path, service: Service) -> None:
+def test_retry_after_upgrade_uses_new_version(tmp_path: Path, service: Service) -> None:
     id = service.submit(new_submitter(service), draft(2.0))
     fail(service)
     upgraded = new_service(tmp_path, version=2)
@@ -111,7 +109,7 @@ def test_a_closed_season_takes_no_retry(service: Service) -> None:
         service.retry(id)
 
 
-def test_a_disqualified_lab_leaves_the_boards_and_hands_in_no_more(service: Service) -> None:
+def test_disqualified_lab_leaves_boards_and_cannot_submit(service: Service) -> None:
     season = open_season(service)
     bad, good = new_submitter(service, "bad"), new_submitter(service, "good")
     ids = [service.submit(lab, draft(2.0, season=season)) for lab in (bad, good)]
@@ -136,7 +134,7 @@ def test_a_disqualified_lab_leaves_the_boards_and_hands_in_no_more(service: Serv
         service.disqualify("spring", "nobody")
 
 
-def test_who_is_disqualified_after_the_close_leaves_panel_b(service: Service) -> None:
+def test_disqualification_after_close_removes_panel_b(service: Service) -> None:
     season = open_season(service)
     for name in ("bad", "good"):
         service.submit(new_submitter(service, name), draft(2.0, season=season))
@@ -173,7 +171,7 @@ def test_a_season_is_extended_and_never_shortened(service: Service) -> None:
         service.extend_season("spring", closes_at + 3 * DAY)
 
 
-def test_the_organiser_is_told_of_errors_and_of_a_full_disk(
+def test_organiser_gets_notices_of_errors(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     http = TestClient(create_app(service), raise_server_exceptions=False)
@@ -312,7 +310,7 @@ def between(
 
 
 @pytest.mark.parametrize("before", [False, True], ids=["after its commit", "before the upload's"])
-def test_a_file_that_comes_while_a_lab_is_erased_is_kept(
+def test_erasure_keeps_a_concurrent_equal_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bool
 ) -> None:
     """Another lab hands in the same bytes; they were removed once the upload was answered."""
@@ -327,7 +325,7 @@ def test_a_file_that_comes_while_a_lab_is_erased_is_kept(
     assert check_service(service)["whole"]
 
 
-def test_a_lab_that_is_erased_while_it_hands_in_is_refused(
+def test_erased_lab_cannot_submit_concurrently(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its file and the names that it wrote would have stayed for ever."""

@@ -124,9 +124,7 @@ def test_every_page_is_there_and_holds_nothing_inline(
         assert answer.text.count("<h1>") == 1, address
 
 
-def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
-    client: TestClient,
-) -> None:
+def test_submitted_robot_has_unknown_training(client: TestClient) -> None:
     """The rows to measure by were trained with no partner of the panel."""
     board = client.get("/tasks/scratch").text
     assert "Partners met in training: not known" in board
@@ -146,7 +144,7 @@ def test_of_robots_that_were_handed_in_it_is_said_that_training_is_not_known(
 
 
 @pytest.mark.parametrize("form", ["safetensors", "onnx"])
-def test_of_a_published_ego_it_is_said_whom_it_met(form: Format, tmp_path: Path) -> None:
+def test_published_ego_shows_its_training_partners(form: Format, tmp_path: Path) -> None:
     """Its bytes are those that `export` writes; what a changed file says of itself is no proof."""
     ego = load_registry().policy("scratch/ppo-ego-s0-v1/robot")
     assert ego.trained_against is not None
@@ -195,14 +193,14 @@ def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]
     ]
 
 
-def test_methods_that_cannot_be_told_apart_share_a_place(client: TestClient) -> None:
+def test_indistinguishable_methods_share_a_place(client: TestClient) -> None:
     text = client.get("/tasks/scratch").text
     places = re.findall(r'<span class="rank">(\d)', text)
     assert places == ["1", "1", "3", "4"], "rows to measure by have none"
     assert text.index("ppo ego") < text.index("sac ego") < text.index("scripted")
 
 
-def test_seeds_are_pooled_and_the_random_row_is_zero(client: TestClient) -> None:
+def test_seeds_are_pooled_and_random_is_zero(client: TestClient) -> None:
     text = client.get("/tasks/scratch").text
     rows = re.findall(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
     named = zip(("self-play", "random", "zero"), rows, strict=True)
@@ -242,14 +240,14 @@ def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:
     assert count("algorithm=<script>") == 0
 
 
-def test_a_task_of_persons_alone_lists_those_of_its_board(client: TestClient) -> None:
+def test_task_of_persons_lists_its_board_partners(client: TestClient) -> None:
     page = client.get("/tasks/gentle_feeding/partners").text
     assert "200 of 200 partners" in page and "The zoo has 10000 persons" in page
     assert "/partners/gentle_feeding/person-08003-v5" in page
     assert "0 of 200" in client.get("/tasks/gentle_feeding/partners?algorithm=ippo").text
 
 
-def test_a_persons_card_has_each_number_beside_its_range(client: TestClient) -> None:
+def test_person_card_shows_numbers_with_ranges(client: TestClient) -> None:
     assert "person-00000-v3" in client.get("/tasks/gentle_scratch/partners").text
     assert "person-" not in client.get("/tasks/scratch/partners").text
     card = client.get("/partners/gentle_scratch/person-00042-v3").text
@@ -309,7 +307,7 @@ def test_an_explorer_shows_robots_that_have_no_setting(tmp_path: Path) -> None:
     assert read is not None and "–" in read.blocks("disability")[0]
 
 
-def test_a_page_that_the_reader_has_is_not_sent_again(client: TestClient) -> None:
+def test_unchanged_page_answers_not_modified(client: TestClient) -> None:
     first = client.get(EXPLORER)
     again = client.get(EXPLORER, headers={"If-None-Match": first.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
@@ -317,7 +315,7 @@ def test_a_page_that_the_reader_has_is_not_sent_again(client: TestClient) -> Non
     assert plain.text == first.text
 
 
-def test_a_static_file_changes_its_address_with_its_content(client: TestClient) -> None:
+def test_static_address_follows_content(client: TestClient) -> None:
     address = re.search(r'href="(/static/pages\.[^"]+\.css)"', client.get("/").text)
     assert address
     assert "immutable" in client.get(address[1]).headers["cache-control"]
@@ -367,7 +365,7 @@ def test_a_film_is_made_once_and_kept(tmp_path: Path) -> None:
     assert [one.name for one in tmp_path.iterdir()] == [ONE.key]
 
 
-def test_a_film_that_fails_may_be_asked_for_again(tmp_path: Path) -> None:
+def test_failed_film_can_be_requested_again(tmp_path: Path) -> None:
     run = Films(fails=True)
     videos = Videos(tmp_path, run)
     videos.ask(ONE)
@@ -423,7 +421,7 @@ def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
         assert videos.film(key) is None and videos.episode(key) is None
 
 
-def test_a_form_is_answered_to_who_was_given_it(tmp_path: Path) -> None:
+def test_form_token_is_bound_to_browser(tmp_path: Path) -> None:
     app = make_app(tmp_path)
     with TestClient(app) as reader, TestClient(app) as other:
         token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(PAIR).text)
@@ -474,7 +472,7 @@ def test_two_hundred_readers_cost_one_rendering() -> None:
     assert rendered == [1]
 
 
-def test_a_page_is_rendered_anew_when_it_is_old_and_the_cache_is_bounded() -> None:
+def test_page_cache_expires_and_is_bounded() -> None:
     now = [0.0]
     cache = PageCache(lambda: now[0])
     texts = iter("abc")
@@ -487,7 +485,7 @@ def test_a_page_is_rendered_anew_when_it_is_old_and_the_cache_is_bounded() -> No
     assert cache.page("k", 1.0, lambda: next(texts)).body == b"c"
 
 
-def test_nobody_waits_for_a_page_that_is_a_little_too_old() -> None:
+def test_stale_page_is_served_during_renewal() -> None:
     now, may, done = [0.0], threading.Event(), threading.Event()
     cache = PageCache(lambda: now[0])
     cache.page("k", 1.0, lambda: "old")
@@ -505,7 +503,7 @@ def test_nobody_waits_for_a_page_that_is_a_little_too_old() -> None:
         time.sleep(0.01)
 
 
-def test_an_axis_holds_its_values_and_leaves_the_others_out() -> None:
+def test_axis_excludes_other_values() -> None:
     axis = axis_over([10.0, 20.0])
     assert 0 < axis.at(10.0) < axis.at(20.0) < axis.width
     assert axis.holds(15.0) and not axis.holds(0.0)
@@ -524,7 +522,7 @@ def test_templates_mark_nothing_as_safe() -> None:
         assert not re.search(r"\|\s*safe|autoescape|Markup|tojson", one.read_text()), one.name
 
 
-def test_a_measure_of_the_explorer_is_json_without_nan(client: TestClient) -> None:
+def test_explorer_measure_is_json_without_nan(client: TestClient) -> None:
     numbers = re.search(r'data-numbers="([^"]+)"', client.get(EXPLORER).text)
     assert numbers
     text = client.get(f"{numbers[1]}/matrix.json").text
@@ -552,7 +550,7 @@ def test_a_new_score_costs_its_own_methods_figures(
     assert [row.place for row, _ in board.rows] == [1, 2, 3]
 
 
-def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
+def test_older_board_is_shown_during_computation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = new_service(tmp_path)
@@ -576,7 +574,7 @@ def test_nobody_waits_for_a_board_of_which_there_is_an_older_one(
     assert len(new.rows) == 2
 
 
-def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None:
+def test_gentle_board_shows_violations(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     lab = new_submitter(service)
     for number in range(2):
@@ -594,7 +592,7 @@ def test_a_gentle_board_says_how_often_somebody_was_hurt(tmp_path: Path) -> None
     assert 'data-label="Safe success">55%<' in page
 
 
-def test_a_submissions_page_is_headed_by_its_own_mean(tmp_path: Path) -> None:
+def test_submission_page_is_headed_by_its_mean(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     lab = new_submitter(service)
     ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
@@ -608,7 +606,7 @@ def test_a_submissions_page_is_headed_by_its_own_mean(tmp_path: Path) -> None:
     assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text
 
 
-def test_a_board_says_which_places_speak_of_one_robot(tmp_path: Path) -> None:
+def test_board_marks_places_of_one_robot(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft(1.0))
     work_off(service)

@@ -53,9 +53,7 @@ def from_board_to_explorer(page: Page, address: str) -> None:
     expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
 
 
-def test_a_reader_goes_from_the_board_to_a_submission_to_the_explorer(
-    browser: Browser, address: str
-) -> None:
+def test_links_lead_from_board_to_explorer(browser: Browser, address: str) -> None:
     with opened(browser) as page:
         from_board_to_explorer(page, address)
         expect(page.locator("body")).to_have_attribute("data-measures", "8")
@@ -95,7 +93,7 @@ def test_the_explorer_is_coloured_ordered_and_searched(browser: Browser, address
         assert len(set(drawn)) == 5
 
 
-def test_a_pair_is_found_and_opened_with_the_keyboard_alone(browser: Browser, address: str) -> None:
+def test_keyboard_alone_opens_a_pair(browser: Browser, address: str) -> None:
     with opened(browser) as page:
         page.goto(f"{address}/tasks/scratch")
         page.keyboard.press("Tab")
@@ -122,7 +120,7 @@ def tab_to(page: Page, target: object) -> None:
     pytest.fail("the keyboard does not lead there")
 
 
-def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, address: str) -> None:
+def test_board_row_is_three_lines_on_telephone(browser: Browser, address: str) -> None:
     """Each method: its place and name, its return and interval, and two figures more."""
     lines = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
       const boxes = [...row.children].map((cell) => cell.getBoundingClientRect());
@@ -139,9 +137,7 @@ def test_a_row_of_a_board_is_three_lines_on_a_telephone(browser: Browser, addres
         assert "987" in row and " to " in row and "4 seeds" in row
 
 
-def test_the_switch_of_colours_works_without_scripts_and_is_kept_with_them(
-    browser: Browser, address: str
-) -> None:
+def test_colour_switch_works_with_and_without_scripts(browser: Browser, address: str) -> None:
     context = browser.new_context(java_script_enabled=False, color_scheme="light")
     plain = context.new_page()
     plain.goto(address)
@@ -173,9 +169,7 @@ def test_pages_are_read_without_scripts(browser: Browser, address: str) -> None:
     context.close()
 
 
-def test_a_page_about_something_unfinished_looks_again_by_itself(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_unfinished_page_reloads_itself(browser: Browser, tmp_path: Path) -> None:
     app = make_app(tmp_path)
     with served(app) as address, opened(browser) as page:
         waiting = submissions(page, address)[1]
@@ -185,9 +179,7 @@ def test_a_page_about_something_unfinished_looks_again_by_itself(
         expect(page.get_by_role("status")).to_contain_text("it has functions")
 
 
-def test_a_submission_is_watched_from_the_queue_to_its_place(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_submission_page_follows_queue_to_place(browser: Browser, tmp_path: Path) -> None:
     service = new_service(tmp_path)
     with running.served(service) as server, opened(browser) as page:
         id = service.submit(new_submitter(service), draft(5.0))
@@ -203,7 +195,7 @@ def test_a_submission_is_watched_from_the_queue_to_its_place(
 
 
 @pytest.mark.parametrize("scripts", [True, False])
-def test_a_robot_is_handed_in_by_the_form_with_scripts_and_without(
+def test_form_submits_with_and_without_scripts(
     browser: Browser, tmp_path: Path, scripts: bool
 ) -> None:
     service = new_service(tmp_path)
@@ -277,7 +269,7 @@ def still_episode() -> bytes:
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
-def test_an_episode_is_played_once_its_film_is_made(
+def test_episode_plays_after_its_film(
     browser: Browser,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

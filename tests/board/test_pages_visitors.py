@@ -86,9 +86,7 @@ def test_a_board_is_taken_away_as_csv(client: TestClient) -> None:
         assert client.get(missing).status_code == 404
 
 
-def test_who_asks_for_a_board_that_is_being_computed_is_told_when_to_ask_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pending_board_sends_retry_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     go_on, real = threading.Event(), boards.unplaced
     service = new_service(tmp_path)
     client = TestClient(create_app(service))
@@ -122,7 +120,7 @@ def test_a_name_is_no_formula_of_a_spreadsheet(tmp_path: Path) -> None:
     assert [row["submitter"] for row in rows] == ["lab", "'@lab"]
 
 
-def test_a_link_with_a_version_shows_the_board_that_it_showed(tmp_path: Path) -> None:
+def test_versioned_link_shows_the_same_board(tmp_path: Path) -> None:
     old = new_service(tmp_path)
     old.submit(new_submitter(old), draft(1.0, method="early"))
     work_off(old)
@@ -143,7 +141,7 @@ def test_a_link_with_a_version_shows_the_board_that_it_showed(tmp_path: Path) ->
     assert reader.get(f"/tasks/{TASK}?version=never").status_code == 404
 
 
-def test_a_method_has_a_page_with_its_history_and_partners(tmp_path: Path) -> None:
+def test_method_page_shows_history_and_partners(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     lab, other = new_submitter(service), new_submitter(service, "other")
     ids = [service.submit(lab, draft(strength, f"r{strength}")) for strength in (1.0, 4.0)]
@@ -166,7 +164,7 @@ def test_a_method_has_a_page_with_its_history_and_partners(tmp_path: Path) -> No
     assert reader.get("/submissions/none/method").status_code == 404
 
 
-def test_an_erased_labs_method_has_no_name_on_its_page(tmp_path: Path) -> None:
+def test_method_page_hides_erased_name(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     lab = new_submitter(service, "Lab of Ada")
     id = service.submit(lab, draft(1.0, method="adas idea"))
@@ -190,7 +188,7 @@ def test_methods_and_partners_are_a_map(client: TestClient) -> None:
     assert client.get("/tasks/bed_bath/heatmap").status_code == 404
 
 
-def test_the_home_page_says_what_this_is_and_who_leads(client: TestClient) -> None:
+def test_home_page_shows_purpose_and_leaders(client: TestClient) -> None:
     page = client.get("/").text
     lead = re.search(r'<p class="lead">(.*?)</p>', page, re.DOTALL)
     assert lead and lead[1].count(".") == 3, "three sentences"
@@ -201,9 +199,7 @@ def test_the_home_page_says_what_this_is_and_who_leads(client: TestClient) -> No
     assert "<figure>" not in page, "no film was made"
 
 
-def test_the_home_page_shows_the_film_that_was_made_last(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_home_page_shows_newest_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
     monkeypatch.setattr(pages, "run_command", lambda words, folder, registry: films(words, folder))
     with TestClient(make_app(tmp_path, ())) as reader:
@@ -255,9 +251,7 @@ def test_new_scores_and_seasons_are_a_feed(client: TestClient) -> None:
     assert client.get("/tasks/nowhere/news.atom").status_code == 404
 
 
-def test_a_feed_is_bounded_and_read_from_the_database_once_for_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_feed_is_bounded_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     real = Queries.scores
     monkeypatch.setattr(
@@ -269,7 +263,7 @@ def test_a_feed_is_bounded_and_read_from_the_database_once_for_all(
     assert len(asked) == 1
 
 
-def test_a_robot_that_is_scored_again_keeps_its_entry(tmp_path: Path) -> None:
+def test_rescored_robot_keeps_its_feed_entry(tmp_path: Path) -> None:
     old = new_service(tmp_path)
     old.submit(new_submitter(old), draft(1.0))
     work_off(old)
@@ -290,7 +284,7 @@ WORDS = {
 }
 
 
-def test_a_methods_page_has_its_text_link_and_citation(tmp_path: Path) -> None:
+def test_method_page_shows_text_link_citation(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     lab = new_submitter(service)
     id = service.submit(lab, draft(1.0, **WORDS))
@@ -324,7 +318,7 @@ def test_what_is_said_of_a_method_is_bounded(tmp_path: Path, words: dict[str, st
     assert service.queries.submissions() == []
 
 
-def test_the_form_and_the_api_take_what_is_said_of_a_method(tmp_path: Path) -> None:
+def test_form_and_api_take_method_description(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     token = service.create_token(("submit",), submitter="lab")
     with TestClient(create_app(service), follow_redirects=False) as reader:

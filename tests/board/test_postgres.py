@@ -95,7 +95,7 @@ def test_the_last_attempt_is_taken_once(service: Service) -> None:
     assert answers.count("budget_spent") == 7
 
 
-def test_a_request_sent_eight_times_at_once_is_one_submission(service: Service) -> None:
+def test_concurrent_equal_requests_make_one_submission(service: Service) -> None:
     submitter = new_submitter(service)
     assert len(set(at_once(8, lambda _: service.submit(submitter, draft())))) == 1
 
@@ -142,7 +142,7 @@ def close_by_date(service: Service, id: str) -> None:
     ],
     ids=["result", "date", "close", "disqualify", "withdraw", "erase"],
 )
-def test_who_hands_in_to_a_season_and_who_changes_it_do_not_wait_for_each_other(
+def test_submission_and_season_change_do_not_deadlock(
     service: Service, postgres_url: str, act: Callable[[Service, str], None]
 ) -> None:
     """Each waits for the lock of writers, before it has locked anything else."""

@@ -11,7 +11,7 @@ from assistax_board.problems import Problem
 
 
 @pytest.mark.usefixtures("one_window")
-def test_the_request_after_the_last_is_refused_with_its_wait() -> None:
+def test_excess_request_is_refused_with_wait() -> None:
     limiter = Limiter()
     for _ in range(3):
         limiter.hit(parse("3/minute"), "a reader")

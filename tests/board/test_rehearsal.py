@@ -97,7 +97,7 @@ def full_disk(folder: Path) -> Generator[None]:
 
 
 @pytest.mark.slow
-def test_a_season_closes_through_a_full_disk_a_kill_and_an_upgrade(tmp_path: Path) -> None:
+def test_season_survives_full_disk_kill_upgrade(tmp_path: Path) -> None:
     """The disk is a real one of 32 MB where a file system may be mounted."""
     with mounted(tmp_path / "board", "size=32m") as is_real:
         closes_through_all(tmp_path / "board", is_real)

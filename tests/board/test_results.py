@@ -63,7 +63,7 @@ def test_a_result_arrives_as_it_was_sent(made: Any, likes: tuple[str, ...]) -> N
         ("[" * 5000, ()),
     ],
 )
-def test_what_is_no_result_of_this_job_is_refused(content: Any, likes: tuple[str, ...]) -> None:
+def test_foreign_result_is_refused(content: Any, likes: tuple[str, ...]) -> None:
     data = content if isinstance(content, str) else json.dumps(content)
     with pytest.raises(Problem, match="result"):
         decode_table(data.encode(), PARTNERS, EPISODES, likes)
@@ -76,7 +76,7 @@ def damaged_parquet(table: pl.DataFrame) -> list[bytes]:
     return [whole, *(whole[:at] + bytes([25]) + whole[at + 1 :] for at in places)]
 
 
-def test_damaged_parquet_of_a_worker_ends_no_server_and_no_submission(
+def test_damaged_parquet_ends_neither_server_nor_submission(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = new_service(tmp_path)

@@ -54,7 +54,7 @@ def unplayed(service: Service) -> Any:
     return service.queries.ledger()[-1].body.get("unplayed")
 
 
-def test_a_used_attempt_is_given_twice_by_the_organiser_alone(service: Service) -> None:
+def test_extra_attempt_needs_the_organiser(service: Service) -> None:
     season, lab = open_season(service, budget=1), new_submitter(service)
     failed = service.submit(lab, draft(2.0, season=season))
     fail(service)
@@ -73,7 +73,7 @@ def test_a_used_attempt_is_given_twice_by_the_organiser_alone(service: Service) 
         service.submit(lab, draft(3.0, "r3", season=season))
 
 
-def test_an_attempt_that_is_there_needs_no_extra_one(service: Service) -> None:
+def test_retry_takes_an_available_attempt(service: Service) -> None:
     season, lab = open_season(service, budget=1), new_submitter(service)
     failed = service.submit(lab, draft(2.0, season=season))
     fail(service)
@@ -81,9 +81,7 @@ def test_an_attempt_that_is_there_needs_no_extra_one(service: Service) -> None:
     assert service.queries.ledger()[-1].body == {"id": failed}
 
 
-def test_a_retry_and_a_submission_do_not_take_one_attempt_together(
-    tmp_path: Path, postgres_url: str
-) -> None:
+def test_retry_and_submission_cannot_share_one_attempt(tmp_path: Path, postgres_url: str) -> None:
     """On PostgreSQL writers do not wait for each other by themselves."""
     service = new_service(tmp_path, postgres_url)
     season, lab = open_season(service, budget=3), new_submitter(service)
@@ -123,7 +121,7 @@ def closing(service: Service) -> tuple[str, list[str]]:
     return season, ids
 
 
-def test_a_season_waits_for_an_entry_that_workers_failed_on_panel_b(service: Service) -> None:
+def test_season_waits_for_failed_panel_b_entry(service: Service) -> None:
     season, ids = closing(service)
     failed = fail(service)
     work_off(service)
@@ -143,7 +141,7 @@ def test_a_season_waits_for_an_entry_that_workers_failed_on_panel_b(service: Ser
         service.retry(failed)
 
 
-def test_a_season_does_not_wait_for_ever_and_says_what_it_lacks(service: Service) -> None:
+def test_season_closes_incomplete_after_a_week(service: Service) -> None:
     season, ids = closing(service)
     failed = fail(service)
     work_off(service)
@@ -158,7 +156,7 @@ def test_a_season_does_not_wait_for_ever_and_says_what_it_lacks(service: Service
         service.retry(failed)
 
 
-def test_a_reference_that_workers_failed_on_panel_b_is_played_again(service: Service) -> None:
+def test_failed_reference_on_panel_b_is_retried(service: Service) -> None:
     service.add_references()
     season, _ = closing(service)
     while (failed := fail(service)) and shown(service, failed).kind != "reference":
@@ -179,7 +177,7 @@ def test_who_was_disqualified_is_not_waited_for(service: Service) -> None:
     assert state_of(service, season) == "closed" and unplayed(service) == []
 
 
-def test_what_fails_while_a_season_closes_is_waited_for(service: Service) -> None:
+def test_closing_season_waits_for_failed_submissions(service: Service) -> None:
     season, lab = open_season(service), new_submitter(service)
     early = service.submit(lab, draft(1.0, season=season))
     fail(service)
@@ -194,9 +192,7 @@ def test_what_fails_while_a_season_closes_is_waited_for(service: Service) -> Non
     assert [id for id, _ in service.panel_b(season)] == [late] != [early]
 
 
-def test_another_version_is_refused_while_panel_b_may_be_queued_again(
-    tmp_path: Path, service: Service
-) -> None:
+def test_upgrade_is_refused_while_panel_b_is_retriable(tmp_path: Path, service: Service) -> None:
     closing(service)
     fail(service)
     work_off(service)
@@ -204,7 +200,7 @@ def test_another_version_is_refused_while_panel_b_may_be_queued_again(
         dataclasses.replace(service, catalogue=FakeCatalogue(version=2)).adopt_version()
 
 
-def test_a_robot_of_which_nothing_is_left_is_not_waited_for(service: Service) -> None:
+def test_season_does_not_wait_for_erased_robot(service: Service) -> None:
     season, _ = closing(service)
     failed = fail(service)
     work_off(service)

@@ -60,7 +60,7 @@ def test_large_networks_are_let_in(torso: Any) -> None:
     assert Admission(SIZES).read(to_onnx(spec, params), TASK).format == "onnx"
 
 
-def test_what_depends_on_weights_alone_is_shared_by_all_rows() -> None:
+def test_cost_of_weights_is_shared_by_rows() -> None:
     """PyTorch writes weights transposed: a million numbers, once a step and not once a row."""
     constants = {"w": np.ones((1024, OBS), np.float32), "u": np.ones((ACT, 1024), np.float32)}
     nodes = [helper.make_node("Gemm", ["obs", "w"], ["h"], transB=1)]

@@ -78,7 +78,7 @@ def scored(service: Service, strength: float = 1.0, **fields: Any) -> str:
     return id
 
 
-def test_a_robot_is_filmed_once_with_a_partner_of_the_training_side(
+def test_robot_film_uses_a_training_partner(
     tmp_path: Path, service: Service, films: Seen, reader: TestClient
 ) -> None:
     id = scored(service)
@@ -109,7 +109,7 @@ def test_a_robot_is_filmed_once_with_a_partner_of_the_training_side(
     assert "<figure>" not in reader.get("/").text, "the home page shows published pairs"
 
 
-def test_a_robot_of_a_season_never_meets_a_hidden_partner_on_film(
+def test_film_never_shows_a_hidden_partner(
     service: Service, films: Seen, reader: TestClient
 ) -> None:
     id = scored(service, season=open_season(service))

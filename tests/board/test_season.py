@@ -155,7 +155,7 @@ def test_a_refused_file_costs_no_attempt(tmp_path: Path) -> None:
     service.submit(submitter, draft(request="r3", season=season))
 
 
-def test_who_met_hidden_partners_cannot_take_the_attempt_back(tmp_path: Path) -> None:
+def test_withdrawal_after_hidden_partners_spends_attempt(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(season=season))
@@ -165,7 +165,7 @@ def test_who_met_hidden_partners_cannot_take_the_attempt_back(tmp_path: Path) ->
     assert (shown(service, id).reason, shown(service, id).attempt) == ("withdrawn", "spent")
 
 
-def test_breaking_down_before_hidden_partners_is_no_free_answer(tmp_path: Path) -> None:
+def test_breakdown_on_hidden_partners_spends_attempt(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(season=season))
@@ -175,7 +175,7 @@ def test_breaking_down_before_hidden_partners_is_no_free_answer(tmp_path: Path) 
     assert (shown(service, id).reason, shown(service, id).attempt) == ("broke_down", "spent")
 
 
-def test_no_hidden_partner_is_met_before_the_public_half_is_done(tmp_path: Path) -> None:
+def test_hidden_panel_waits_for_public_panel(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     service.submit(new_submitter(service), draft(season=season))
@@ -199,7 +199,7 @@ def test_the_ladder_is_silent_without_an_improvement(tmp_path: Path) -> None:
     assert shown_means[3] == pytest.approx(5.5, abs=0.2)
 
 
-def test_what_was_handed_in_by_the_close_is_played(tmp_path: Path) -> None:
+def test_submissions_before_close_are_played(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     id = service.submit(new_submitter(service), draft(season=season))
@@ -220,7 +220,7 @@ def test_a_season_without_a_robot_closes_at_once(tmp_path: Path) -> None:
     assert state_of(service, season) == "closed"
 
 
-def test_a_season_whose_last_submission_is_taken_back_goes_on(tmp_path: Path) -> None:
+def test_withdrawal_of_last_submission_advances_season(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(season=season))
@@ -250,9 +250,7 @@ def test_a_season_closes_by_itself_at_its_date(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("waits_for", ["its date", "the organiser"])
-def test_one_wrong_reading_of_the_clock_closes_and_reveals_nothing(
-    tmp_path: Path, waits_for: str
-) -> None:
+def test_one_clock_jump_closes_no_season(tmp_path: Path, waits_for: str) -> None:
     """It is set far ahead and back; when it stays ahead, somebody has set it right."""
     machine = SimpleNamespace(wall=1.7e9, steady=5.0)
 
@@ -315,7 +313,7 @@ def test_a_closing_date_is_ahead(tmp_path: Path) -> None:
         service.open_season("spring", service.clock() - 1)
 
 
-def test_a_lab_has_two_entries_on_panel_b_and_their_seeds_are_averaged(tmp_path: Path) -> None:
+def test_two_entries_average_their_seeds(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season, lab = open_season(service, budget=9), new_submitter(service)
     ids = []
@@ -346,9 +344,7 @@ def test_a_lab_has_two_entries_on_panel_b_and_their_seeds_are_averaged(tmp_path:
     assert rows[1][0].m_test.mean == pytest.approx(2.5, abs=0.2)  # of 1.5 and 3.5
 
 
-def test_without_a_choice_the_last_one_shown_plays_panel_b_and_not_the_best(
-    tmp_path: Path,
-) -> None:
+def test_last_shown_submission_is_default_entry(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season, lab = open_season(service, budget=9), new_submitter(service)
     ids = []
@@ -361,7 +357,7 @@ def test_without_a_choice_the_last_one_shown_plays_panel_b_and_not_the_best(
     assert {score.submission for score in service.queries.scores(panel="B")} == {ids[1]}
 
 
-def test_a_season_page_has_places_references_and_what_the_mean_hides(tmp_path: Path) -> None:
+def test_season_page_shows_places_and_references(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     service.add_references()
@@ -452,7 +448,7 @@ def state_of_season(service: Service) -> str:
 
 
 @pytest.mark.parametrize("played", [1, 5], ids=["while panel A is played", "before the close"])
-def test_erasing_a_lab_keeps_no_season_from_its_end(tmp_path: Path, played: int) -> None:
+def test_erasure_does_not_block_season_end(tmp_path: Path, played: int) -> None:
     service = new_service(tmp_path)
     season, lab = open_season(service), new_submitter(service)
     id = service.submit(lab, draft(2.0, season=season))
@@ -467,7 +463,7 @@ def test_erasing_a_lab_keeps_no_season_from_its_end(tmp_path: Path, played: int)
     assert state_of_season(service) == "closed"
 
 
-def test_a_file_that_an_erased_lab_once_handed_in_plays_panel_b(tmp_path: Path) -> None:
+def test_file_shared_with_erased_lab_plays_on(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     erased, lab = new_submitter(service, "gone"), new_submitter(service)
     service.submit(erased, draft(2.0, "r1"))
@@ -496,7 +492,7 @@ def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
     assert upgraded.adopt_version() == 1
 
 
-def test_a_closing_season_keeps_its_version_while_panel_a_is_played(tmp_path: Path) -> None:
+def test_closing_season_keeps_version_during_panel_a(tmp_path: Path) -> None:
     """What was handed in in time would lose panel A, which no closing season plans anew."""
     service = new_service(tmp_path)
     season = open_season(service)
@@ -511,9 +507,7 @@ def test_a_closing_season_keeps_its_version_while_panel_a_is_played(tmp_path: Pa
     assert state_of_season(service) == "closed"
 
 
-def test_a_season_that_closes_after_an_upgrade_is_played_by_the_new_version(
-    tmp_path: Path,
-) -> None:
+def test_season_closing_after_upgrade_uses_new_version(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     id = service.submit(new_submitter(service), draft(2.0, season=season))
@@ -527,7 +521,7 @@ def test_a_season_that_closes_after_an_upgrade_is_played_by_the_new_version(
     assert state_of_season(upgraded) == "closed"
 
 
-def test_a_release_that_a_season_had_is_in_no_other(tmp_path: Path) -> None:
+def test_opened_release_cannot_enter_another_season(tmp_path: Path) -> None:
     """Its partners are revealed, or will be."""
     service = new_service(tmp_path)
     season = open_season(service)
@@ -542,7 +536,7 @@ def test_a_release_that_a_season_had_is_in_no_other(tmp_path: Path) -> None:
     assert seasons.revealed(service.database, season)["root"]
 
 
-def test_no_season_is_made_of_a_release_that_another_had(tmp_path: Path) -> None:
+def test_season_of_used_release_is_refused(tmp_path: Path) -> None:
     service = new_service(tmp_path / "board")
     private = published(teams_of(3), tmp_path / "private").parent
     public: Any = SimpleNamespace(policies=())
@@ -570,7 +564,7 @@ def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
             other.enter(season, [id])
 
 
-def test_a_seasons_references_are_no_rows_of_the_public_board(tmp_path: Path) -> None:
+def test_season_references_stay_off_public_board(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     season = open_season(service)
     service.add_references()

@@ -96,7 +96,7 @@ def test_what_cannot_be_hidden_is_said(tmp_path: Path, task: str, count: int, me
     assert not (tmp_path / "private").exists()
 
 
-def test_partners_of_another_environment_have_a_folder_of_their_own(
+def test_persons_refuse_partners_of_another_version(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
@@ -108,9 +108,7 @@ def test_partners_of_another_environment_have_a_folder_of_their_own(
         add_persons(tmp_path, TASK, 6)
 
 
-def test_a_season_commits_to_the_secret_and_anybody_draws_the_persons_again(
-    tmp_path: Path,
-) -> None:
+def test_revealed_secret_redraws_committed_persons(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     row = season_of(service, tmp_path / "private")
     leaves = row["secret"]["leaves"]
@@ -165,7 +163,7 @@ def test_nothing_of_the_secret_is_in_any_answer(tmp_path: Path) -> None:
     assert [word for word in hidden for text in texts if word in text] == []
 
 
-def test_a_season_of_persons_is_played_by_one_program(
+def test_season_of_persons_requires_one_program(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = new_service(tmp_path)
@@ -242,9 +240,7 @@ def work(registry: Registry, episodes: int) -> Work:
 
 
 @pytest.mark.slow
-def test_what_a_server_played_with_persons_is_what_evaluate_plays(
-    private: Registry, tmp_path: Path
-) -> None:
+def test_server_and_evaluate_play_persons_alike(private: Registry, tmp_path: Path) -> None:
     """After the reveal anybody evaluates with the release: the same returns, person by person."""
     robot, asked = robot_of(private, tmp_path / "robot.safetensors"), work(private, 2)
     people = hidden_partners(private, TASK)

@@ -67,7 +67,7 @@ def test_seeds_have_62_bits_and_more(tmp_path: Path) -> None:
     assert max(seeds) > 2**60, "none of 27 has 60 bits with a chance below 2 to the power of -54"
 
 
-def test_every_bit_of_a_seed_decides_what_is_trained() -> None:
+def test_every_seed_bit_changes_training() -> None:
     """JAX alone would keep 32 of them: a guess of the lower half would be enough."""
     keys = {
         seed: key_of(seed) for seed in (5, 2**31 + 5, 2**32 + 5, 2**62 + 5, 2**63 - 1, 2**31 - 1)
@@ -85,9 +85,7 @@ def key_of(seed: int) -> tuple[int, ...]:
     return tuple(jax.random.key_data(member_key(Member(seed, "d1"))).tolist())
 
 
-def test_a_smaller_plan_has_fewer_seeds_of_every_group(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_smaller_plan_has_fewer_seeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     task = ("--task", "gentle_scratch")
     private = read_plan(make(tmp_path / "plan.json", *task, "--teams", "30"))
     public = {group.name: group for group in read_plan(V3).groups}
@@ -109,7 +107,7 @@ def test_one_task_in_a_release_of_another_name(tmp_path: Path) -> None:
     assert private.release == "v7" and [group.name for group in private.groups] == expected
 
 
-def test_it_is_its_owners_alone_and_says_what_differs_from_defaults(tmp_path: Path) -> None:
+def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
     path = make(tmp_path / "private" / "plan.json", "--task", "scratch", plan=PLANS / "v1.json")
     assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
     group = json.loads(path.read_text())["groups"][0]
@@ -140,7 +138,7 @@ def test_a_plan_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
         ),
     ],
 )
-def test_what_the_plan_cannot_be_gets_one_clear_error(
+def test_invalid_plan_gets_one_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
 ) -> None:
     path = tmp_path / "new" / "plan.json"

@@ -36,7 +36,7 @@ def ipv6() -> None:
         pytest.skip("needs IPv6")
 
 
-def test_a_server_answers_on_each_address_of_its_host(
+def test_server_answers_on_every_host_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ipv6: None
 ) -> None:
     name(monkeypatch, "::1", "127.0.0.1", "127.0.0.1")
@@ -52,7 +52,7 @@ def test_a_server_answers_on_each_address_of_its_host(
     gc.unfreeze()
 
 
-def test_an_address_that_the_machine_lacks_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_skips_missing_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     name(monkeypatch, ELSEWHERE, "127.0.0.1")
     with serve.listen("localhost", 0) as (_, listeners):
         assert [listener.getsockname()[0] for listener in listeners] == ["127.0.0.1"]
@@ -63,9 +63,7 @@ def test_an_address_that_the_machine_lacks_is_left_out(monkeypatch: pytest.Monke
         pass
 
 
-def test_a_port_that_is_taken_on_one_address_is_refused(
-    monkeypatch: pytest.MonkeyPatch, ipv6: None
-) -> None:
+def test_port_taken_on_one_address_is_refused(monkeypatch: pytest.MonkeyPatch, ipv6: None) -> None:
     name(monkeypatch, "127.0.0.1", "::1")
     with (
         socket.create_server(("::1", port_of_its_own()), family=socket.AF_INET6) as taken,
@@ -75,7 +73,7 @@ def test_a_port_that_is_taken_on_one_address_is_refused(
         pass
 
 
-def test_nobody_else_can_take_the_free_port_that_serve_prints(
+def test_printed_free_port_stays_reserved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It was given back and taken again later, when the workers knew it."""

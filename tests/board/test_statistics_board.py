@@ -15,7 +15,7 @@ def method(name: str, mean: float, seed: int, seeds: int = 3, episodes: int = 4)
     return Method(name, rng.normal(mean, 5.0, (seeds, PARTNERS, episodes)))
 
 
-def test_rows_come_with_the_highest_mean_first_and_shared_places() -> None:
+def test_rows_are_sorted_and_share_places() -> None:
     methods = [method("low", 100, 0), method("high", 150, 1), method("twin", 150, 1)]
     rows = board_rows(methods, Panel(DISABILITIES))
     assert [(row.name, row.place, row.lowest) for row in rows] == [
@@ -47,7 +47,7 @@ def test_figures_are_those_of_the_scores() -> None:
     assert row.cvar.value < scores.mean()
 
 
-def test_a_random_robot_is_0_and_the_best_response_1() -> None:
+def test_normalised_random_is_0_best_response_1() -> None:
     low, best = np.full(PARTNERS, 10.0), np.full(PARTNERS, 110.0)
     bounds = Bounds(best, low)
     for level, expected in ((10.0, 0.0), (110.0, 1.0), (60.0, 0.5)):
@@ -57,12 +57,12 @@ def test_a_random_robot_is_0_and_the_best_response_1() -> None:
         assert row.normalised.mean == pytest.approx(expected)
 
 
-def test_one_episode_and_unknown_disabilities_leave_gaps_and_not_guesses() -> None:
+def test_missing_data_leaves_gaps() -> None:
     [row] = board_rows([method("x", 1, 3, episodes=1)], Panel((None,) * PARTNERS))
     assert (row.cvar, row.fairness, row.normalised) == (None, None, None)
 
 
-def test_one_partner_in_ten_earns_no_more_than_the_worst_tenth() -> None:
+def test_worst_tenth_bounds_one_partner_in_ten() -> None:
     scores = np.random.default_rng(4).permutation(np.arange(40.0))[None]
     worst = worst_tenth(scores)
     assert (scores <= worst.value).sum() == 4
@@ -70,7 +70,7 @@ def test_one_partner_in_ten_earns_no_more_than_the_worst_tenth() -> None:
     assert worst.value_ci[0] <= worst.value <= worst.value_ci[1]
 
 
-def test_a_method_that_missed_partners_is_refused_by_name() -> None:
+def test_method_lacking_partners_is_refused() -> None:
     short = Method("short", np.zeros((1, PARTNERS - 1, 4)))
     with pytest.raises(ValueError, match="short has returns of shape"):
         board_rows([method("x", 1, 5), short], Panel(DISABILITIES))
@@ -87,7 +87,7 @@ def test_a_lone_partner_gives_figures_and_no_place() -> None:
     ]
 
 
-def test_a_row_of_two_unlike_robots_erases_nobodys_place() -> None:
+def test_unlike_seeds_keep_other_places() -> None:
     means = (982, 890, 700, 540, 410, 300, 160, 19)
     methods = [method(f"m{mean}", mean, mean) for mean in means]
     odd = method("odd", 500, 7, seeds=2)

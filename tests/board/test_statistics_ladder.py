@@ -27,7 +27,7 @@ Board = Literal["exact", "ladder"]
 Attack = Literal["climb", "gather"]
 
 
-def test_the_first_attempt_is_shown_rounded_to_its_error() -> None:
+def test_first_attempt_is_rounded_to_its_error() -> None:
     shown = ladder_release(None, BASE, attempt=1)
     assert shown is not None
     assert shown == pytest.approx(BASE.mean(), abs=BASE.std(ddof=1) / np.sqrt(60))
@@ -35,7 +35,7 @@ def test_the_first_attempt_is_shown_rounded_to_its_error() -> None:
 
 
 @pytest.mark.parametrize("attempt", [2, 20])
-def test_only_what_a_paired_t_test_finds_is_shown(attempt: int) -> None:
+def test_ladder_shows_only_paired_t_test_gains(attempt: int) -> None:
     """At attempt t the test is at 5% / (t (t + 1)): 0.8% at the second, 0.012% at the 20th."""
     noise = np.random.default_rng(1).normal(0, 10, 60)
     shown = []
@@ -47,7 +47,7 @@ def test_only_what_a_paired_t_test_finds_is_shown(attempt: int) -> None:
     assert 0 < sum(shown) < 41
 
 
-def test_a_team_that_only_has_luck_is_shown_nothing_in_95_of_100_seasons() -> None:
+def test_ladder_ignores_luck_in_95_percent() -> None:
     """100 seasons of 50 attempts, none of which is better than the first."""
     rng = np.random.default_rng(3)
     fooled = 0
@@ -112,7 +112,7 @@ def answer_of(board: Board, best: np.ndarray | None, new: np.ndarray, attempt: i
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.02])
-def test_a_thousand_attempts_gain_less_than_a_half_width_on_panel_b(shared: float) -> None:
+def test_thousand_attempts_gain_less_than_half_width(shared: float) -> None:
     for how in ("climb", "gather"):
         attacked = attack(how, "ladder", 1000, shared, seed=0)
         assert attacked.gain_b < attacked.half_width

@@ -47,7 +47,7 @@ def test_a_submission_is_scored(tmp_path: Path) -> None:
     assert len(service.queries.partner_scores([id])) == 60
 
 
-def test_its_receipt_is_valid_and_a_changed_one_is_not(tmp_path: Path) -> None:
+def test_changed_receipt_is_invalid(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft())
     work_off(service)
@@ -63,7 +63,7 @@ def test_its_receipt_is_valid_and_a_changed_one_is_not(tmp_path: Path) -> None:
         verify_receipt(receipt, service.signer.public_key)
 
 
-def test_a_refused_file_ends_at_once_with_a_word(tmp_path: Path) -> None:
+def test_refused_file_ends_with_its_reason(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft(data=b"\x80pickle"))
     submission = shown(service, id)
@@ -81,7 +81,7 @@ def test_a_worker_may_refuse_too(tmp_path: Path) -> None:
     assert shown(service, id).reason == "not_finite"
 
 
-def test_references_are_queued_once_and_played_when_nobody_else_waits(tmp_path: Path) -> None:
+def test_references_are_queued_once_and_last(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     for _ in range(2):
         service.add_references()
@@ -117,7 +117,7 @@ def test_a_job_done_twice_counts_once(tmp_path: Path) -> None:
     assert service.queries.submissions()[0].state == "scored"
 
 
-def test_a_lease_runs_out_and_the_job_is_done_by_another(tmp_path: Path) -> None:
+def test_expired_lease_passes_to_another_worker(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft())
     lost = take(service)
@@ -139,7 +139,7 @@ def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
     assert shown(service, id).state == "scored"
 
 
-def test_a_lease_by_a_clock_that_is_a_little_ahead_stands(tmp_path: Path) -> None:
+def test_lease_of_slightly_fast_clock_stands(tmp_path: Path) -> None:
     """Of a request that waited for the database with the time it had."""
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft())
@@ -152,7 +152,7 @@ def test_a_lease_by_a_clock_that_is_a_little_ahead_stands(tmp_path: Path) -> Non
     assert service.beat(work.job, work.lease)
 
 
-def test_a_job_that_fails_too_often_ends_its_submission(tmp_path: Path) -> None:
+def test_repeated_job_failure_ends_its_submission(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft())
     for _ in range(jobs.MAX_FAILURES):
@@ -206,7 +206,7 @@ def test_a_result_of_other_episodes_is_not_taken(tmp_path: Path) -> None:
             service.result(work.job, work.lease, encode_table(wrong), 1.0)
 
 
-def test_the_ledger_is_a_chain_and_a_change_breaks_it(tmp_path: Path) -> None:
+def test_ledger_change_breaks_the_chain(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     service.submit(new_submitter(service), draft())
     work_off(service)
@@ -219,7 +219,7 @@ def test_the_ledger_is_a_chain_and_a_change_breaks_it(tmp_path: Path) -> None:
         check_chain([entries[0], entries[2]])
 
 
-def test_a_new_version_scores_anew_and_keeps_the_old_scores(tmp_path: Path) -> None:
+def test_new_version_rescores_and_keeps_old_scores(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     id = service.submit(new_submitter(service), draft())
     work_off(service)
@@ -241,7 +241,7 @@ def test_an_upgrade_with_running_jobs_loses_nothing(tmp_path: Path) -> None:
     assert shown(upgraded, id).state == "scored"
 
 
-def test_an_upgrade_asks_no_worker_for_an_erased_file(tmp_path: Path) -> None:
+def test_upgrade_skips_erased_files(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     gone, lab = new_submitter(service, "gone"), new_submitter(service)
     service.submit(gone, draft(2.0))
@@ -269,7 +269,7 @@ def test_erasing_a_person_leaves_the_chain_whole(tmp_path: Path) -> None:
     assert "Lovelace" not in repr(service.queries.ledger())
 
 
-def test_erasing_a_person_takes_the_methods_name_from_all_that_is_shown(tmp_path: Path) -> None:
+def test_erasure_removes_method_name_everywhere(tmp_path: Path) -> None:
     service = new_service(tmp_path)
     submitter = new_submitter(service, "lab")
     names = {"request": "Lovelace-1", "method": "Lovelace's robot"}

@@ -66,7 +66,7 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
         ({"request_id": ""}, 422, "request has 1 to 64"),
     ],
 )
-def test_what_cannot_be_handed_in_comes_back_with_a_reason(
+def test_invalid_form_returns_with_reason(
     service: Service, reader: TestClient, changed: dict[str, str], status: int, message: str
 ) -> None:
     token = service.create_token(("submit",), submitter="lab")
@@ -76,18 +76,14 @@ def test_what_cannot_be_handed_in_comes_back_with_a_reason(
     assert service.queries.submissions() == []
 
 
-def test_a_token_that_may_not_submit_and_an_empty_file_are_told(
-    service: Service, reader: TestClient
-) -> None:
+def test_wrong_token_and_empty_file_are_reported(service: Service, reader: TestClient) -> None:
     work = service.create_token(("work",))
     assert send(reader, filled(reader, work)).status_code == 403
     token = service.create_token(("submit",), submitter="lab")
     assert "not empty" in send(reader, filled(reader, token), b"").text
 
 
-def test_a_form_that_another_page_wrote_is_not_answered(
-    service: Service, reader: TestClient
-) -> None:
+def test_foreign_form_is_refused(service: Service, reader: TestClient) -> None:
     token = service.create_token(("submit",), submitter="lab")
     form = filled(reader, token)
     elsewhere = {"Sec-Fetch-Site": "cross-site"}
@@ -120,7 +116,7 @@ def test_a_form_from_elsewhere_is_not_read(reader: TestClient) -> None:
 
 
 @pytest.mark.usefixtures("one_window")
-def test_forms_with_files_are_few_at_once_and_in_a_minute(
+def test_file_forms_are_rate_limited(
     service: Service, reader: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     token = service.create_token(("submit",), submitter="lab")
@@ -143,9 +139,7 @@ def test_one_address_sends_one_form_at_a_time() -> None:
         pass
 
 
-def test_a_lab_sees_its_limits_on_the_form_and_hands_nothing_in(
-    service: Service, reader: TestClient
-) -> None:
+def test_limits_button_submits_nothing(service: Service, reader: TestClient) -> None:
     open_season(service, budget=3)
     token = service.create_token(("submit",), submitter="lab")
     answer = send(reader, filled(reader, token) | {"limits": "show"})

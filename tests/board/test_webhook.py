@@ -101,7 +101,7 @@ def test_a_message_is_signed_as_the_standard_says() -> None:
     assert made == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
 
 
-def test_a_failed_job_is_posted_with_a_signature_that_its_receiver_can_check(
+def test_notice_is_posted_with_a_valid_signature(
     tmp_path: Path, service: Service, receiver: Receiver
 ) -> None:
     id = service.submit(new_submitter(service), draft(2.0))
@@ -124,7 +124,7 @@ def test_a_failed_job_is_posted_with_a_signature_that_its_receiver_can_check(
     assert len(receiver.posts) == 1, "each is posted once, also after a restart"
 
 
-def test_what_was_not_taken_is_posted_again_under_its_id(
+def test_refused_post_is_repeated_with_same_id(
     tmp_path: Path, service: Service, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(posting, "POLL_SECONDS", 0.02)
@@ -156,7 +156,7 @@ def test_pauses_grow_while_a_receiver_is_away(
     assert pauses[:4] == [10.0, 20.0, 40.0, 80.0] and max(pauses) == 3600.0
 
 
-def test_one_that_goes_on_happening_is_posted_once_an_hour(
+def test_repeated_notice_is_posted_once_an_hour(
     tmp_path: Path, service: Service, receiver: Receiver
 ) -> None:
     hook = Webhook(receiver.address, tmp_path)

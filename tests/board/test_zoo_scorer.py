@@ -93,9 +93,7 @@ def work(partners: tuple[str, ...]) -> Work:
 
 
 @pytest.mark.slow
-def test_a_robot_scores_the_same_in_both_formats_and_every_time(
-    registry: Registry, files: dict[str, bytes]
-) -> None:
+def test_scores_equal_across_formats_and_runs(registry: Registry, files: dict[str, bytes]) -> None:
     partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
     tables = [
         scorer_of(registry).play(work(partners), files[format], None)
@@ -108,7 +106,7 @@ def test_a_robot_scores_the_same_in_both_formats_and_every_time(
 
 
 @pytest.mark.slow
-def test_onnx_at_home_is_onnx_at_the_server_bit_for_bit(
+def test_onnx_plays_bit_equal_at_home(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(submitting, "BACKEND", "native")
@@ -179,7 +177,7 @@ DECIDES = {
 }
 
 
-def test_a_version_accounts_for_all_that_decides_a_table(registry: Registry) -> None:
+def test_version_covers_all_inputs_of_a_table(registry: Registry) -> None:
     """The board's identity is read without JAX, so it is a second one: the two must agree."""
     entries = registry.select(task=TASK, role="human")
     how, robots = PlaySettings(TASK, 8, 0, "native"), reference_roster(34, 7)
@@ -208,7 +206,7 @@ def test_a_private_release_is_played_under_ordinals(
 
 
 @pytest.mark.slow
-def test_a_gentle_tasks_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
+def test_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
     task = "gentle_scratch"
     env = assistax_envs.make(task, backend="native")
     specs = {
