@@ -48,7 +48,7 @@ class Client:
         while True:
             try:
                 response = self._http.request(method, path, headers=headers, **options)
-                # Too many readers at one address: who only looks can look later.
+                # Too many readers at one address: a reader can come back later.
                 later = response.status_code == 429 and method == "GET"
                 # A server that stops ends what is under way so; its own errors are JSON.
                 is_text = response.headers.get("content-type", "").startswith("text/plain")
@@ -58,7 +58,7 @@ class Client:
                 error = f"it answered {response.status_code}"
             except httpx2.TransportError as failure:
                 error = type(failure).__name__
-            # From the first failure: it may have come after a minute in which nobody answered.
+            # From the first failure, which may come after a minute without an answer.
             end = end or time.monotonic() + self._patience
             if time.monotonic() + pause > end:
                 raise OSError(f"the server does not answer ({error}); try again later")

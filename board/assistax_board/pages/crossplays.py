@@ -54,7 +54,7 @@ class CrossPlay:
 
     @functools.cached_property
     def humans(self) -> dict[str, dict[str, Any]]:
-        """What each human did with its best robot, by team: its behaviour cluster and features."""
+        """Behaviour cluster and features of each human with its best robot, by team."""
         strategies = self.strategies or {"partners": []}
         return {row["partner"].rpartition("/")[0]: row for row in strategies["partners"]}
 

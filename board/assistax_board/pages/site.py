@@ -49,9 +49,9 @@ class Site:
     met: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)  # see `met_by_file`
 
     def met_by_file(self, task: str) -> dict[str, str]:
-        """Whom a task's published egos met, by the sha256 of each file that `export` writes of it.
+        """Return the training side of each published ego, by the sha256 of its exported files.
 
-        So nothing that a file says of itself is asked. It is kept: some egos met thousands.
+        Claims inside a file are thus never asked. The result is kept: some egos met thousands.
         """
         if task not in self.met:
             met = {}

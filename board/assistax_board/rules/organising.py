@@ -258,7 +258,7 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         for season in seasons:
             closing.go_on(transaction, season)
     with service.begin() as transaction:
-        # Another lab may have handed one in since; nobody hands one in now.
+        # Another lab may have handed in such a file since; this transaction keeps new ones out.
         for name in transaction.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
             service.artefacts.erase(name)
 

@@ -81,7 +81,7 @@ def _score_panel(service: "Service", transaction: Transaction, job: Any) -> None
         "figures": figures(table),
         "created_at": transaction.now,
     }
-    # Panel B is played when nobody submits any more: all of it may be shown.
+    # Panel B is played after the close of submissions, so all of it may be shown.
     row["released"] = row["figures"] if job.panel == "B" else None
     transaction.execute(sa.insert(schema.scores).values(row))
     if job.panel == "B":
