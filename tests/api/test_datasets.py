@@ -25,7 +25,7 @@ def table() -> pl.DataFrame:
     )
 
 
-def test_minari_reads_what_was_recorded(
+def test_minari_reads_the_recording(
     table: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     minari = pytest.importorskip("minari")
@@ -52,7 +52,7 @@ def test_minari_reads_what_was_recorded(
     assert json.loads(dataset.storage.metadata["assistax"]) == ABOUT
 
 
-def test_lerobot_s_files_hold_what_was_recorded(table: pl.DataFrame, tmp_path: Path) -> None:
+def test_lerobot_files_hold_the_recording(table: pl.DataFrame, tmp_path: Path) -> None:
     """Its own library reads them in tests/frameworks, where it is installed."""
     pytest.importorskip("pyarrow")
     write_dataset(table, tmp_path / "pair", ABOUT, "lerobot")
@@ -83,7 +83,7 @@ def test_lerobot_s_files_hold_what_was_recorded(table: pl.DataFrame, tmp_path: P
         ("new", "minari", "such as scratch-v0"),
     ],
 )
-def test_a_wrong_place_is_refused_before_anything_is_played(
+def test_wrong_place_is_refused_before_play(
     tmp_path: Path, name: str, format: str, words: str
 ) -> None:
     (tmp_path / "taken-v0").mkdir()

@@ -32,7 +32,7 @@ def test_importing_loads_nothing_heavy() -> None:
     assert done.returncode == 0 and not HEAVY & set(done.stdout.split())
 
 
-def test_every_name_is_there_typed_and_documented() -> None:
+def test_every_name_is_typed_and_documented() -> None:
     assert dir(az) == az.__all__ == sorted(az.__all__)
     source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")
     checked = source[source.index("TYPE_CHECKING:") : source.index("__all__")]
@@ -59,7 +59,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize("shadow", ["zoo.py", "evaluation/__init__.py", "population/x.py"])
-def test_a_module_in_the_place_of_ours_is_refused_by_name(tmp_path: Path, shadow: str) -> None:
+def test_shadowing_module_is_refused_by_name(tmp_path: Path, shadow: str) -> None:
     (tmp_path / shadow).parent.mkdir(exist_ok=True)
     (tmp_path / shadow).write_text("")
     name = Path(shadow).parts[0]
@@ -75,7 +75,7 @@ def test_a_module_in_the_place_of_ours_is_refused_by_name(tmp_path: Path, shadow
     )
 
 
-def test_the_command_refuses_such_a_module_in_one_line(tmp_path: Path) -> None:
+def test_command_refuses_shadowing_module_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "assistax_envs.py").write_text("")
     done = subprocess.run(
         [sys.executable, "-m", "assistax_zoo", "list"],

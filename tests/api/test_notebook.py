@@ -41,7 +41,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", notebooks.names())
-def test_it_is_short_and_keeps_what_it_showed(name: str) -> None:
+def test_notebook_is_short_and_keeps_its_outputs(name: str) -> None:
     content = nbformat.read(notebooks.FOLDER / f"{name}.ipynb", as_version=4)
     nbformat.validate(content)
     lines = [line for cell in cells(content) for line in cell.source.splitlines() if line.strip()]
@@ -71,7 +71,7 @@ def test_every_cell_runs(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNING)
-def test_it_learns(name: str, tmp_path: Path) -> None:
+def test_notebook_learns(name: str, tmp_path: Path) -> None:
     """As much as the notebook says: the last cell but those that evaluate shows first and last."""
     for content in (
         nbformat.read(notebooks.FOLDER / f"{name}.ipynb", as_version=4),

@@ -134,7 +134,7 @@ def test_two_results_in_one_folder(zoo: az.Zoo, tmp_path: Path) -> None:
     assert again(reuse=True).episodes.equals(second.episodes)
 
 
-def test_a_job_that_was_replaced_meanwhile_draws_nothing(
+def test_replaced_job_draws_nothing(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process gives the folder to another job while this one plays its references."""
@@ -153,7 +153,7 @@ def test_a_job_that_was_replaced_meanwhile_draws_nothing(
 
 
 @pytest.mark.slow
-def test_what_is_missing_is_named_or_fetched(
+def test_missing_policy_is_named_or_fetched(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A wheel has no shards; those of the robot and of the references are fetched too."""

@@ -81,8 +81,7 @@ DEFECTS = {
         "assistax_zoo/shell/caches.py",
         r" if kind\.names\.fullmatch\(path\.name\)",
         "",
-        "tests/cli/test_cache_command.py"
-        "::test_only_files_of_ours_go_and_no_kind_that_must_be_named",
+        "tests/cli/test_cache_command.py::test_clean_keeps_foreign_files_and_registries",
     ),
     "a small table may claim gigabytes": Defect(
         "evaluation/record/tables.py",

@@ -62,9 +62,7 @@ def test_a_whole_table_is_not_called_damaged(function: str, tmp_path: Path) -> N
     assert path.is_file()
 
 
-def test_a_text_that_memory_is_short_for_is_no_damage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_error_of_text_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> io.BytesIO:
         raise OSError(errno.ENOMEM, "Cannot allocate memory")
 

@@ -92,7 +92,7 @@ def test_performance_profile_by_hand():
     np.testing.assert_allclose(shares, [1.0, 0.75, 0.5, 0.0])
 
 
-def test_scores_that_are_no_scores_are_refused():
+def test_wrong_scores_are_refused():
     with pytest.raises(ValueError, match="1 of 2 scores are not finite"):
         statistics.iqm(np.array([1.0, np.nan]))
     with pytest.raises(ValueError, match="there are no scores"):

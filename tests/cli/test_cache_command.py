@@ -57,14 +57,14 @@ def test_kinds_are_listed_with_place_and_size(
     assert str(home / "mine/xla") in capsys.readouterr().out
 
 
-def test_without_yes_nothing_is_removed(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clean_without_yes_removes_nothing(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(home)
     assert main.run(["cache", "clean"]) == 0
     assert "add --yes to remove" in capsys.readouterr().out
     assert files(home) == before
 
 
-def test_only_files_of_ours_go_and_no_kind_that_must_be_named(
+def test_clean_keeps_foreign_files_and_registries(
     home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = files(home)
@@ -81,15 +81,13 @@ def test_only_files_of_ours_go_and_no_kind_that_must_be_named(
     assert before - files(home) == {*gone, "mine/registries/lab-0123abcd/registry.json"}
 
 
-def test_one_kind_is_removed_alone(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_named_kind_is_removed_alone(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(home)
     assert main.run(["cache", "clean", "--what", "xla", "--yes"]) == 0
     assert before - files(home) == {"mine/xla/jit_step-0a1b-cache"}
 
 
-def test_an_unknown_kind_names_those_that_are(
-    home: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_kind_names_the_known_ones(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(home)
     assert main.run(["cache", "clean", "--what", "data", "--yes"]) == 1
     printed = capsys.readouterr().err
@@ -97,7 +95,7 @@ def test_an_unknown_kind_names_those_that_are(
     assert files(home) == before
 
 
-def test_a_link_is_removed_and_not_what_it_points_to(home: Path) -> None:
+def test_link_is_removed_without_its_target(home: Path) -> None:
     other = home / "precious"
     other.mkdir()
     (other / "episodes.parquet").write_bytes(b"x" * 5000)
@@ -107,7 +105,7 @@ def test_a_link_is_removed_and_not_what_it_points_to(home: Path) -> None:
     assert (other / "episodes.parquet").is_file()
 
 
-def test_references_that_another_process_plays_stay(home: Path) -> None:
+def test_locked_references_stay(home: Path) -> None:
     folder = KINDS["references"].folder() / ("b" * 20)
     with locked(folder):
         removed, busy = clean("references")
@@ -134,7 +132,7 @@ def read_only(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def test_a_cache_that_cannot_be_written_names_its_variable(read_only: Path) -> None:
+def test_unwritable_cache_names_its_variable(read_only: Path) -> None:
     """Of the fused engine's programs, when they are compiled."""
     from assistax_envs.physics.fused.runtime import cache
 
@@ -170,7 +168,7 @@ def planted_command(cache: Path, tmp_path: Path) -> subprocess.CompletedProcess[
     return done
 
 
-def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path: Path) -> None:
+def test_unwritable_program_cache_warns_once(read_only: Path, tmp_path: Path) -> None:
     """Of the command, however many programs JAX compiles; it goes on without."""
     done = planted_command(read_only / "zoo", tmp_path)
     [line] = done.stderr.splitlines()
@@ -178,7 +176,7 @@ def test_programs_that_cannot_be_kept_are_one_warning(read_only: Path, tmp_path:
     assert line.endswith("choose another cache with $ASSISTAX_ZOO_CACHE")
 
 
-def test_a_program_that_was_kept_in_part_is_compiled_and_kept_again(tmp_path: Path) -> None:
+def test_damaged_cached_program_is_compiled_again(tmp_path: Path) -> None:
     """As a full disk leaves it, or a writer that was killed; JAX itself never replaces it."""
     assert planted_command(tmp_path / "zoo", tmp_path).stderr == ""
     whole = {path: path.stat().st_size for path in (tmp_path / "zoo/xla").glob("jit_*-cache")}

@@ -32,7 +32,7 @@ def cited(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str
     return citations
 
 
-def test_it_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) -> None:
+def test_citation_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     citations = cited(capsys)
     [paper] = citation["references"]
@@ -46,7 +46,7 @@ def test_it_agrees_with_the_citation_file(capsys: pytest.CaptureFixture[str]) ->
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
 
 
-def test_it_names_the_release_its_root_and_the_registry(
+def test_citation_names_release_root_and_registry(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     registry = load_registry()
@@ -57,7 +57,9 @@ def test_it_names_the_release_its_root_and_the_registry(
         assert all(split in note for split in registry.data.releases[release].splits.values())
 
 
-def test_it_names_what_a_lock_pins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_citation_names_the_pins_of_a_lock(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lock = tmp_path / "paper.lock"
     assert run(["lock", "--task", "scratch", "--release", "v1", "--out", str(lock)]) == 0
     capsys.readouterr()
@@ -68,7 +70,7 @@ def test_it_names_what_a_lock_pins(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "pins release v1, not v3" in capsys.readouterr().err
 
 
-def test_a_zoo_of_others_is_cited_as_it_asks(
+def test_foreign_zoo_is_cited_by_its_wish(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
@@ -95,6 +97,6 @@ def test_a_zoo_of_others_is_cited_as_it_asks(
     assert "citation" in capsys.readouterr().err
 
 
-def test_an_unknown_release_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_release_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["cite", "--release", "v9"]) == 1
     assert "v9" in capsys.readouterr().err

@@ -70,7 +70,7 @@ def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[s
     assert kinds == ["shards", "registries", "references", "xla", "fused"]
 
 
-def test_it_changes_nothing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_changes_nothing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
     examined(capsys)
     assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before
@@ -94,7 +94,7 @@ def test_problems_come_first_and_end_with_1(
     "cuda", "docs", "lerobot", "sb3", "wandb", "sign", "ray", "minari", "tensorboard"
 )
 @pytest.mark.parametrize("name", sorted(PROJECT["optional-dependencies"]))
-def test_a_missing_extra_is_named_with_the_line_that_installs_it(
+def test_missing_extra_names_its_installation(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     package = re.match(r"[\w-]+", PROJECT["optional-dependencies"][name][-1])
@@ -146,7 +146,7 @@ def test_an_old_package_of_the_board_is_broken(
     assert texts[0].startswith("uvicorn 0.1; install it with: pip install 'uvicorn>=")
 
 
-def test_a_checkout_that_is_not_installed_is_named(
+def test_uninstalled_checkout_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def unknown(name: str) -> None:
@@ -158,18 +158,14 @@ def test_a_checkout_that_is_not_installed_is_named(
     assert "pip install -e ." in topics["packages"][0]["text"]
 
 
-def test_a_registry_that_was_changed_is_broken(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_changed_registry_is_broken(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = here / "registry.json"
     path.write_text(path.read_text().replace("950.5", "951.5", 1))
     assert "expected root" in examined(capsys, 1)["registry"][0]["text"]
 
 
 @pytest.mark.slow
-def test_an_added_zoo_that_was_changed_is_broken(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_changed_added_zoo_is_broken(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(here / "zoo", here / "lab/zoo")
     shutil.copy(here / "registry.json", here / "lab/registry.json")
     assert main.run(["add", str(here / "lab"), "--as", "lab"]) == 0
@@ -209,7 +205,7 @@ def test_a_remote_that_hangs_is_left(
     assert remote["state"] == "advice" and "no answer within" in remote["text"]
 
 
-def test_a_folder_that_cannot_be_written_names_its_variable(
+def test_unwritable_folder_names_its_variable(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (here / "cache").write_text("a file in the place of a folder")

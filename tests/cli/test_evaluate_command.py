@@ -153,7 +153,7 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
 
 
 @pytest.mark.slow
-def test_a_robot_of_unknown_code_is_replaced_only_if_that_is_asked_for(
+def test_robot_of_unknown_code_needs_replace(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     code, policy = tmp_path / "mine.py", f"python:{tmp_path / 'mine.py'}:make"
@@ -216,7 +216,7 @@ def test_several_policies_are_seeds_of_one_method(
 
 
 @pytest.mark.slow
-def test_crossplay_fills_its_folder_with_self_play_on_the_diagonal(
+def test_crossplay_diagonal_is_self_play(
     registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     """Two teams of each setting; self-play is what `evaluate` gives for a robot's own human."""
@@ -298,9 +298,7 @@ def test_a_robot_in_plain_numpy(
     assert "the robot of task scratch reads observations [N, 34] and gives actions" in message
 
 
-def test_a_policy_file_is_evaluated_and_one_of_another_task_refused(
-    registry: Path, tmp_path: Path, capfd: Any
-):
+def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, capfd: Any):
     write_policy_file(tmp_path / "mine.safetensors", ROBOT, params_of(ROBOT, 1))
     assert evaluate(registry, "--json", policy=tmp_path / "mine.safetensors") == 0
     capfd.readouterr()
@@ -340,9 +338,7 @@ def test_bad_input_gets_one_clear_line(
     assert message in failure(capfd, evaluate(registry, *words))
 
 
-def test_a_corrupted_shard_is_told_with_both_hashes(
-    registry: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_corrupted_shard_names_both_hashes(registry: Path, capfd: pytest.CaptureFixture[str]):
     shard = next((registry.parent / "zoo").rglob("*human*.safetensors"))
     data = bytearray(shard.read_bytes())
     expected = json.loads(registry.read_text())["shards"][
@@ -368,9 +364,7 @@ def test_a_release_of_another_environment_version_is_refused(
     assert "release v0, trained on version 2" in message
 
 
-def test_an_output_folder_that_cannot_be_written_is_found_first(
-    registry: Path, tmp_path: Path, capfd: Any
-):
+def test_unwritable_output_folder_is_refused_first(registry: Path, tmp_path: Path, capfd: Any):
     (tmp_path / "file").write_text("in the way")
     message = failure(
         capfd,
@@ -418,7 +412,7 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("platform", "backend"), [("tpu", "native"), ("cuda", "auto")])
-def test_devices_that_are_not_here_are_told_in_one_line(
+def test_missing_devices_get_one_line(
     published: Path, tmp_path: Path, platform: str, backend: str
 ) -> None:
     words = ["evaluate", "--task", "scratch", "--policy", "scratch/ippo-d9-s2-v0/robot"]

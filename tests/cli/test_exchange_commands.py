@@ -80,9 +80,7 @@ def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> N
     )
 
 
-def test_an_exported_onnx_robot_can_be_evaluated_by_its_file(
-    zoo: Path, tmp_path: Path, capsys
-) -> None:
+def test_exported_onnx_robot_runs(zoo: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("onnx")
     onnxruntime = pytest.importorskip("onnxruntime")
     out = tmp_path / "robot.onnx"
@@ -94,7 +92,7 @@ def test_an_exported_onnx_robot_can_be_evaluated_by_its_file(
     assert session.run(["action"], {"obs": np.zeros((3, 5), np.float32)})[0].shape == (3, 2)
 
 
-def test_export_without_onnx_says_what_to_install(
+def test_export_without_onnx_names_the_extra(
     zoo: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
@@ -117,9 +115,7 @@ def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -
     assert "--card" in refusal(capsys, "show", FIRST, "--image", str(tmp_path / "robot.png"))
 
 
-def test_a_card_has_the_m_test_of_a_result_of_its_robot_alone(
-    zoo: Path, tmp_path: Path, capsys
-) -> None:
+def test_card_has_m_test_of_its_robot(zoo: Path, tmp_path: Path, capsys) -> None:
     robot, card = f"{FIRST}/robot", tmp_path / "README.md"
     mine, others = evaluated(tmp_path / "mine", ego=robot), evaluated(tmp_path / "others")
     shown = answer(capsys, "show", robot, "--card", str(card), "--result", str(mine))
@@ -131,7 +127,7 @@ def test_a_card_has_the_m_test_of_a_result_of_its_robot_alone(
     assert f"no M_test of {robot} alone" in said and not card.exists()
 
 
-def test_a_robot_of_one_s_own_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
+def test_robot_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
     """As docs/publish.md says."""
     mine = tmp_path / "my-zoo"
     assert (
@@ -195,12 +191,6 @@ def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monk
     assert f"as a test partner does: {twin.train}\n" in capsys.readouterr().out
 
 
-def test_help_has_an_example(capsys) -> None:
-    assert run(["export", "--help"]) == 0
-    out = capsys.readouterr().out
-    assert "Example" in out and "assistax-zoo export" in out and "--json" in out
-
-
 def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
     code = (
         "import sys\nfrom assistax_zoo.shell.main import run\n"
@@ -228,9 +218,7 @@ def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
 
 
 @pytest.mark.slow
-def test_an_onnx_robot_of_release_v0_reaches_what_its_original_does(
-    tmp_path: Path, capsys, monkeypatch
-) -> None:
+def test_onnx_robot_earns_its_originals_return(tmp_path: Path, capsys, monkeypatch) -> None:
     pytest.importorskip("onnxruntime")
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     robot = tmp_path / "robot.onnx"

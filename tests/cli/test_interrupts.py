@@ -228,7 +228,7 @@ sys.exit(main.run())
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
 
 
-def test_ctrl_c_while_the_command_line_is_imported_is_one_line() -> None:
+def test_ctrl_c_during_import_is_one_line() -> None:
     press = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it

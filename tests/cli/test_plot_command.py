@@ -1,6 +1,5 @@
 """`assistax-zoo plot`: figures from saved folders, and one clear line where a folder is not one."""
 
-import inspect
 import json
 from pathlib import Path
 
@@ -153,14 +152,6 @@ def test_curves_of_a_run(tmp_path: Path):
     tables.write_json({"config": {"task": "scratch"}}, tmp_path / "config.json")
     plot.curves(tmp_path, out=tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 5_000
-
-
-@pytest.mark.parametrize(
-    "command", ["crossplay", "zsc", "disability", "profile", "curves", "population"]
-)
-def test_every_command_has_an_example(command: str):
-    docstring = inspect.getdoc(getattr(plot, command)) or ""
-    assert f"Example:\n    assistax-zoo plot {command}" in docstring
 
 
 def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[str]):

@@ -51,7 +51,7 @@ def test_a_png_has_four_moments_two_by_two(tmp_path: Path, capfd: pytest.Capture
 
 @pytest.mark.parametrize("ending", ["gif", "webp"])
 @pytest.mark.slow
-def test_a_film_runs_in_real_time_with_a_policy_from_a_file(tmp_path: Path, ending: str):
+def test_film_of_policy_file_runs_in_real_time(tmp_path: Path, ending: str):
     path = tmp_path / "robot.safetensors"
     params = jax.tree.map(
         lambda leaf: np.array(leaf), jax.jit(Policy(ROBOT).init)(jax.random.key(0))
@@ -153,7 +153,7 @@ def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.C
     assert "task is 'swim'; allowed are scratch" in failure(capfd, call(*out, task="swim"))
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_any_work(
+def test_unwritable_place_is_refused_before_work(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("assistax_envs.make", lambda *_: pytest.fail("work was done"))
@@ -205,7 +205,7 @@ def test_an_episode_needs_both_players(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_human_of_a_gentle_task_plays_under_the_preference_that_is_named(
+def test_human_plays_under_the_named_preference(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     liked = []
