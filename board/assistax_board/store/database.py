@@ -41,7 +41,9 @@ class Transaction:
     connection: sa.Connection
     now: float  # seconds since 1970, read once when the transaction began
 
-    def execute(self, statement: sa.Executable, rows: Any = None) -> sa.CursorResult[*tuple[Any, ...]]:
+    def execute(
+        self, statement: sa.Executable, rows: Any = None
+    ) -> sa.CursorResult[*tuple[Any, ...]]:
         """Run a statement, once for each of `rows` if any are given."""
         return self.connection.execute(statement, rows)
 
