@@ -137,8 +137,7 @@ def collect(
         params: Their parameters, leaves [M, ...].
         keys: Keys of the actions [T, M].
         state: The simulations.
-        fresh: Reset states [N] of ended episodes. T must not exceed the episode length, so that
-            each is needed once.
+        fresh: Reset states [N]; at most one is needed each, as T must not exceed an episode.
         inputs: Names of the observations that the learners read.
         partners: Partners that act in the role without a policy.
         partner_params: Their parameters.
@@ -156,9 +155,7 @@ def collect(
         action, raw, log_prob = to_simulations(acted)
         partner_carry = state.partners
         if partners:
-            partner_carry, action[partners.role] = _act_partners(
-                partners, partner_params, state, members
-            )
+            partner_carry, action[partners.role] = _play(partners, partner_params, state, members)
         after = env.step(state.env, action)
         terminated, truncated, ended = _ends(after)
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)
@@ -216,7 +213,7 @@ def _ends(after: EnvState) -> tuple[jax.Array, jax.Array, jax.Array]:
     return terminated, after.truncated & ~terminated, terminated | after.truncated
 
 
-def _act_partners(
+def _play(
     partners: FrozenPartners, params: Any, state: Simulations, members: int
 ) -> tuple[Carry, jax.Array]:
     """Return the partners' carries and actions [N, A]; carries are reset with every episode."""

@@ -1,6 +1,4 @@
-"""Several devices share the members of a run. A CPU is made several devices in processes of their
-own.
-"""
+"""Sharing of a run's members by devices. Processes make several devices of a CPU."""
 
 import contextlib
 import dataclasses
@@ -53,9 +51,7 @@ class Killed(Exception):
 
 
 def population():
-    """Return two recurrent partners and one that is not: carries of [partner, member x simulation],
-    and none.
-    """
+    """Return four partners: two recurrent with carries [partner, member x simulation], two not."""
     specs = [
         PolicySpec("human", 3, 2, torso="gru", hidden=(8,)),
         PolicySpec("human", 3, 2, hidden=(4,)),
@@ -82,17 +78,8 @@ def arguments(case, members=4):
     partners = population() if case == "ego" else None
     team = tuple(Member(seed, MIXED if partners else f"d{1 + seed % 9}") for seed in range(members))
     names = partners.ids if partners else ()
-    config = TrainConfig(
-        "toy",
-        case,
-        team,
-        480,
-        TRAINERS[case],
-        checkpoint_every=2,
-        self_play_episodes=0,
-        partners=names,
-    )
-    return config, partners
+    options = {"checkpoint_every": 2, "self_play_episodes": 0, "partners": names}
+    return TrainConfig("toy", case, team, 480, TRAINERS[case], **options), partners
 
 
 def train_with_persons(folder, devices):
@@ -109,9 +96,7 @@ def train_with_persons(folder, devices):
 
 
 def in_another_order(config, trainer, shares=None):
-    """Return the initial state with a planted defect: simulations lie with another member, and so
-    on another device.
-    """
+    """Return the initial state with a planted defect: simulations lie with another member."""
     state = initial_state(config, trainer, shares)
     moved = jax.tree.map(
         lambda leaf: jax.numpy.roll(leaf, trainer.config.num_envs, axis=0), state.simulations.env
@@ -134,28 +119,16 @@ def train_each(case, runs):
         with contextlib.suppress(Killed), pytest.MonkeyPatch.context() as patch:
             if options["planted"]:
                 patch.setattr(training, "initial_state", in_another_order)
-            train(
-                config,
-                ToyEnv(match),
-                options["folder"],
-                partners=partners,
-                progress=progress,
-                devices=devices,
-            )
+            shared = {"partners": partners, "progress": progress, "devices": devices}
+            train(config, ToyEnv(match), options["folder"], **shared)
 
 
 def save_and_restore(case, folder):
-    """Save a state that lies on two devices and restore it for 1, 2 and 4; print each one's
-    simulations.
-    """
+    """Save a state of two devices, restore it for 1, 2 and 4, and print their shares."""
     config, partners = arguments(case)
     trainer = make_trainer(config, ToyEnv(match), partners)
-    states = {
-        count: initial_state(
-            config, trainer, DeviceShares(len(config.members), jax.devices()[:count])
-        )
-        for count in (1, 2, 4)
-    }
+    shares = {count: DeviceShares(4, jax.devices()[:count]) for count in (1, 2, 4)}
+    states = {count: initial_state(config, trainer, of) for count, of in shares.items()}
     checkpoints = Checkpoints(Path(folder))
     checkpoints.save(1, states[2])
     rows = {}
@@ -187,11 +160,8 @@ def leaves(state):
 
 
 def count_shares(cases):
-    print(
-        json.dumps(
-            [len(DeviceShares(members, jax.devices()[:devices])) for members, devices in cases]
-        )
-    )
+    shares = [DeviceShares(members, jax.devices()[:devices]) for members, devices in cases]
+    print(json.dumps(list(map(len, shares))))
 
 
 def on_several_devices(function, *args):
@@ -233,31 +203,19 @@ def devices_of(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", TRAINERS)
 def test_members_end_on_several_devices_as_on_one(case, tmp_path):
-    """On as many devices a resumed run ends with the same bits, on another number with the same but
-    for rounding.
-    """
+    """A resumed run has the same bits on as many devices, else the same but for rounding."""
 
     def run(name, devices, *, until=None, copy_of=None, planted=False):
         source = str(tmp_path / copy_of) if copy_of else None
-        inputs = {
-            "folder": str(tmp_path / name),
-            "devices": devices,
-            "until": until,
-            "copy_of": source,
-        }
-        return {**inputs, "planted": planted}
+        more = {"until": until, "copy_of": source, "planted": planted}
+        return {"folder": str(tmp_path / name), "devices": devices, **more}
 
     runs = [run("one", 1), run("two", 2), run("four", 4), run("planted", 2, planted=True)]
-    runs += [
-        run("killed", 2, until=3),
-        run("resumed", 2, copy_of="killed"),
-        run("moved", 1, copy_of="killed"),
-    ]
+    runs += [run("killed", 2, until=3)]
+    runs += [run("resumed", 2, copy_of="killed"), run("moved", 1, copy_of="killed")]
     on_several_devices(train_each, case, runs)
-    results = {
-        name: devices_of(tmp_path / name) for name in ("one", "two", "four", "resumed", "moved")
-    }
-    assert results == {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
+    expected = {"one": 1, "two": 2, "four": 4, "resumed": 2, "moved": 1}
+    assert {name: devices_of(tmp_path / name) for name in expected} == expected
     first, two = (tmp_path / name for name in ("one", "two"))
     assert difference(tmp_path / "resumed", two) == 0.0
     assert max(difference(tmp_path / name, first) for name in ("two", "four", "moved")) < ROUNDING

@@ -25,19 +25,10 @@ PAIR = make_members([0, 1], ["d1"])
 
 
 def slow_log_mean_density(mean, log_std, raw):
-    """log (1/n) sum_j prod_k N(raw_k; mean_jk, std_jk), term by term in double precision."""
-    result = np.zeros(raw.shape[:-1])
-    for place in np.ndindex(result.shape):
-        total = 0.0
-        for j in range(len(mean)):
-            density = 1.0
-            for k in range(raw.shape[-1]):
-                std = math.exp(log_std[j][place][k])
-                score = (raw[place][k] - mean[j][place][k]) / std
-                density *= math.exp(-0.5 * score * score) / (std * math.sqrt(2.0 * math.pi))
-            total += density
-        result[place] = math.log(total / len(mean))
-    return result
+    """log (1/n) sum_j prod_k N(raw_k; mean_jk, std_jk), in double precision."""
+    mean, std = np.stack(mean), np.exp(np.stack(log_std))
+    densities = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+    return np.log(densities.prod(-1).mean(0))
 
 
 def rollout(members, config=MEP):
@@ -74,13 +65,12 @@ def test_mean_density_ignores_other_populations(platform, monkeypatch):
         expected = slow_log_mean_density(mean, log_std, raw)
         np.testing.assert_allclose(divergence[member], expected, rtol=1e-4, atol=1e-4)
     everyone = usual(ppo, state, batch, jnp.tile(jnp.arange(4), (4, 1)))
-    assert (
-        np.abs(everyone - divergence).max() > 1e-3
-    )  # a planted neighbour of another setting shows
+    # Planted: neighbours of another setting.
+    assert np.abs(everyone - divergence).max() > 1e-3
 
 
 def test_tiny_densities_stay_distinct():
-    """A mean of densities, and not of their logarithms, would be log 0 where nobody goes."""
+    """A mean of densities, and not of their logarithms, would be log 0 for rare actions."""
     ppo, state, batch, hyper = rollout(PAIR)
     far = dataclasses.replace(batch, raw={**batch.raw, "human": batch.raw["human"] + 100.0})
     divergence = usual(ppo, state, far, hyper["peers"])
@@ -167,13 +157,13 @@ def test_population_differs_in_seed_alone():
         ((Member(0, "d1", {"population_coef": 0.1}),), {"trainer": preset("ippo")}, "it is 0 in"),
     ],
 )
-def test_what_is_no_population_is_refused(members, changes, message):
+def test_invalid_population_is_refused(members, changes, message):
     with pytest.raises(ValueError, match=message):
         TrainConfig("toy", "mep", members, 640, **{"trainer": MEP, **changes})
 
 
 @pytest.mark.parametrize("changes", [{"torso": "gru"}, {"shared": True}])
-def test_networks_that_no_population_can_have_are_refused(changes):
+def test_population_refuses_recurrent_and_shared_networks(changes):
     with pytest.raises(ValueError, match=r"population_coef is 0\.01 with .* leave shared"):
         preset("mep", **changes)
 
@@ -198,12 +188,10 @@ def test_plan_adds_settings_but_no_seeds_to_populations(tmp_path):
     group = Group(**GROUP)
     begin(group, tmp_path / "scratch-mep", group.members)
     wider = Group(**{**GROUP, "disabilities": ["d1", "d3", "d5"]})
-    assert [block.name for block in planned_runs(wider, tmp_path)] == [
-        "scratch-mep",
-        "scratch-mep-2",
-    ]
+    names = [block.name for block in planned_runs(wider, tmp_path)]
+    assert names == ["scratch-mep", "scratch-mep-2"]
     more = Group(**{**GROUP, "seeds": 5})
-    with pytest.raises(ValueError, match="lacks 2 of its 5 teams of d1, which are one population"):
+    with pytest.raises(ValueError, match="lacks 2 of its 5 teams of d1"):
         planned_runs(more, tmp_path)
     published = {("d1", 0), ("d1", 1)}
     with pytest.raises(ValueError, match="lacks 1 of its 3 teams of d1"):

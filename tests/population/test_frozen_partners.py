@@ -57,9 +57,7 @@ def config(kind, members=2, **changes):
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_partner_acts_in_its_share_alone(platform, monkeypatch):
-    """Simulations are [member, partner, simulation]; the oracle asks each partner simulation by
-    simulation.
-    """
+    """Simulations are [member, partner, simulation]; the oracle asks partners one by one."""
     partners, members, share = population(), 2, 2
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     obs = jax.random.normal(jax.random.key(5), (members * 3 * share, 3))
@@ -82,13 +80,10 @@ def test_every_partner_plays_under_its_own_disability():
     run = config(PPO)
     env = ToyEnv(match)
     state = initial_state(run, PPO(run.trainer, env, 1, population()))
-    expected = disability_params(
-        [s for _ in range(2) for s in ("d1", "d3", "d9") for _ in range(4)]
-    )
+    settings = np.tile(np.repeat(["d1", "d3", "d9"], 4), 2).tolist()
+    expected, found = disability_params(settings), state.simulations.env.params
     for name in ("strength", "elbow_range"):
-        np.testing.assert_array_equal(
-            getattr(state.simulations.env.params, name), getattr(expected, name)
-        )
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_partners_rotate_through_the_named_preferences():
@@ -133,9 +128,8 @@ def test_ego_learns_while_partners_stay_frozen(kind):
     )(state)
     assert list(state.members.learners) == ["robot"]
     earned = np.asarray(metrics["term_robot"])[np.asarray(metrics["episodes"]) > 0]
-    assert (
-        earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0
-    )  # with the policy's own noise
+    # Actions are drawn with the policy's noise.
+    assert earned[-10:].mean() > 0.8 * 0.5 * env.episode_length > earned[0] + 1.0
 
 
 @pytest.mark.parametrize(
@@ -180,10 +174,8 @@ def test_run_of_egos_has_no_self_play(tmp_path):
     run = dataclasses.replace(config(PPO), steps=240, checkpoint_every=1)
     folder = train(run, ToyEnv(match), tmp_path / "run", partners=population())
     egos = json.loads((folder / "teams.json").read_text())
-    assert [(ego["team"]["seed"], ego["team"]["disability"]) for ego in egos] == [
-        (0, MIXED),
-        (1, MIXED),
-    ]
+    named = [(ego["team"]["seed"], ego["team"]["disability"]) for ego in egos]
+    assert named == [(0, MIXED), (1, MIXED)]
     assert list(egos[0]["roles"]) == ["robot"] and egos[0]["self_play"] is None
     with pytest.raises(ValueError, match="another configuration: partners"):
         other = population("x")
@@ -191,50 +183,24 @@ def test_run_of_egos_has_no_self_play(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("changes", "trainer", "message"),
     [
-        (
-            lambda run: dataclasses.replace(run, partners=()),
-            "are not those that the configuration names",
-        ),
-        (
-            lambda run: dataclasses.replace(run, members=(Member(0, "d1"),)),
-            "an ego with partners has 'mixed'",
-        ),
-        (
-            lambda run: dataclasses.replace(
-                run, trainer=dataclasses.replace(run.trainer, num_envs=32)
-            ),
-            "num_envs is 32 with 3 partners; .* choose a multiple of 3, such as 33",
-        ),
-        (
-            lambda run: dataclasses.replace(
-                run, trainer=dataclasses.replace(run.trainer, shared=True)
-            ),
-            "partners are frozen and one role learns",
-        ),
-        (
-            lambda run: dataclasses.replace(
-                run, trainer=SACConfig(**{**test_sac.SMALL, "num_envs": 12, "critic": "central"})
-            ),
-            "choose local",
-        ),
+        ({"partners": ()}, {}, "are not those that the configuration names"),
+        ({"members": (Member(0, "d1"),)}, {}, "an ego with partners has 'mixed'"),
+        ({}, {"num_envs": 32}, "32 with 3 partners; .* a multiple of 3, such as 33"),
+        ({}, {"shared": True}, "partners are frozen and one role learns"),
+        ({"trainer": config(SAC, critic="central").trainer}, {}, "choose local"),
+        ({}, {}, r"partner a has observation and action size \(3, 2\)"),
     ],
 )
-def test_what_does_not_fit_is_refused(change, message, tmp_path):
+def test_unfitting_run_is_refused(changes, trainer, message, tmp_path):
+    env = ToyEnv(match) if changes or trainer else ToyEnv(match, observation_size=(2, 4, 4))
+    run = config(PPO)
+    if trainer:
+        run = dataclasses.replace(run, trainer=dataclasses.replace(run.trainer, **trainer))
     with pytest.raises(ValueError, match=message):
-        train(change(config(PPO)), ToyEnv(match), tmp_path / "run", partners=population())
+        train(dataclasses.replace(run, **changes), env, tmp_path / "run", partners=population())
     assert not (tmp_path / "run").exists()
-
-
-def test_partners_of_another_task_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"partner a has observation and action size \(3, 2\)"):
-        train(
-            config(PPO),
-            ToyEnv(match, observation_size=(2, 4, 4)),
-            tmp_path / "run",
-            partners=population(),
-        )
 
 
 def test_a_partner_without_a_setting_is_refused():

@@ -18,9 +18,8 @@ from population.trainers.normaliser import to_params
 from population.trainers.ppo import PPO
 from tests.population.toy_env import ToyEnv, constant, match, together
 
-FAST_COMPILE = {
-    "xla_backend_optimization_level": 0
-}  # programs this small take longer to compile than to run
+# Programs this small take longer to compile than to run.
+FAST_COMPILE = {"xla_backend_optimization_level": 0}
 SMALL: dict[str, Any] = {
     "num_envs": 32,
     "rollout_steps": 10,
@@ -53,15 +52,8 @@ def assert_same(left, right):
 
 
 def deterministic_return(env, ppo, state, count=1):
-    keys = jax.random.split(jax.random.key(7), count)
-    return self_play(
-        env,
-        ppo.policies,
-        ppo.policy_params(state.members),
-        disability_params(["d1"] * count),
-        keys,
-        8,
-    )
+    keys, humans = jax.random.split(jax.random.key(7), count), disability_params(["d1"] * count)
+    return self_play(env, ppo.policies, ppo.policy_params(state.members), humans, keys, 8)
 
 
 @pytest.mark.slow
@@ -73,9 +65,7 @@ def deterministic_return(env, ppo, state, count=1):
     ],
 )
 def test_constant_reward_value_bootstraps_at_time_limit(terminates):
-    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
-    down.
-    """
+    """The value is 1 / (1 - gamma) = 10 at a time limit; the planted termination lowers it."""
     env = ToyEnv(constant, terminates=terminates)
     ppo, state, metrics = run(env, PPOConfig(**{**SMALL, "gae_lambda": 0.8}))
     learner = state.members.learners["robot"]
@@ -88,9 +78,8 @@ def test_constant_reward_value_bootstraps_at_time_limit(terminates):
     else:
         np.testing.assert_allclose(value, 10.0, atol=0.5)
     finished = np.asarray(metrics["return"])[np.asarray(metrics["episodes"]) > 0]
-    np.testing.assert_array_equal(
-        finished, float(env.episode_length)
-    )  # partial first episodes are not counted
+    # Partial first episodes are not counted.
+    np.testing.assert_array_equal(finished, float(env.episode_length))
 
 
 @pytest.mark.parametrize(("paid", "share"), [(1.0, 1.0), (0.5, 0.0)])
@@ -213,18 +202,15 @@ def test_member_ignores_other_members(platform, monkeypatch):
         {role: learner.networks for role, learner in x.members.learners.items()}
         for x in (beside, alone)
     ]
-    assert_close = partial(
-        np.testing.assert_allclose, rtol=1e-3, atol=1e-5
-    )  # two programs round differently
+    # Two programs round differently.
+    assert_close = partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-5)
     jax.tree.map(lambda many, alone: assert_close(many[1:2], alone), *networks)
     with pytest.raises(AssertionError):
         jax.tree.map(lambda many, alone: assert_close(many[2:3], alone), *networks)
 
 
 class Diverging(ToyEnv):
-    """Physics that diverge in some simulations at their third step: frozen, earning 0, as the
-    environment's are.
-    """
+    """Physics that diverge in some simulations at their third step: frozen, with reward 0."""
 
     def step(self, state, action):
         after = super().step(state, action)

@@ -18,9 +18,8 @@ from population.trainers.sac import SAC
 from population.trainers.sac_losses import soft_target
 from tests.population.toy_env import ToyEnv, constant, match, together
 
-FAST_COMPILE = {
-    "xla_backend_optimization_level": 0
-}  # programs this small take longer to compile than to run
+# Programs this small take longer to compile than to run.
+FAST_COMPILE = {"xla_backend_optimization_level": 0}
 SMALL: dict[str, Any] = {
     "num_envs": 8,
     "rollout_steps": 5,
@@ -54,9 +53,7 @@ def run(env, config, members=(MEMBER,), updates=200, kind=SAC):
 
 
 def values(sac, state, role, action):
-    """Return what the first member's critics say of its simulations' observations under an action
-    [N, A].
-    """
+    """Return the critics' values of the first member's observations and an action [N, A]."""
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
     # What critics say, which training never returns.
     return sac._values(
@@ -71,9 +68,7 @@ def values(sac, state, role, action):
     ids=["time-limit", "planted-termination"],
 )
 def test_constant_reward_value_bootstraps_at_time_limit(terminates):
-    """1 / (1 - gamma) = 10 where an episode ends by time; the planted termination must pull it
-    down.
-    """
+    """The value is 1 / (1 - gamma) = 10 at a time limit; the planted termination lowers it."""
     config = SACConfig(**SMALL, autotune=False, initial_alpha=1e-6)
     sac, state, metrics = run(ToyEnv(constant, terminates=terminates), config, updates=150)
     q = values(sac, state, "robot", {"robot": jnp.zeros((8, 1))})
@@ -92,9 +87,7 @@ def unsquashed(raw):
 @pytest.mark.slow
 @pytest.mark.parametrize("planted", [False, True], ids=["squashed", "planted-unsquashed"])
 def test_policy_without_reward_becomes_uniform(planted, monkeypatch):
-    """Largest entropy in [-1, 1] is that of the uniform density: mean |a| is 1/2, and log 2 a
-    dimension.
-    """
+    """The uniform density has the largest entropy in [-1, 1]: mean |a| is 1/2."""
     if planted:
         # The planted defect: the squash's slope left out.
         monkeypatch.setattr(policy, "_log_slope", unsquashed)
@@ -167,9 +160,7 @@ class Misplaced(SAC):
 @pytest.mark.parametrize("kind", [SAC, Misplaced])
 @pytest.mark.slow
 def test_replayed_successor_is_the_reached_observation(kind):
-    """The toy's noise is the sine of the step, so each pair of neighbours is known; the ring is
-    written over twice.
-    """
+    """The toy's noise is the sine of the step, and the ring is written over twice."""
     env = ToyEnv(match)
     config = SACConfig(**{**SMALL, "replay_size": 160, "exploration_steps": 10**6})
     _, state, _ = run(env, config, updates=9, kind=kind)

@@ -24,7 +24,7 @@ from population.config import Member, TrainConfig, make_members
 from population.hyperparameters import preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
-from population.networks.stack import flatten
+from population.networks.stack import flatten, unflatten
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.folder import RunFolder
@@ -33,15 +33,8 @@ from population.runs.trained import read_teams
 from tests.population.toy_env import ToyEnv, match
 
 PPO = preset("ippo", num_envs=8, rollout_steps=10, hidden=(8, 8), minibatches=2, epochs=1)
-CONFIG = TrainConfig(
-    "toy",
-    "ippo",
-    make_members([0, 3], ["d1", "d9"]),
-    480,
-    PPO,
-    checkpoint_every=2,
-    self_play_episodes=3,
-)
+MEMBERS, OPTIONS = make_members([0, 3], ["d1", "d9"]), {"checkpoint_every": 2}
+CONFIG = TrainConfig("toy", "ippo", MEMBERS, 480, PPO, **OPTIONS, self_play_episodes=3)
 
 
 class Killed(Exception):
@@ -78,12 +71,7 @@ def test_a_run_holds_teams_and_their_stacked_parameters(finished):
             assert list(file.metadata()) == ["assistax"]
             metadata = json.loads(file.metadata()["assistax"])
         assert (spec.role, PolicySpec(**metadata["spec"])) == (role, spec)
-        assert metadata["rows"] == [
-            "toy/ippo-d1-s0",
-            "toy/ippo-d1-s3",
-            "toy/ippo-d9-s0",
-            "toy/ippo-d9-s3",
-        ]
+        assert metadata["rows"] == [f"toy/ippo-{member.label}" for member in MEMBERS]
     leaves = safetensors.numpy.load_file(finished / "robot.safetensors")
     assert leaves["Dense_0/kernel"].shape == (4, 2, 8)
     assert set(leaves) >= {"log_std", "normaliser/mean", "normaliser/std"}
@@ -92,13 +80,7 @@ def test_a_run_holds_teams_and_their_stacked_parameters(finished):
 def test_exported_rows_are_distinct_and_act(finished):
     teams = json.loads((finished / "teams.json").read_text())
     policy = Policy(PolicySpec(**teams[0]["roles"]["human"]["spec"]))
-    leaves = safetensors.numpy.load_file(finished / "human.safetensors")
-    params = {}
-    for name, value in leaves.items():
-        node = params
-        for part in name.split("/")[:-1]:
-            node = node.setdefault(part, {})
-        node[name.split("/")[-1]] = value
+    params = unflatten(safetensors.numpy.load_file(finished / "human.safetensors"))
     act = jax.vmap(policy.act, in_axes=(0, None, None, None))
     _, action = act(
         jax.tree.map(jax.numpy.asarray, params), (), jax.numpy.ones((1, 3)), jax.numpy.ones(1, bool)
@@ -275,9 +257,7 @@ def test_no_thread_outlives_a_run_that_is_stopped(tmp_path):
 
 @pytest.mark.slow
 def test_killed_sac_run_resumes_exactly(tmp_path):
-    """The replay is part of the checkpoint: what is drawn after resuming is what would have been
-    drawn.
-    """
+    """The replay is part of the checkpoint, so the same transitions are drawn."""
     trainer = preset(
         "masac", num_envs=4, rollout_steps=5, replay_size=60, exploration_steps=30, batch_size=8,
         updates=2,
@@ -291,17 +271,12 @@ def test_killed_sac_run_resumes_exactly(tmp_path):
     with pytest.raises(Killed):
         train(config, ToyEnv(match), tmp_path / "killed", progress=kill_after(5))
     updates = []
-    train(
-        config,
-        ToyEnv(match),
-        tmp_path / "killed",
-        progress=lambda report: updates.append(report.update),
-    )
+    killed = tmp_path / "killed"
+    train(config, ToyEnv(match), killed, progress=lambda report: updates.append(report.update))
     assert updates == [5, 6, 7, 8]
-    assert_same_policies(tmp_path / "killed", whole)
-    assert not any(
-        (folder / "checkpoints").exists() for folder in (whole, tmp_path / "killed")
-    )  # only PPO goes on
+    assert_same_policies(killed, whole)
+    # Only PPO's runs can be extended.
+    assert not any((folder / "checkpoints").exists() for folder in (whole, killed))
     train(config, ToyEnv(match), whole, progress=kill_after(1))  # finished: left alone
     assert RunFolder(whole).config() == config
 
@@ -311,22 +286,17 @@ def test_finished_run_stays_and_can_be_extended(finished, tmp_path):
     before = (finished / "teams.json").stat().st_mtime_ns
     train(CONFIG, ToyEnv(match), finished, progress=kill_after(1))
     assert (finished / "teams.json").stat().st_mtime_ns == before
-    shorter = TrainConfig(
-        "toy", "ippo", CONFIG.members, 160, PPO, checkpoint_every=2, self_play_episodes=3
-    )
+    shorter = dataclasses.replace(CONFIG, steps=160)
     folder = train(shorter, ToyEnv(match), tmp_path / "run")
     train(CONFIG, ToyEnv(match), folder)
-    assert (folder / "robot.safetensors").read_bytes() == (
-        finished / "robot.safetensors"
-    ).read_bytes()
+    assert_same_policies(folder, finished)
     with pytest.raises(ValueError, match="has already trained 480 steps"):
         train(shorter, ToyEnv(match), folder)
 
 
 def test_another_configuration_is_refused_by_name(finished):
-    other = TrainConfig(
-        "toy", "ippo", CONFIG.members, 480, preset("ippo", **{**vars(PPO), "gamma": 0.5})
-    )
+    trainer = dataclasses.replace(PPO, gamma=0.5)
+    other = dataclasses.replace(CONFIG, trainer=trainer, checkpoint_every=20)
     with pytest.raises(
         ValueError, match=r"another configuration: trainer\.gamma is 0\.99 there and 0\.5 here"
     ):
@@ -375,10 +345,7 @@ def test_full_disk_stops_and_run_resumes_later(finished, tmp_path, monkeypatch):
     ):
         train(CONFIG, ToyEnv(match), tmp_path / "run")
     monkeypatch.undo()
-    train(CONFIG, ToyEnv(match), tmp_path / "run")
-    assert (tmp_path / "run" / "human.safetensors").read_bytes() == (
-        finished / "human.safetensors"
-    ).read_bytes()
+    assert_same_policies(train(CONFIG, ToyEnv(match), tmp_path / "run"), finished)
 
 
 def test_the_environment_must_be_the_runs(tmp_path):
@@ -409,10 +376,7 @@ def test_sigkilled_process_resumes_exactly(finished, tmp_path):
             break
     process.stdout.close()
     assert process.wait() == -signal.SIGKILL
-    train(CONFIG, ToyEnv(match), tmp_path / "run")
-    assert (tmp_path / "run" / "robot.safetensors").read_bytes() == (
-        finished / "robot.safetensors"
-    ).read_bytes()
+    assert_same_policies(train(CONFIG, ToyEnv(match), tmp_path / "run"), finished)
 
 
 @pytest.mark.parametrize("part", ["checkpoints", "metrics.parquet", "robot.safetensors"])

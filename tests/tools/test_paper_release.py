@@ -165,22 +165,18 @@ def test_probability_of_improvement_with_its_interval(stratified: bool):
 def test_improvement_interval_is_that_of_plain_resampling():
     rng = np.random.default_rng(4)
     x, y = rng.normal(0.4, 1, (5, 7)), rng.normal(0, 1, (4, 7))
-    draws = []
+    draws, columns = [], []
     for _ in range(3000):
         a, b, c = rng.integers(0, 5, 5), rng.integers(0, 4, 4), rng.integers(0, 7, 7)
         draws.append(probability_of_improvement(x[a][:, c], y[b][:, c]))
-    improved = measures.improvement(x, y, resamples=3000)
-    assert improved.value_ci is not None
-    np.testing.assert_allclose(improved.value_ci, np.quantile(draws, (0.025, 0.975)), atol=0.02)
-    columns = []
     for _ in range(3000):
         a, b = rng.integers(0, 5, (5, 7)), rng.integers(0, 4, (4, 7))
-        columns.append(
-            probability_of_improvement(np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0))
-        )
-    improved = measures.improvement(x, y, stratified=True, resamples=3000)
-    assert improved.value_ci is not None
-    np.testing.assert_allclose(improved.value_ci, np.quantile(columns, (0.025, 0.975)), atol=0.02)
+        drawn = np.take_along_axis(x, a, 0), np.take_along_axis(y, b, 0)
+        columns.append(probability_of_improvement(*drawn))
+    for stratified, expected in ((False, draws), (True, columns)):
+        found = measures.improvement(x, y, stratified=stratified, resamples=3000).value_ci
+        assert found is not None
+        np.testing.assert_allclose(found, np.quantile(expected, (0.025, 0.975)), atol=0.02)
 
 
 def test_relative_gap():
@@ -219,30 +215,15 @@ def humans(
     returns: dict[str, list[float]], task: str = "scratch", disability: str = "d1"
 ) -> list[PolicyEntry]:
     covered = []
+    setting = DISABILITY_SETTINGS[disability]
+    facts = {"steps": 10_000_000, "env_version": 1, "backend": "native", "device": "cpu"}
     for algorithm, means in returns.items():
         for seed, mean in enumerate(means):
             team = f"{task}/{algorithm}-{disability}-s{seed}-v0"
-            training = Training(
-                steps=10_000_000, env_version=1, backend="native", device="cpu", seconds=30.0
-            )
             own = SelfPlay(mean=mean, iqm=mean, mean_ci=(mean - 1, mean + 1), n=16)
-            spec = PolicySpec("human", 38, 3)
-            place = (
-                task,
-                algorithm,
-                "human",
-                disability,
-                DISABILITY_SETTINGS[disability],
-                seed,
-                "v0",
-                spec,
-                "shard",
-                seed,
-                "0" * 64,
-            )
-            covered.append(
-                PolicyEntry(f"{team}/human", team, *place, f"{task}-{algorithm}", training, own)
-            )
+            names = f"{team}/human", team, task, algorithm, "human", disability, setting, seed, "v0"
+            row = PolicySpec("human", 38, 3), "shard", seed, "0" * 64, f"{task}-{algorithm}"
+            covered.append(PolicyEntry(*names, *row, Training(**facts, seconds=30.0), own))
     return covered
 
 
@@ -268,10 +249,8 @@ def test_nothing_is_claimed_of_what_was_not_measured():
     ("matrix", "expected"),
     [
         (blocks(), "holds"),
-        (
-            blocks(across=0.65),
-            "holds in part",
-        ),  # clusters that lose a third, but no pair falls below one half
+        # Clusters lose a third, but no pair falls below one half.
+        (blocks(across=0.65), "holds in part"),
         (additive(60, 60), "does not hold"),
         (additive(300, 0), "does not hold"),
     ],
@@ -354,12 +333,8 @@ def test_verdict_of_mixed_criteria():
     assert told("met", "met") == "holds"
     assert told("met", "not met") == "does not hold"
     assert told("not met", "met") == "holds in part"
-    assert (
-        told("undecided", "met")
-        == told("met", "undecided")
-        == told("not met", "undecided")
-        == "undecided"
-    )
+    for outcomes in (("undecided", "met"), ("met", "undecided"), ("not met", "undecided")):
+        assert told(*outcomes) == "undecided"
 
 
 # Collecting
@@ -373,14 +348,8 @@ def crossplay_folder(tmp_path: Path) -> Path:
     folder = tmp_path / "xp"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     derived.save_crossplay(Record(table, folder), CONTEXT)
-    tables.write_json(
-        {
-            "command": "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock "
-            "--out /home/me/xp",
-            "devices": ["cpu"],
-        },
-        folder / "run.json",
-    )
+    command = "assistax-zoo crossplay --egos 'scratch/*' --lock=/mnt/a.lock --out /home/me/xp"
+    tables.write_json({"command": command, "devices": ["cpu"]}, folder / "run.json")
     return sealed(folder)
 
 
@@ -393,10 +362,8 @@ def evaluation_folder(
     folder = tmp_path / f"evaluated-{method}"
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     derived.save_evaluation(Record(table, folder), CONTEXT)
-    command = " ".join(
-        ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
-    )
-    tables.write_json({"command": command}, folder / "run.json")
+    command = ["assistax-zoo evaluate --split both", *(f"--policy {name}" for name in names)]
+    tables.write_json({"command": " ".join(command)}, folder / "run.json")
     return sealed(folder)
 
 
@@ -464,27 +431,12 @@ def test_an_evaluation_is_condensed_under_its_method(tmp_path: Path):
 def test_training_of_egos_is_condensed(tmp_path: Path):
     folder = tmp_path / "runs" / "policies"
     folder.mkdir(parents=True)
-    training = {
-        "steps": 5000,
-        "seconds": 90.0,
-        "device": "cpu",
-        "backend": "native",
-        "secret": "/home/me",
-    }
+    training = {"steps": 5000, "seconds": 90.0, "device": "cpu", "secret": "/home/me"}
+    metadata = {"task": "scratch", "algorithm": "ppo", "split": "half", "training": training}
+    spec = SPECS["robot"]
     for seed in range(2):
-        metadata = {
-            "task": "scratch",
-            "algorithm": "ppo",
-            "seed": seed,
-            "split": "half",
-            "training": training,
-        }
-        write_policy_file(
-            folder / f"ppo-s{seed}.safetensors",
-            SPECS["robot"],
-            random_params(SPECS["robot"], seed),
-            metadata,
-        )
+        path, params = folder / f"ppo-s{seed}.safetensors", random_params(spec, seed)
+        write_policy_file(path, spec, params, {**metadata, "seed": seed})
     out = collect(folder.parent, tmp_path / "data")
     written = tables.read_json(out / "training.json")
     assert written["egos"] == 2
@@ -637,17 +589,11 @@ def test_table_rows_have_equal_cells():
 
 
 def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
-    assert run(words) == 0
-    first = (
-        (tmp_path / "page.md").read_bytes(),
-        (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes(),
-    )
-    assert run(words) == 0
-    second = (
-        (tmp_path / "page.md").read_bytes(),
-        (tmp_path / "images" / "v0" / "zsc_scratch.png").read_bytes(),
-    )
-    assert first == second
+    files, made = [tmp_path / "page.md", tmp_path / "images/v0/zsc_scratch.png"], []
+    for _ in range(2):
+        assert run(words) == 0
+        made.append([path.read_bytes() for path in files])
+    assert made[0] == made[1]
 
 
 def test_check_finds_an_outdated_page(
@@ -743,19 +689,9 @@ def test_committed_page_follows_from_its_tables(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(ROOT)
-    words = [
-        "--release",
-        "v1",
-        "--data",
-        "docs/data/v1",
-        "--out",
-        "docs/log/results-v1.md",
-        "--images",
-        "docs/images/v1",
-        "--registry",
-        "registry.json",
-    ]
-    assert run(["page", *words, "--check"]) == 0, capfd.readouterr().err
+    places = "--data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1"
+    words = f"page --release v1 {places} --registry registry.json --check".split()
+    assert run(words) == 0, capfd.readouterr().err
 
 
 def test_committed_tables_name_no_place_of_a_machine():

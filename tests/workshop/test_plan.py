@@ -2,6 +2,7 @@ import collections
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -13,14 +14,8 @@ from population.hyperparameters import preset
 from population.runs.folder import RunFolder
 
 V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"
-GROUP = {
-    "name": "scratch-ippo",
-    "task": "scratch",
-    "algorithm": "ippo",
-    "disabilities": ["d1", "d3"],
-    "seeds": 3,
-}
-GROUP |= {"steps": 1000}
+GROUP: dict[str, Any] = {"name": "scratch-ippo", "task": "scratch", "algorithm": "ippo"}
+GROUP |= {"steps": 1000, "disabilities": ["d1", "d3"], "seeds": 3}
 
 
 def test_the_first_release_is_the_papers_table_6():
@@ -30,17 +25,9 @@ def test_the_first_release_is_the_papers_table_6():
         for member in group.members
     )
     every, first_four = [f"d{n}" for n in range(1, 10)], ["d1", "d2", "d3", "d4"]
-    table = {
-        ("scratch", "ippo"): (every, 8),
-        ("scratch", "mappo"): (every, 8),
-        ("scratch", "masac"): (every, 6),
-    }
-    for task in ("bed_bath", "arm_assist"):
-        table |= {
-            (task, "ippo"): (first_four, 8),
-            (task, "mappo"): (first_four, 8),
-            (task, "masac"): (every, 6),
-        }
+    table = {}
+    for task, few in (("scratch", every), ("bed_bath", first_four), ("arm_assist", first_four)):
+        table |= {(task, "ippo"): (few, 8), (task, "mappo"): (few, 8), (task, "masac"): (every, 6)}
     assert counts == {
         (*row, setting): seeds for row, (settings, seeds) in table.items() for setting in settings
     }
@@ -152,17 +139,9 @@ def begin(group, folder, members):
 
 
 def finish(folder, members, task="scratch", algorithm="ippo"):
-    teams = [
-        {
-            "team": {
-                "task": task,
-                "algorithm": algorithm,
-                "disability": member.disability,
-                "seed": member.seed,
-            }
-        }
-        for member in members
-    ]
+    of_run = {"task": task, "algorithm": algorithm}
+    teams = [{**of_run, "disability": m.disability, "seed": m.seed} for m in members]
+    teams = [{"team": team} for team in teams]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "teams.json").write_text(json.dumps(teams))
 
@@ -276,12 +255,8 @@ def test_curves_of_other_members_stay_in_the_file(tmp_path):
     before = path.read_bytes()
     write_curves(path, [(table.filter(pl.col("seed") == 4), config)])
     assert path.read_bytes() == before
-    write_curves(
-        path,
-        [(table.filter(pl.col("seed") == 4).with_columns(pl.lit(9.0).alias("return")), config)],
-    )
+    other = table.filter(seed=4).with_columns(pl.lit(9.0).alias("return"))
+    write_curves(path, [(other, config)])
     written = pl.read_parquet(path)
-    assert {seed: set(rows["return"]) for (seed,), rows in written.group_by("seed")} == {
-        0: {1.0, 2.0},
-        4: {9.0},
-    }
+    returns = {seed: set(rows["return"]) for (seed,), rows in written.group_by("seed")}
+    assert returns == {0: {1.0, 2.0}, 4: {9.0}}

@@ -107,11 +107,8 @@ def test_incomplete_release_is_not_the_default(registry: Registry, teams, team, 
     ]
     for part in nine:
         opened = publish_to([part], registry.path, "v1", complete=False)
-    assert (
-        opened.release == "v0"
-        and opened.splits == registry.splits
-        and not opened.data.releases["v1"].splits
-    )
+    assert opened.release == "v0" and opened.splits == registry.splits
+    assert not opened.data.releases["v1"].splits
     assert len(opened.select(release="v1", role="human")) == 2 and verify(opened).ok
     whole = complete_release(registry.path, "v1")
     assert whole.release == "v1" and len(whole.split("scratch").train) == 1
@@ -165,18 +162,12 @@ def test_changed_bytes_are_refused(registry: Registry, team, publish_to) -> None
     ):
         publish_to([changed], registry.path)
     with pytest.raises(ImmutableError, match="self-play"):
-        publish_to(
-            [team(self_play={"mean": 1.0, "iqm": 1.0, "mean_ci": [0.0, 2.0], "n": 8})],
-            registry.path,
-        )
+        publish_to([team(self_play={**SELF_PLAY, "n": 8})], registry.path)
     with pytest.raises(ImmutableError, match="version 1 of scratch"):
         publish_to([team(seed=9)], registry.path, environments={"scratch": 2})
-    only_robot = {
-        "specs": {"robot": team().specs["robot"]},
-        "params": {"robot": team().params["robot"]},
-    }
+    fields = {name: {"robot": getattr(team(), name)["robot"]} for name in ("specs", "params")}
     with pytest.raises(ImmutableError):
-        publish_to([team(**only_robot)], registry.path)
+        publish_to([team(**fields)], registry.path)
     assert contents(registry.path.parent) == before
 
 
@@ -191,10 +182,7 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
         ([team(seed=9, training={**new.training, "env_version": 2})], "version 1, found on 2"),
         ([team(seed=9, training={**new.training, "told": True})], "which no robot may observe"),
         ([team(seed=9, self_play={"mean": 1.0})], "iqm"),
-        (
-            [team(seed=9, self_play={"mean": 1.0, "iqm": 1.0, "mean_ci": [2.0, 0.0], "n": 8})],
-            "low end",
-        ),
+        ([team(seed=9, self_play={**SELF_PLAY, "mean_ci": [2.0, 0.0]})], "low end"),
         ([team(seed=9, disability="d10")], "one of d1"),
         ([team(seed=9, task="ironing")], "task ironing"),
         (
@@ -280,9 +268,8 @@ sample["put"]([sample["trained_team"]("mappo")], Path(sys.argv[3]))
     stray = sorted(registry.path.parent.rglob("scratch-mappo-*.safetensors"))
     report = verify(load_registry(registry.path))
     assert len(stray) == 2 and report.ok and "interrupted publication" in report.notes[0]
-    assert verify(
-        publish_to([team("mappo")], registry.path)
-    ).ok  # the next publication takes their place
+    # The next publication takes their place.
+    assert verify(publish_to([team("mappo")], registry.path)).ok
     assert sorted(registry.path.parent.rglob("scratch-mappo-*.safetensors")) == stray
 
 
@@ -296,12 +283,8 @@ def test_two_publications_at_once_both_arrive(registry: Registry, team, publish_
     for thread in threads:
         thread.join()
     after = load_registry(registry.path)
-    assert {entry.algorithm for entry in after.policies} == {
-        "ippo",
-        "mappo",
-        "isac",
-        "masac",
-    } and verify(after).ok
+    assert {entry.algorithm for entry in after.policies} == {"ippo", "mappo", "isac", "masac"}
+    assert verify(after).ok
 
 
 def test_a_broken_registry_is_not_overwritten(tmp_path: Path, team, publish_to) -> None:
@@ -320,18 +303,13 @@ def write_run(folder: Path, teams: list[TrainedTeam], change=lambda items: None)
         stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
         metadata = {"spec": teams[0].specs[role].to_json(), "rows": list(range(len(teams)))}
         (folder / f"{role}.safetensors").write_bytes(encode(stacked, metadata))
+    identity = ("task", "algorithm", "disability", "seed")
     items = [
         {
-            "team": {
-                name: getattr(team, name) for name in ("task", "algorithm", "disability", "seed")
-            },
+            "team": {name: getattr(team, name) for name in identity},
             "roles": {
-                role: {
-                    "spec": team.specs[role].to_json(),
-                    "file": f"{role}.safetensors",
-                    "row": row,
-                }
-                for role in ("robot", "human")
+                role: {"spec": spec.to_json(), "file": f"{role}.safetensors", "row": row}
+                for role, spec in team.specs.items()
             },
             "training": {name: value for name, value in team.training.items() if name != "run"},
             "self_play": team.self_play,
@@ -364,12 +342,8 @@ def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params)
     stacked = {
         role: jax.tree.map(lambda *leaves: np.stack(leaves), *trees) for role, trees in rows.items()
     }
-    training = {
-        "steps": 100,
-        "env_version": 1,
-        "backend": "native",
-        "hyperparameters": config.to_json()["trainer"],
-    }
+    training = {"steps": 100, "env_version": 1, "backend": "native"}
+    training["hyperparameters"] = config.to_json()["trainer"]
     run = RunFolder(tmp_path / "run")
     run.open(config, {"env_version": 1}, resume=False)
     run.write_teams(config, specs, stacked, training, [SELF_PLAY, SELF_PLAY, SELF_PLAY, None])
@@ -381,23 +355,21 @@ def test_what_the_trainer_writes_can_be_published(tmp_path: Path, specs, params)
     assert entry.training.hyperparameters["hidden"] == "4" and entry.self_play is not None
 
 
+def robot_with(**fields: Any):
+    return lambda items: items[0]["roles"]["robot"].update(fields)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda items: items.clear(), "at least one team"),
         (lambda items: items[0].pop("training"), "no 'training'"),
         (lambda items: items[0].update(roles=3), "AttributeError"),
-        (lambda items: items[0]["roles"]["robot"].update(row=8), "a row from 0 to 7"),
-        (lambda items: items[0]["roles"]["robot"].update(row=-1), "a row from 0 to 7"),
-        (
-            lambda items: items[0]["roles"]["robot"].update(file="../robot.safetensors"),
-            "without a folder",
-        ),
-        (
-            lambda items: items[0]["roles"]["robot"].update(file="absent.safetensors"),
-            "no such file",
-        ),
-        (lambda items: items[0]["roles"]["robot"].update(file="human.safetensors"), "spec"),
+        (robot_with(row=8), "a row from 0 to 7"),
+        (robot_with(row=-1), "a row from 0 to 7"),
+        (robot_with(file="../robot.safetensors"), "without a folder"),
+        (robot_with(file="absent.safetensors"), "no such file"),
+        (robot_with(file="human.safetensors"), "spec"),
         (lambda items: items[0]["roles"]["robot"]["spec"].update(torso="cnn"), "torso"),
     ],
 )
