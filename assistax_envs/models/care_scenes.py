@@ -48,7 +48,7 @@ STIFF_JOINTS = {
 }
 LIPS = ("upper_lip", "lower_lip")
 # Rows of teeth by name: the side's ends in the plane of the teeth, x forward and y to the left.
-# Lips and cheeks of who has its teeth brushed give way: the brush does not touch them.
+# While teeth are brushed lips and cheeks give way: the brush does not touch them.
 ROWS = {
     "right": ((0.054, -0.026), (0.075, -0.018)),
     "front": ((0.078, -0.013), (0.078, 0.013)),

@@ -148,7 +148,7 @@ class Controller:
         bits = jax.lax.bitcast_convert_type(jnp.concatenate([start, row], axis=1), jnp.uint32)
         fresh = self.initial(obs.shape[0])
         still = jnp.zeros_like(fresh.past).at[:, :, :JOINTS].set(now.position[:, None])
-        still = still.at[:, :, JOINTS + 1 : JOINTS + 3].set(1.0)  # nothing slides, nobody is near
+        still = still.at[:, :, JOINTS + 1 : JOINTS + 3].set(1.0)  # no sliding, no near robot
         fresh = dataclasses.replace(
             fresh,
             seed=common.seed_of(bits),

@@ -47,7 +47,7 @@ class Parameter:
     meaning: str
     median: float | None = None  # of a log-normal distribution, cut to the range
     sigma: float = 0.0  # of its logarithm; without a median the distribution is uniform
-    none: float = 0.0  # share of persons who have none of it: their number is 0
+    none: float = 0.0  # share of persons without it: their number is 0
 
     def __post_init__(self) -> None:
         if not self.low < self.high:

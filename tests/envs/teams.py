@@ -18,7 +18,7 @@ Players = Callable[
 
 
 def team(identifier: str, size: int) -> Players:
-    """Return what a team of the installed registry does most likely, in `size` simulations."""
+    """Return a team of the installed registry as players of `size` simulations."""
     registry = load_registry()
     players = {}
     for role in ("robot", "human"):

@@ -1,4 +1,4 @@
-"""Every setting changes what its name says, on every backend."""
+"""Settings of disability change the parts that they name, on every backend."""
 
 import dataclasses
 

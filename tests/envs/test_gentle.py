@@ -367,7 +367,7 @@ def test_human_alone_observes_its_preference(task: str) -> None:
 
 @one_gentle_task
 def test_robot_observation_is_independent_of_preference(task: str) -> None:
-    """Under the same touches, that is: what the human does about it is for the robot to read."""
+    """The touches are the same: the robot reads a preference from the human's motion alone."""
     env = environment(task, "native")
     states, n = touching_states(task), 8
     readings = env._task.sensors.read(

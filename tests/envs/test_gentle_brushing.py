@@ -1,4 +1,4 @@
-"""Gentle brushing: where teeth are, what a stroke is and pays, who is needed."""
+"""Gentle brushing: places on the teeth, strokes and their pay, and a pair that brushes."""
 
 import dataclasses
 from typing import Any
@@ -148,7 +148,7 @@ def test_what_is_no_stroke(wrong: dict[str, Any]) -> None:
 
 
 def test_unpreferred_strokes_count_a_fifth() -> None:
-    """18 of them are a place, and are paid together what four good ones are, less the spared."""
+    """18 of them finish a place, and pay as much as four good ones, less the spared half."""
     table = Table()
     paid = [table.stroke(2, force=7.0) for _ in range(18)]
     assert [count for count, terms in enumerate(paid, 1) if terms["place"]] == [18]

@@ -1,4 +1,4 @@
-"""Gentle feeding: the mouth's scene, the four stages of a bite, what they pay, who is needed."""
+"""Gentle feeding: the mouth's scene, the stages of a bite and their pay, a pair that eats."""
 
 import dataclasses
 
@@ -266,7 +266,7 @@ def test_tilted_spoon_spills_once_until_level_again() -> None:
 
 
 def test_to_and_fro_earns_nothing() -> None:
-    """Progress of a stage is of what is left of its way: back where it began, it sums to zero."""
+    """Progress is a change of the way that is left: a way back to the start sums to zero."""
     table = Table()
     ways = [0.2, 0.3, 0.18, 0.25, 0.2]
     assert sum(table.play(out, 0.0)["progress"] for out in ways) == pytest.approx(0.0, abs=1e-4)

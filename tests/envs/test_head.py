@@ -1,4 +1,4 @@
-"""Persons at the mouth: when they open, what they show, and what makes them turn away."""
+"""Persons at the mouth: they open, show their teeth, and turn away."""
 
 import functools
 
@@ -46,7 +46,7 @@ def met(
     task: str, stage: int, tool: tuple[float, float, float], steps: int = 100, touch: float = 0.0,
     family: str = "spring", **numbers: float,
 ) -> tuple[Mind, np.ndarray]:  # fmt: skip
-    """Return what somebody thinks and does [5] after `steps` of the same observation."""
+    """Return the mind and the action [5] of a person after `steps` of one observation."""
     player, act = acting(task, family)
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     rows = jnp.asarray(np.resize(np.array(row, np.float32), (BATCH, WIDTH)))

@@ -1,4 +1,4 @@
-"""Our own settings of JAX: what is inside them, what is not, and what a process loses."""
+"""Our settings of JAX inside our programs, and a process's own settings outside."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Persons: what they feel, and what they do when something touches them."""
+"""Persons: perception, reactions to touches, and help."""
 
 import functools
 
@@ -36,7 +36,7 @@ NOBODY = {  # numbers of somebody without impairment or chance, of the gentle ta
 
 
 def somebody(task: str = "gentle_scratch", count: int = 1, **numbers: float) -> np.ndarray:
-    """Return rows [count, 25] of somebody without impairment, but for what is given."""
+    """Return rows [count, 25] of a person without impairment, with the given numbers."""
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     return np.array([row] * count, np.float32)
 
@@ -57,7 +57,7 @@ def acting(task: str, family: str):
 
 @functools.cache
 def at_rest(task: str = "gentle_scratch") -> np.ndarray:
-    """Return what a human observes as an episode starts, [O]; nothing touches it."""
+    """Return the human's observation [O] at an episode's start, without a touch."""
     return np.array(start(task, "fused", ["d1"] * 3, seed=3).obs["human"][0])
 
 

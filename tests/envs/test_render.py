@@ -133,7 +133,7 @@ def test_strip_follows_the_figures():
 
 
 def test_words_never_cover_the_scene(two: EnvState):
-    """The scene alone is drawn above the words: what is written below changes nothing there."""
+    """The scene is drawn above the words, which change none of its pixels."""
     env = environment(TASK, "native")
     rich = dataclasses.replace(two, reward=jnp.full(2, 123.0))
     first, other = env.render(two, **SIZE), env.render(rich, **SIZE)

@@ -156,7 +156,7 @@ class GentleBath:
         `under` [N, K] has the points under the pad, `speed` [N] is that of the pad over the skin.
         """
         liked = bump(r.on_arm, s.preference.force) * bump(speed, s.preference.speed)
-        # Squared, as in gentle scratch: an episode is too short for whoever does not care.
+        # Squared, as in gentle scratch: an episode is too short for robots that ignore preferences.
         well = self._whatever + (1.0 - self._whatever) * liked**2
         most = 2.0 * SOFT  # some people like 10 N
         gentle = (r.on_arm > PRESS) & (r.on_arm < most) & (speed > SLIDE)
