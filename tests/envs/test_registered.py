@@ -47,6 +47,7 @@ def outside(monkeypatch: pytest.MonkeyPatch):
         kinds = Kinds()
         monkeypatch.setattr(registered, "entry_points", lambda group: found.select(group=group))
         monkeypatch.setitem(REGISTERED.__dict__, "_kinds", {})
+        # A process finds its entry points once: the test puts others in their place.
         monkeypatch.setitem(REGISTERED.__dict__, "_entries", kinds._entries)
 
     return give
