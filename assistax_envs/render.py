@@ -306,7 +306,7 @@ def _touches(
             size = float(np.linalg.norm(force[:3]))
             axes = contact.frame.reshape(3, 3)
             way = axes.T @ force[:3] / size if size else axes[0]
-            tool = model.geom(parts[0]).bodyid[0] == tool_body
+            tool = bool(model.geom(parts[0]).bodyid[0] == tool_body)
             sign = 1.0 if names[0] == parts[0] else -1.0
             found.append((contact.pos.copy(), sign * way, size, tool and parts[1] in arm))
     return found
