@@ -32,8 +32,8 @@ from tests.board.browser import browsing, opened
 from tests.system import CHROMIUM, needs
 
 ROOT = Path(__file__).parents[2]
-TASK, STEPS = "gentle_scratch", 30
-ROBOT, HUMAN = f"{TASK}/ppo-ego-s0-v2/robot", f"{TASK}/mep-d1-s0-v2/human"
+TASK, STEPS = "gentle_scratch", 60
+ROBOT, HUMAN = f"{TASK}/ippo-d1-s0-v3/robot", f"{TASK}/mep-d1-s0-v3/human"
 PERSON = f"{TASK}/person-00042-v3"
 HOSTILE = "x</script><script>alert(1)</script>"
 
@@ -47,7 +47,7 @@ def record(folder: Path, robot: str, human: str, steps: int, seed: int = 0) -> P
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A robot that hits the person a quarter of a second after the start."""
+    """A robot that touches the person 0.8 s after the start."""
     return record(tmp_path_factory.mktemp("pair"), ROBOT, HUMAN, STEPS)
 
 
