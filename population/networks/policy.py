@@ -271,7 +271,7 @@ def normalise(normaliser: Params, obs: Float[Array, "*batch O"]) -> Float[Array,
 class _Actor(nn.Module):
     """Layers of a policy: carry, mean and log standard deviation of the actions."""
 
-    spec: PolicySpec
+    spec: "PolicySpec"
 
     @nn.compact
     def __call__(
