@@ -135,7 +135,7 @@ class ImmutableError(
     next_step="publish under a new release",
     remedy="new release",
 ):
-    """A publication that would change what is already published."""
+    """A publication that would change published bytes."""
 
 
 class RemoteError(

@@ -90,7 +90,7 @@ def _row_products(counts: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def entries(values: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Return all entries as a flat float array, refusing none at all and non-finite ones."""
+    """Return all entries as a flat float array; refuse an empty one and non-finite entries."""
     flat = np.asarray(values, float).ravel()
     if not flat.size:
         raise ValueError("there are no scores; at least one is needed")

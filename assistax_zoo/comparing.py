@@ -92,7 +92,7 @@ def _evaluation_of(result: "EvaluationResult | Path | str") -> Evaluated:
 def compare_named(
     contrasts: Path | str, folders: Sequence[Path | str], *, seed: int = 0
 ) -> ContrastFigures:
-    """Return what came of the contrasts that a file names, on the test side.
+    """Return the figures of a file's named contrasts, on the test side.
 
     Each is a method less a baseline with the same partners and episodes: an interval that resamples
     seeds and partners, a p-value, the same corrected for all named contrasts by Holm, and the

@@ -1,4 +1,4 @@
-"""Recorded episodes in the formats of Minari and of LeRobot, with what both seats saw and did."""
+"""Recorded episodes of both seats in the formats of Minari and of LeRobot."""
 
 import json
 import os

@@ -36,7 +36,7 @@ def trajectories(
     format: str = "parquet",
     on_step: Callable[[], None] | None = None,
 ) -> "pl.DataFrame":
-    """Play a pair, most likely actions, and return what both saw, did and earned: a row a step.
+    """Play a pair by its most likely actions; return a row of each step for both seats.
 
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
     `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. What players of the
@@ -128,7 +128,7 @@ def _record(
     count = len(states)
 
     def with_end(values: list[Any]) -> "pl.Series":
-        """Return what each step gave, and nothing at the end."""
+        """Return a column's values, with a missing value for the last state."""
         series = pl.Series(np.asarray(values))
         return pl.concat([series, pl.Series([None], dtype=series.dtype)])
 
@@ -147,7 +147,7 @@ def _record(
 
 
 def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
-    """Return where a state has what the step that led to it gave, by column."""
+    """Return functions that read a step's results from the state after it, by column."""
     speed = {} if first.measures.speed is None else {"speed": lambda state: state.measures.speed}
     terms = {f"term_{name}": lambda state, name=name: state.terms[name] for name in env.term_names}
     return {
@@ -160,7 +160,7 @@ def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
 
 
 def _who(name: str, seat: "Seated") -> dict[str, Any]:
-    """Return who sat there: the name that was given, and the sha256 of what it stands for."""
+    """Return the name given for a seat, and the sha256 of its policy."""
     from evaluation.record.manifest import file_sha256
 
     path = Path(name)

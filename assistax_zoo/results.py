@@ -128,7 +128,7 @@ class _Result:
         return f"{type(self).__name__}({self.summary.task}: {', '.join(parts)}{self._caveat()})"
 
     def _caveat(self) -> str:
-        """Return what is unknown of the figures, after them."""
+        """Return the remark that follows figures of unknown provenance."""
         return ""
 
     def _repr_html_(self) -> str:

@@ -1,4 +1,4 @@
-"""A server under attack: hostile files, slow bodies and readers at once; who is lost?
+"""A server under attack: hostile files, slow bodies and readers at once; counts lost submitters.
 
 The server is the real one, in a process of its own, with a worker beside it that brings made-up
 returns. Labs that hand in as they should are there all the while.

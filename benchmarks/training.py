@@ -78,7 +78,7 @@ def measure_training(
 def _work(
     trainer: Trainer, rollout_steps: int, state: Any, hyper: Any
 ) -> dict[str, Callable[[int], Any]]:
-    """Return what is timed, by name: each does its work a number of times."""
+    """Return the timed functions by name; each repeats its work a number of times."""
     update = jax.jit(trainer.update, donate_argnums=0)
     # What learning reads is returned, so that nothing of acting is optimised away.
     collect = jax.jit(lambda state: _used(trainer.collect(state)))

@@ -1,4 +1,4 @@
-"""The house's bars, held against the code: who imports whom, how large, and what stands twice.
+"""The house's bars, held against the code: imports, sizes and second copies.
 
 `python -m tools.house` prints every figure beside its bar and fails where one is missed;
 `python -m tools.house picture` writes the picture of the rooms into CONTRIBUTING.md, and
@@ -83,7 +83,7 @@ def read_modules(root: Path = ROOT) -> dict[str, Module]:
 
 
 def problems(root: Path = ROOT) -> Iterator[str]:
-    """Yield what misses its bar, with the figure."""
+    """Yield missed bars, each with its figure."""
     modules = read_modules(root)
     yield from _sizes(modules, root)
     yield from _raised_options(modules, root)
@@ -252,7 +252,7 @@ def _literal(tree: ast.Module, name: str) -> dict[str, tuple[str, ...]]:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the count of dependencies and every missed bar; or do what the argument names."""
+    """Print the count of dependencies and every missed bar; or run the named argument."""
     if arguments == ["picture"]:
         write_picture()
         return 0

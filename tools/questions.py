@@ -1,4 +1,4 @@
-"""Two examinations of how readable the code is, for a reader who never saw it.
+"""Two examinations of the code's readability, for a reader new to it.
 
 `python -m tools.questions` prints the questions of `questions.toml` whose answers are not in the
 code any more. `python -m tools.questions ask` prints the questions alone.

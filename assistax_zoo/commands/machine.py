@@ -9,7 +9,7 @@ from assistax_zoo.shell.console import answer
 
 
 def doctor(*, json: bool = False) -> None:
-    """Examine this installation: what is broken, what is missing, and what works.
+    """Examine this installation: its broken, missing and working parts.
 
     One line each, problems first; exit code 1 if something is broken. It looks at Python, packages
     and extras, JAX's devices, the compilers, cache, disks, registry, added zoos and the remote, and
@@ -33,7 +33,7 @@ def doctor(*, json: bool = False) -> None:
 
 
 def cache(*, json: bool = False) -> None:
-    """Show what the cache holds, by kind: place, files and size.
+    """Show the cache's content by kind: place, files and size.
 
     `assistax-zoo cache clean` removes it.
 

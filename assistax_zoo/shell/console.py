@@ -148,7 +148,7 @@ def chosen_progress(
     progress: bool | Callable[..., None] | None,
     shown: AbstractContextManager[Callable[..., None]],
 ) -> AbstractContextManager[Callable[..., None] | None]:
-    """Return what a run tells of its progress: `shown` where True, else a function, or nothing."""
+    """Return a run's progress reporter: `shown` if True, the function given, or None."""
     return shown if progress is True else nullcontext(progress or None)
 
 
@@ -217,7 +217,7 @@ class Line:
             print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """End the line, so that what follows starts on its own."""
+        """End the line, so that later output starts on a line of its own."""
         if self._open:
             print(file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""Lists what is broken, missing and present in an installation: one line each."""
+"""Lists the broken, missing and present parts of an installation, one line each."""
 
 import dataclasses
 import json

@@ -161,7 +161,7 @@ def all_groups() -> dict[str, str]:
 
 
 def build_app() -> App:
-    """Return the app with every command registered, none of them imported."""
+    """Return the app with every command registered and not yet imported."""
     app = App(
         name="assistax-zoo",
         help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
@@ -206,7 +206,7 @@ def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
 
 
 def _complete_help(app: App, arguments: Sequence[str]) -> None:
-    """Load what a group's help lists; end a command's help with its docstring's example."""
+    """Load the commands of a group's help; end a command's help with its docstring's example."""
     named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
     named.resolved_commands()
     if named.default_command is None:
@@ -217,7 +217,7 @@ def _complete_help(app: App, arguments: Sequence[str]) -> None:
 
 
 def _use_compilation_cache() -> None:
-    """Tell JAX, before a command imports it, to keep what it compiles for the next process."""
+    """Tell JAX, before its import, to keep compiled programs for later processes."""
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_root() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 

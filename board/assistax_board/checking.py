@@ -18,7 +18,7 @@ _PAGE = 1000  # entries that are read at once
 
 
 def check_service(service: Service) -> dict[str, Any]:
-    """Check everything that a service keeps; return what was counted.
+    """Check all that a service keeps; return the counts.
 
     Raises:
         ValueError: What is damaged, missing or changed.

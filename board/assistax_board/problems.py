@@ -1,4 +1,4 @@
-"""Errors of a request: a code, and a message that says what to do next."""
+"""Errors of a request: a code, and a message that names the next step."""
 
 import dataclasses
 

@@ -124,7 +124,7 @@ def run_server(
     proxy: str | None = None,
     **pages: Any,
 ) -> None:
-    """Serve what `listen` gave until SIGINT or SIGTERM, ending requests first.
+    """Serve the listeners until SIGINT or SIGTERM; requests under way end first.
 
     `pages` go to `add_pages`.
     """
@@ -139,7 +139,7 @@ def run_server(
 
 
 def config_of(app: Any, proxy: str | None = None) -> uvicorn.Config:
-    """Return how an application is served; `proxy` is whose X-Forwarded-For is believed."""
+    """Return an application's server settings; X-Forwarded-For of `proxy` is believed."""
     return uvicorn.Config(
         app,
         log_level="warning",
@@ -162,7 +162,7 @@ class _IdleTimeout(AutoHTTPProtocol):  # ty: ignore[unsupported-base]
         self._look(self, 0)
 
     def _look(self, seen: Any, looks: int) -> None:
-        """Look now and then whether still the same request is under way, or none."""
+        """Close a connection that was silent, or took no answer, for too long; else look again."""
         if self.transport.is_closing():
             return
         looks = looks + 1 if self.cycle is seen else 0

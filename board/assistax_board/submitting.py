@@ -1,4 +1,4 @@
-"""What a submitter's command does: check at home, hand in, watch, verify."""
+"""Work of a submitter's command: check at home, hand in, watch, verify."""
 
 import dataclasses
 import sys

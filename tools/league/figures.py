@@ -1,4 +1,4 @@
-"""Figures of the league's page: how its rows were learnt, and who fails with whom."""
+"""Figures of the league's page: learning curves, and failures by row and partner."""
 
 from collections.abc import Mapping
 
@@ -66,7 +66,7 @@ def failures(by_partner: pl.DataFrame) -> pl.DataFrame:
 
 @style.own_style()
 def failure_chart(shares: Mapping[str, pl.DataFrame]) -> Figure:
-    """Draw who fails with whom: rows by partners, that of the lowest mean share on the left.
+    """Draw the failures of rows by partner, the partner of the lowest mean share on the left.
 
     Args:
         shares: By task, of `failures`.

@@ -86,7 +86,7 @@ class Making:
 
 @dataclasses.dataclass(frozen=True)
 class Made:
-    """Robots of a row, and what their training took."""
+    """Robots of a row, with the cost of their training."""
 
     files: list[str]
     seeds: list[int] = dataclasses.field(default_factory=list)
@@ -96,7 +96,7 @@ class Made:
 
     @classmethod
     def of(cls, files: list[str], runs: Sequence[TrainedRun]) -> "Made":
-        """Return robots with what their trainings say."""
+        """Return robots with the facts of their trainings."""
         return cls(
             files,
             [member.seed for run in runs[:1] for member in run.config.members],
@@ -240,7 +240,7 @@ def _partners(
 
 
 def _learning(making: Making, split: Split) -> EgoTraining:
-    """Return what is to be trained with a split's training side."""
+    """Return the training of robots with a split's training side."""
     row, sizes = making.row, making.sizes
     alone = row.source == "each" and split.rule == PERSONS
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds

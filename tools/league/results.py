@@ -239,7 +239,7 @@ def sentences(
     alpha: float,
     trained: Sequence[Played] = (),
 ) -> list[str]:
-    """Return what the first screen says beside the table of tasks, ten sentences at most.
+    """Return the sentences beside the first screen's table of tasks, ten at most.
 
     Of contrasts it says those with PPO, in return; the tables have all.
     """

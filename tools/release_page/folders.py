@@ -85,7 +85,7 @@ def how_it_ran(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run_of(folder: Path) -> dict[str, Any]:
-    """Return a folder's record of its run, whose command has names in place of absolute paths."""
+    """Return a folder's record of its run; its command has names in place of absolute paths."""
     path = folder / tables.RUN_FILE
     run = tables.read_json(path) if path.is_file() else {}
     command = _ABSOLUTE.sub(lambda match: PurePath(match[0]).name, str(run.get("command", "")))

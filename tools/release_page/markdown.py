@@ -21,7 +21,7 @@ def table(
 def figure(
     value: Mapping[str, Any] | None, digits: int = 1, key: str = "iqm", *, percent: bool = False
 ) -> str:
-    """Return a point, of whose name `key` is, with its 95% interval: `939.5 [934.0, 958.0]`."""
+    """Return the point of the name `key` with its 95% interval: `939.5 [934.0, 958.0]`."""
     if value is None:
         return MISSING
     form = f".{digits}%" if percent else f",.{digits}f"
@@ -48,7 +48,7 @@ def csv_table(headings: Sequence[object], rows: Iterable[Sequence[object]]) -> s
 
 
 def csv_of(found: Table | None, heading: str, name: str) -> str:
-    """Return a table as CSV with a column before its own; None is a table without rows.
+    """Return a table as CSV with one column in front; empty for None.
 
     Args:
         found: Headings and rows.

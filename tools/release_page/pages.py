@@ -1,4 +1,4 @@
-"""A page and its figures on disk: written, or held against what is there."""
+"""A page and its figures on disk: written, or compared with the files there."""
 
 import os
 from collections.abc import Iterable, Mapping

@@ -69,7 +69,7 @@ def disability(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) 
 
 
 def preference(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
-    """Draw the returns of methods on a gentle task by what the humans like, with 95% intervals.
+    """Draw the returns of methods on a gentle task by the humans' preferences, with 95% intervals.
 
     Args:
         folders: Folders that `assistax-zoo evaluate --out` filled, one for each method; the figure

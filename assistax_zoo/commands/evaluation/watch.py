@@ -28,7 +28,7 @@ def watch(
     preference: str | None = None,
     registry: str | None = None,
 ) -> None:
-    """Watch a robot and a person: the scene, what the person likes, forces and reward over time.
+    """Watch a robot and a person: the scene, the person's preferences, forces and reward over time.
 
     Where there is a display, MuJoCo's viewer opens. Elsewhere, or with --out, one page is written
     that plays the episode in a browser and loads nothing from elsewhere.
@@ -72,7 +72,7 @@ def _check(
     playing: dict[str, Any],
     episode: int,
 ) -> None:
-    """Check what can be checked before any work is done."""
+    """Check the arguments before any work is done."""
     from evaluation.film import check_place
 
     if (seats[0] is None) != (seats[1] is None):

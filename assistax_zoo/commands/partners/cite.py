@@ -1,4 +1,4 @@
-"""The command that says how to cite what was used."""
+"""The command that prints citations of the parts that were used."""
 
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def _software(year: str) -> str:
 
 
 def _partners(registry: Registry, release: str | None, lock: Path | None) -> str:
-    """Return the entry of what was played with."""
+    """Return the entry of the partners that were used."""
     pinned = read_lock(lock) if lock else None
     name = release or (pinned.release if pinned else registry.release)
     if name not in registry.data.releases:
@@ -97,6 +97,6 @@ def _authorship(registry: Registry, release: str) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Return text without what BibTeX and TeX read as their own."""
+    """Return text with the special characters of BibTeX and TeX removed."""
     kept = printable(text).translate(str.maketrans("", "", "{}\\$%#^~"))
     return kept.replace("&", "\\&").replace("_", "\\_")

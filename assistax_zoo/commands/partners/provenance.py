@@ -87,7 +87,7 @@ def replay(
 
 
 def _replay_lines(report: "ReplayReport") -> list[str]:
-    """Return what was found, what was not checked, and how to choose the same sample again."""
+    """Return the findings, the unchecked parts, and the options that draw the same sample."""
     lines = [f"not checked: {what}" for what in report.unchecked]
     lines += first_lines("problem: ", report.problems, "problem")
     if not report.episodes:

@@ -131,7 +131,7 @@ def create(
 
 
 def _created(split: Split, registry: Registry) -> list[str]:
-    """Say how many teams are on each side, and which are on none."""
+    """Return lines with the number of teams on each side, and the teams left out."""
     counts = ", ".join(f"{len(teams)} {side}" for side, teams in split.sides.items())
     partners = partner_teams(registry.data, split.task, split.release)
     rest = sorted(set(partners).difference(*split.sides.values()))
@@ -181,7 +181,7 @@ _LEFT_OUT = {
 
 
 def _earned(folders: tuple[Path, ...], registry: Registry, task: str) -> dict[str, float]:
-    """Return what the best robot of finished folders earns with each team's human."""
+    """Return the best robot's return with each team's human, over finished folders."""
     from evaluation.record.record import Record
 
     earned: dict[str, float] = {}

@@ -106,7 +106,7 @@ def _choices(
     choosing: Choosing,
     backend: str,
 ) -> "Choices | None":
-    """Return what the validation side chooses, where it is to."""
+    """Return the choices made with the validation side; None if it was not asked for."""
     if not choosing.validate:
         return None
     from evaluation.play.how import PlaySettings

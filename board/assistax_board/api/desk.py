@@ -26,7 +26,7 @@ class Desk:
 
     @contextlib.contextmanager
     def form(self, client: str) -> Generator[None]:
-        """Keep a place for a form whose sender is not known before it was read.
+        """Keep a place for a form whose sender is unknown until it is read.
 
         Raises:
             Problem: Too many arrive now, or one from this address.

@@ -94,7 +94,7 @@ class BodyLimit:
 
 
 def check_proxy(proxy: str | None) -> None:
-    """Refuse a name for whom to believe that is not the address of a proxy.
+    """Refuse a trusted proxy's name that is not an address.
 
     Raises:
         ValueError: It is none: a wider one would let clients choose their own addresses.
@@ -119,7 +119,7 @@ def largest_body(path: str) -> int:
 
 
 def json_body(model: type[BaseModel]) -> tuple[Any, dict[str, Any]]:
-    """Return a dependency that reads a body of a model, and what OpenAPI says of it.
+    """Return a dependency that reads a body of a model, and its entry for OpenAPI.
 
     FastAPI would read a body before it asks who sends it; a dependency has its turn after those
     that stand before it.

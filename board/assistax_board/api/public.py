@@ -37,7 +37,7 @@ class About(BaseModel):
 
 
 class Board(BaseModel):
-    """Released scores of one task and version, and what a reader must know beside them."""
+    """Released scores of one task and version, with the notes that a reader needs."""
 
     statement: str
     version: str | None

@@ -37,14 +37,14 @@ class Limiter:
 
 
 class _Running(threading.Timer):
-    """Stands for the timer of `limits`, so that none is started.
+    """Replaces the timer of `limits`, which would start a thread.
 
-    While anybody asks, that is a new thread each hundredth of a second, which looks through all
-    counts; on a busy machine whoever asks waits for its start.
+    Requests would start a new thread each hundredth of a second, which looks through all counts.
+    On a busy machine a request would wait for its start.
     """
 
     def is_alive(self) -> bool:
-        """Say yes."""
+        """Return True."""
         return True
 
 
@@ -65,7 +65,7 @@ class _Counts(MemoryStorage):
             return super().incr(key, expiry, amount)
 
     def _forget(self) -> None:
-        """Drop what has expired, once in a while; the caller has the lock."""
+        """Drop expired counts, once in a while; the caller has the lock."""
         now = time.time()
         if now - self._forgot_at > FORGET_SECONDS:
             self._forgot_at = now

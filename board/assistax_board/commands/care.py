@@ -1,4 +1,4 @@
-"""Care of what a service keeps."""
+"""Commands that care for a service's data."""
 
 import tempfile
 from pathlib import Path
@@ -31,7 +31,7 @@ def service_check(
     artefacts: str | None = None,
     json: bool = False,
 ) -> None:
-    """Check that what a service keeps is whole: database, ledger, artefacts and receipts.
+    """Check that a service's data are whole: database, ledger, artefacts and receipts.
 
     It counts the organiser's notices too; `service notices` lists them.
 

@@ -1,4 +1,4 @@
-"""What help says of each group of commands."""
+"""Help texts of the groups of commands."""
 
 TOKEN = "Who may use an evaluation service."
 SEASON = "Hidden partners of an evaluation service."

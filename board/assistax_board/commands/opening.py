@@ -1,4 +1,4 @@
-"""What commands share: the service of a folder, a server's client, and how an answer is printed."""
+"""Shared by commands: a folder's service, a server's client, and the printing of answers."""
 
 import dataclasses
 import os
@@ -20,7 +20,7 @@ SERVER = "http://127.0.0.1:8800"
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Server:
-    """Which server, and who asks.
+    """Address of a server, and the token to use there.
 
     Attributes:
         url: Address of the server; default $ASSISTAX_ZOO_SERVER, else this machine's.

@@ -1,4 +1,4 @@
-"""What an organiser does to submissions, labs and seasons."""
+"""Commands of an organiser on submissions, labs and seasons."""
 
 import dataclasses
 from datetime import UTC, datetime
@@ -30,7 +30,7 @@ def service_failures(*, data: Path, database: str | None = None, json: bool = Fa
 def service_retry(
     submission: str, /, *, data: Path, extra_attempt: bool = False, database: str | None = None
 ) -> None:
-    """Queue again what the workers failed: a submission, or its panel B while its season closes.
+    """Queue failed work again: a submission, or its panel B while its season closes.
 
     What was played stays. A submission of a season uses again the attempt that was given back; if
     its lab has used that attempt since, nothing is queued.

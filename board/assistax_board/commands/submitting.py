@@ -1,4 +1,4 @@
-"""Commands of who hands robots in."""
+"""Commands of submitters."""
 
 import dataclasses
 from pathlib import Path
@@ -46,7 +46,7 @@ def submit(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Submit a robot to a service, or check at home what the service will say.
+    """Submit a robot to a service, or check at home whether the service would take it.
 
     Args:
         file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
@@ -146,7 +146,7 @@ def season_verify(name: str, /, *, root: str, url: str | None = None, json: bool
 
 
 def receipt_verify(file: Path, /, *, key: str, json: bool = False) -> None:
-    """Check a receipt without the server, and print what it states.
+    """Check a receipt without the server, and print its statement.
 
     Args:
         file: The receipt, as `submit --watch --json` or the web page gave it.

@@ -1,4 +1,4 @@
-"""Who may use a service."""
+"""Commands for the tokens of a service's users."""
 
 import dataclasses
 from pathlib import Path

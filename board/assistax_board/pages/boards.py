@@ -218,7 +218,7 @@ class _ReturnsCache:
 def bounds_of(
     partners: Sequence[str], references: Mapping[str, np.ndarray], crossplay: CrossPlay | None
 ) -> Bounds | None:
-    """What a random robot earns with each partner, and the best robot known for it.
+    """Return the returns of a random robot and of the best known robot with each partner.
 
     That is its own robot, or the best of the cross-play. `references` are returns [S, P, K].
     """

@@ -129,7 +129,7 @@ def words(name: str) -> str:
 
 
 def table_rows(values: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Flatten what is known of something into rows of name and value, for a table of facts."""
+    """Return nested facts as rows of name and value, for a table."""
     rows = []
     for name, value in values.items():
         if isinstance(value, Mapping):

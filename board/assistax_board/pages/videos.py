@@ -51,7 +51,7 @@ class Filmed(Protocol):
         ...
 
     def make(self, run: Run, film: Path, place: Path) -> None:
-        """Write the film, and what belongs to it beside it; `place` is for what goes again.
+        """Write the film and its files beside it; `place` is a folder for temporary files.
 
         Both are absolute.
         """

@@ -84,7 +84,7 @@ def board_rows(
 
 
 def _rank_competitors(methods: Sequence[Method], panel: Panel) -> dict[str, tuple[int, int]]:
-    """Return place and worst rank of each method that competes; a lone partner gives none."""
+    """Return place and worst rank of each competing method; empty for a single partner."""
     names = [method.name for method in methods if method.competes]
     if not names or methods[0].returns.shape[1] < 2:
         return {}

@@ -22,7 +22,7 @@ CONFIDENCE = 0.95
 def ladder_release(
     best: np.ndarray | None, new: np.ndarray, *, attempt: int, confidence: float = CONFIDENCE
 ) -> float | None:
-    """Return what to show of an attempt: its rounded mean, or None for silence.
+    """Return the rounded mean to show of an attempt; None for silence.
 
     Args:
         best: mean return with each partner [P] of the attempt that was shown last; None if the

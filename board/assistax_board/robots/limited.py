@@ -33,7 +33,7 @@ _HEAVY = (
 
 
 class OverBudgetError(Exception):
-    """The function took too much of `what`: "seconds" or "bytes"."""
+    """A function exceeded its budget of `what`: "seconds" or "bytes"."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"it took too many {what}")

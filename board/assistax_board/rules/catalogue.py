@@ -76,7 +76,7 @@ class ZooCatalogue:
 
     @functools.cache  # noqa: B019
     def identity(self, task: str) -> dict[str, Any]:
-        """Return evaluator, environment, engine, public panel, and what its humans like."""
+        """Return evaluator, environment, engine, public panel, and its humans' preferences."""
         from importlib.metadata import version
 
         from assistax_envs.persons.rows import PROGRAM_VERSION

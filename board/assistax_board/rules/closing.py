@@ -84,7 +84,7 @@ def close_season(transaction: Transaction, name: str) -> None:
 
 
 def close_due(service: "Service") -> None:
-    """Close the seasons whose date has come, and advance those that wait for nothing more."""
+    """Close the seasons whose date has come, and advance those whose jobs are done."""
     now = service.clock()
     due = sa.select(SEASON.id).where(SEASON.state == "open", SEASON.closes_at <= now)
     closing = sa.select(schema.seasons).where(SEASON.state == "closing")

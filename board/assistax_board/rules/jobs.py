@@ -24,7 +24,7 @@ CLOCKS_APART = 60.0  # a lease that begins later than this is of a clock that wa
 
 @dataclasses.dataclass(frozen=True)
 class Lease:
-    """A job in the hands of a worker; the secret proves whose."""
+    """A job that a worker holds; the secret proves which worker."""
 
     job: str
     secret: str

@@ -77,7 +77,7 @@ def hidden_persons(registry: "Registry", task: str) -> dict[str, Any]:
 
 
 def secret_persons(leaves: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the same of a season's leaves: mostly none."""
+    """Return the statement of secret persons in a season's leaves; usually empty."""
     return next(leaf.get("persons", {}) for leaf in leaves if "seeds" in leaf)
 
 

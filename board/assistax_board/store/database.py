@@ -33,7 +33,7 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 
 @dataclasses.dataclass(frozen=True)
 class Transaction:
-    """A transaction of the only writer: all of its changes happen, or none.
+    """A transaction of the only writer: its changes happen together or not at all.
 
     Its entries in the ledger are part of it, and bear its time.
     """
@@ -116,7 +116,7 @@ class Database:
 
     @contextlib.contextmanager
     def write(self) -> Generator[sa.Connection]:
-        """Yield a connection whose changes all happen when the block ends, or none of them."""
+        """Yield a connection whose changes are committed together when the block ends."""
         with (
             self._turn,
             self.engine.connect().execution_options(write=True) as connection,

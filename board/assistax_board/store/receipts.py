@@ -27,7 +27,7 @@ class Signer:
 
     @property
     def public_key(self) -> str:
-        """The public half, as base64 of its 32 bytes: what `receipt verify --key` takes."""
+        """The public half, as base64 of its 32 bytes; `receipt verify --key` takes it."""
         return base64.b64encode(self._key.public_key().public_bytes_raw()).decode("ascii")
 
     def secret(self, purpose: str) -> bytes:

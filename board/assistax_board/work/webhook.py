@@ -40,7 +40,7 @@ _LOG = logging.getLogger("assistax_board")
 
 
 class Webhook:
-    """An address, the secret, and what was posted to it: in files, so that a restart keeps them."""
+    """Address, secret and posted entries of a webhook, kept in files over restarts."""
 
     def __init__(self, url: str, data: Path) -> None:
         """Read the secret of a data folder; a new folder gets one.
@@ -107,7 +107,7 @@ def post(url: str, secret: str, words: str, message: dict[str, object]) -> None:
 
 
 def check_address(url: str | None) -> None:
-    """Check a webhook's address; None stands for no webhook.
+    """Check a webhook's address; None means that there is no webhook.
 
     Raises:
         ValueError: It is not an address of http or https, with a host.

@@ -83,7 +83,7 @@ def self_play_table(results: Results) -> Table:
 
 
 def self_play(results: Results) -> str:
-    """Return what is said of Table 2."""
+    """Return the section about Table 2."""
     bounds = ", ".join(
         f"{spoken(task)} {bound:,}" for task, bound in results.paper["upper_bound"].items()
     )
@@ -224,7 +224,7 @@ def zero_shot_table(results: Results) -> Table:
 
 
 def zero_shot(results: Results, picture: Picture) -> str:
-    """Return Figures 6 and 14, and what they earn on average."""
+    """Return the section about Figures 6 and 14, with mean returns."""
     headings, rows = zero_shot_table(results)
     shown = table([*headings[:2], *headings[4:6]], [[*row[:2], *row[4:6]] for row in rows], (2, 3))
     tasks = [

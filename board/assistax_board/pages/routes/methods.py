@@ -68,7 +68,7 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
 
 
 def partner_values(board: Board, returns: np.ndarray) -> dict[str, Any]:
-    """Return each partner with what columns [C, P] earned with it, and how dark to draw that.
+    """Return each partner with its returns in columns [C, P], and their shades.
 
     The partner with which they earn least comes first.
     """

@@ -1,4 +1,4 @@
-"""New scores and seasons as Atom feeds, for readers who look at many sites in one place."""
+"""New scores and seasons as Atom feeds."""
 
 import time
 from typing import Any

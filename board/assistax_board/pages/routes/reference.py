@@ -1,4 +1,4 @@
-"""The API as a page, from what OpenAPI says of it: nothing is fetched from elsewhere."""
+"""The API as a page, made from its OpenAPI document; nothing is fetched from elsewhere."""
 
 from typing import Any
 

@@ -99,7 +99,7 @@ def board_csv(board: Board, safety: Safety) -> str:
 
 
 def old_version(site: Site, task: str, version: str) -> str | None:
-    """Return a version that a reader named, or None if it is the newest, which has no other name.
+    """Return the version named by a reader; None if it is the newest.
 
     Raises:
         NotFoundError: Nothing was scored under it.
