@@ -228,7 +228,7 @@ class Env:
         Raises:
             ValueError: there is no such simulation or camera, or this machine lacks EGL and OSMesa.
         """
-        from assistax_envs.render import Renderer
+        from assistax_envs.drawing.render import Renderer
 
         size = width, height
         if size not in self._renderers:
@@ -237,7 +237,7 @@ class Env:
 
     def shown(self, states: Sequence[EnvState]) -> dict[str, np.ndarray]:
         """Return the columns [T, ...] that players draw T states of one simulation from."""
-        from assistax_envs.render import shown
+        from assistax_envs.drawing.render import shown
 
         return shown(self._task, self.model, states)
 

@@ -9,7 +9,6 @@ import ast
 import collections
 import dataclasses
 import functools
-import itertools
 import re
 import sys
 import tomllib
@@ -192,9 +191,8 @@ def write_picture(root: Path = ROOT) -> bool:
 
 
 def _sizes(modules: Mapping[str, Module], root: Path) -> Iterator[str]:
-    by_folder = itertools.groupby(sorted(m.path for m in modules.values()), lambda p: p.parent)
-    for folder, paths in by_folder:
-        count = sum(path.name != "__init__.py" for path in paths)
+    paths = [m.path for m in modules.values() if m.path.name != "__init__.py"]
+    for folder, count in sorted(collections.Counter(path.parent for path in paths).items()):
         if count > MOST_MODULES:
             yield f"{folder.relative_to(root)}: {count} modules, at most {MOST_MODULES}"
     homes = _literal(modules["assistax_zoo"].tree, "_HOMES")

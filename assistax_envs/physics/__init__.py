@@ -41,7 +41,7 @@ def resolve_backend(backend: str) -> str:
 def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     """Return the backend named `backend`, one of `BACKENDS`, for `model`."""
     if backend == "fused":
-        from assistax_envs.physics.fused.backend import FusedPhysics
+        from assistax_envs.physics.fused.runtime.backend import FusedPhysics
 
         return FusedPhysics(model)
     if backend == "native":

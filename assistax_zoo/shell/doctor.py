@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from assistax_base.errors import ZooError, counted, printable, shorten
 from assistax_envs import compiled
-from assistax_envs.gl import CHOICE
+from assistax_envs.drawing.gl import CHOICE
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
 from zoo.history.merkle import root_problems

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError, Group, Parameter
 
 from assistax_base.errors import ZooError, lacks_memory, printable
-from assistax_envs.gl import told_choice
+from assistax_envs.drawing.gl import told_choice
 from assistax_zoo.shell.console import remember_command
 from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
 from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted

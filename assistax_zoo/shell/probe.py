@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from assistax_envs.gl import told_choice
+from assistax_envs.drawing.gl import told_choice
 from assistax_envs.stdout import stdout_is_data
 
 

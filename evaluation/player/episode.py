@@ -17,12 +17,12 @@ from assistax_base.errors import printable, shorten
 from assistax_base.files import METADATA_KEY
 from assistax_base.parquet import check_readable, check_size, read_metadata, read_parquet
 from assistax_envs.disability import DISABILITY_SETTINGS, Disability
+from assistax_envs.drawing.overlay import LEVELS, MEANINGS
+from assistax_envs.drawing.render import picture_model, pressing
 from assistax_envs.env import EPISODE_LENGTH
-from assistax_envs.overlay import LEVELS, MEANINGS
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
-from assistax_envs.render import picture_model, pressing
 from evaluation.player.scene import scene_content
 
 LARGEST_FILE = 256 * 1024 * 1024  # bytes

@@ -5,8 +5,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from assistax_envs.drawing.render import picture_model, wear
 from assistax_envs.models.looks import HIDDEN
-from assistax_envs.render import picture_model, wear
 
 KINDS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",

@@ -10,9 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from assistax_envs.overlay import force_colour
+from assistax_envs.drawing.overlay import force_colour
+from assistax_envs.drawing.render import ARROW_WIDTH, MARKER_RADIUS, picture_model, pressing, wear
 from assistax_envs.registered import TASK_CLASSES
-from assistax_envs.render import ARROW_WIDTH, MARKER_RADIUS, picture_model, pressing, wear
 from evaluation.player.episode import Episode, is_felt, scene_of, seconds_of
 
 SPACE, RIGHT, LEFT = 32, 262, 263  # GLFW's keys

@@ -184,12 +184,12 @@ def test_an_mp4_of_odd_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixt
 def test_a_machine_without_opengl_gets_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    from assistax_envs import gl
+    from assistax_envs.drawing import gl
 
     def broken(width: int, height: int):
         raise gl.RenderError(f"this machine cannot draw; apt-get install {gl.PACKAGES}")
 
-    monkeypatch.setattr("assistax_envs.render.open_context", broken)
+    monkeypatch.setattr("assistax_envs.drawing.render.open_context", broken)
     assert "apt-get install libegl1" in failure(
         capfd, call("--out", tmp_path / "x.png", "--steps", 2)
     )

@@ -17,11 +17,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from assistax_envs import EnvState, gl
+from assistax_envs import EnvState
+from assistax_envs.drawing import gl
+from assistax_envs.drawing.overlay import COSTS, EARNS, LEVELS, Figures, panel
+from assistax_envs.drawing.render import Renderer
 from assistax_envs.models import build, build_dressed, build_model
-from assistax_envs.overlay import COSTS, EARNS, LEVELS, Figures, panel
 from assistax_envs.registered import TASK_CLASSES
-from assistax_envs.render import Renderer
 from tests.envs.conftest import each_of, environment, start
 from tests.system import needs
 

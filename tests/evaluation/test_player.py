@@ -17,9 +17,9 @@ from playwright.sync_api import Browser, Page, expect
 import assistax_zoo as az
 from assistax_base.digest import sha256
 from assistax_base.files import METADATA_KEY
+from assistax_envs.drawing.render import picture_model
 from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED
-from assistax_envs.render import picture_model
 from evaluation.player.episode import (
     PREFERENCE_WORDS,
     Episode,

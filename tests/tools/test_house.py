@@ -69,7 +69,8 @@ def test_a_command_may_name_its_options(root: Path) -> None:
 
 def test_a_folder_of_thirteen_modules(root: Path) -> None:
     for i in range(13):
-        write(root, f"zoo/full/m{i}.py", "")
+        write(root, f"zoo/full/m{i:02}.py", "")
+    write(root, "zoo/full/m05_inside/module.py", "")  # a folder between them
     assert "zoo/full: 13 modules, at most 12" in house.problems(root)
 
 

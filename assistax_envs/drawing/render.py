@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.gl import functions_from, open_context
+from assistax_envs.drawing.gl import functions_from, open_context
+from assistax_envs.drawing.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.models import build_dressed
 from assistax_envs.models.gentle_scenes import touching
 from assistax_envs.models.looks import palettes
 from assistax_envs.mujoco_warnings import warnings_logged
-from assistax_envs.overlay import Figures, force_colour, panel, panel_height
 from assistax_envs.own_settings import own_settings
 from assistax_envs.physics import SUBSTEPS
 from assistax_envs.preferences import PREFERRED

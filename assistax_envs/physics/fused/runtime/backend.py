@@ -82,6 +82,6 @@ def model_key(model: mujoco.MjModel) -> str:
     size = mujoco.mj_sizeModel(model)
     data = np.empty(size, np.uint8)
     mujoco.mj_saveModel(model, None, data)
-    here = Path(__file__).parent
+    here = Path(__file__).parents[1]
     files = sorted(path for path in here.iterdir() if path.suffix in (".py", ".h"))
     return cache.key([data.tobytes(), *(path.read_bytes() for path in files)])

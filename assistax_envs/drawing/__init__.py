@@ -1,0 +1,1 @@
+"""Pictures of simulations: OpenGL, the renderer, and the figures beside the scene."""
