@@ -147,7 +147,7 @@ def queue_again(transaction: Transaction, submission: str, version: str) -> bool
     Its hidden panel is held back until the public one is done.
     """
     mine = JOB.submission == submission, JOB.version == version
-    jobs = transaction.execute(sa.select(JOB.panel, JOB.state).where(*mine)).tuples().all()
+    jobs = transaction.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
     held = any(panel == "public" and state != "done" for panel, state in jobs)
     for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
         again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")

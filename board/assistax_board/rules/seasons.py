@@ -199,7 +199,7 @@ def _check_unseen(transaction: Transaction, id: str, leaves: Sequence[dict[str, 
     """Refuse partners of a season that was opened: they are known, or will be when it closes."""
     mine = {leaf["sha256"] for leaf in leaves if "policy" in leaf}
     others = sa.select(SEASON.name, SEASON.secret).where(SEASON.id != id, SEASON.state != "draft")
-    for name, secret in transaction.execute(others).tuples():
+    for name, secret in transaction.execute(others):
         if any(leaf.get("sha256") in mine for leaf in secret["leaves"] if "policy" in leaf):
             raise Problem(
                 "conflict",

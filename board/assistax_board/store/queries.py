@@ -229,7 +229,7 @@ def unplayed_b(reader: Reader, season: str) -> dict[str, float]:
         .where(JOB.panel == "B", JOB.state == "cancelled", JOB.failures >= MAX_FAILURES)
         .group_by(SUBMISSION.id)
     )
-    return {id: at for id, at in reader.execute(query).tuples()}
+    return {id: at for id, at in reader.execute(query)}
 
 
 def _submission_query() -> sa.Select:
