@@ -129,8 +129,8 @@ def test_a_plan_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
     [
         (
             ["--task", "swim"],
-            "error: task is 'swim'; the plan has gentle_scratch, gentle_lift, gentle_bath: name "
-            "one, or none for all\n",
+            "error: task is 'swim'; the plan has gentle_scratch, gentle_lift, gentle_bath: give "
+            "one, or omit it for all\n",
         ),
         (
             ["--release", "spring"],
