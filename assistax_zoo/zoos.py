@@ -9,9 +9,10 @@ from assistax_base.errors import counted
 from zoo.locations import default_remote
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import Report, remote_registry
 from zoo.transport.fetch import fetch as fetch_entries
-from zoo.transport.remotes import Remote, open_remote
+from zoo.transport.remotes import Remote
 
 if TYPE_CHECKING:
     from evaluation.cast.partners import Partner

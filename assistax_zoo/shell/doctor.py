@@ -28,7 +28,8 @@ from zoo.locations import (
     registry_path,
 )
 from zoo.registry import Registry, load_registry
-from zoo.transport.remotes import TransientError, open_remote
+from zoo.transport.addresses import open_remote
+from zoo.transport.remotes import TransientError
 
 State = Literal["broken", "advice", "ok"]
 STATES: tuple[State, ...] = ("broken", "advice", "ok")  # as they are listed

@@ -14,8 +14,8 @@ from tests.attack.ledger import Ledger, attack
 from tests.attack.web_server import Misbehave, answer, changed, endless, plain, raw, serving
 from zoo.registry import Registry, load_registry
 from zoo.transport import remotes
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import fetch, remote_registry
-from zoo.transport.remotes import open_remote
 
 STATUSES = (100, 101, 103, 201, 202, 203, 204, 205, 206, 226, 300, 301, 302, 303, 304, 305, 307)
 STATUSES += (308, 399, 400, 401, 402, 403, 404, 405, 406, 407, 408, 409, 410, 411, 413, 414, 415)

@@ -14,8 +14,8 @@ from assistax_base.errors import ImmutableError, OfflineError, PublishError, Rem
 from assistax_workshop.press.hub_publish import Publication, publish_to
 from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Fault, Hub
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import fetch, remote_registry
-from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]

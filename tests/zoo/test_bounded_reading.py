@@ -19,8 +19,8 @@ from zoo.exports.card import find_cards, markdown_card
 from zoo.locations import cached_shard
 from zoo.registry import Registry, parse_registry
 from zoo.saving import save_registry
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import fetch
-from zoo.transport.remotes import open_remote
 
 ROOT = Path(__file__).parents[2]
 READERS = {

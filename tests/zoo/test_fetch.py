@@ -12,8 +12,9 @@ from zoo.locations import cached_registry
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.transport import remotes
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import Report, fetch, remote_registry
-from zoo.transport.remotes import open_remote, read_file
+from zoo.transport.remotes import read_file
 from zoo.verify import verify
 
 FILES = "GET /org/zoo/resolve/.*safetensors"

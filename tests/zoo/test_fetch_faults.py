@@ -19,8 +19,8 @@ from tests.zoo.hub_server import Fault, Hub
 from zoo.locations import cached_shard
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import Report, fetch
-from zoo.transport.remotes import open_remote
 
 # The planted defect replaces what a transfer runs.
 from zoo.transport.transfer import _Transfer

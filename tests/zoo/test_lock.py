@@ -14,8 +14,8 @@ from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.saving import dump_registry
 from zoo.splitting.create import create_split
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import remote_registry
-from zoo.transport.remotes import open_remote
 
 
 @pytest.fixture

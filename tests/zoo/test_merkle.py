@@ -23,8 +23,8 @@ from zoo.locking import make_lock
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry
 from zoo.splitting.create import create_split
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import remote_registry
-from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 
 TEAM = "scratch/ippo-d1-s0-v0"

@@ -32,9 +32,9 @@ from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.saving import check_grown, dump_registry
 from zoo.splitting.create import create_split
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import fetch, remote_registry
 from zoo.transport.other_zoos import add, remove
-from zoo.transport.remotes import open_remote
 from zoo.verify import verify
 
 

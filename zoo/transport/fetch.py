@@ -29,7 +29,8 @@ from zoo.registry import (
     parse_registry,
 )
 from zoo.schema import PolicyEntry
-from zoo.transport.remotes import Remote, open_remote, read_file
+from zoo.transport.addresses import open_remote
+from zoo.transport.remotes import Remote, read_file
 from zoo.transport.transfer import Item, download
 from zoo.transport.updates import Accept, check_update, take_none
 

@@ -12,8 +12,8 @@ from assistax_base.files import atomic_write
 from zoo.ids import check_name
 from zoo.locations import OWN, added_registries, added_registry, added_remote, write_errors
 from zoo.registry import Registry, load_registry
+from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import remote_registry
-from zoo.transport.remotes import open_remote
 from zoo.transport.updates import Accept, check_update, refuse_changes, take_none
 
 TAKEN = (OWN, "zoo", "python", "onnx")  # the user's own zoo, and what says which kind a robot is

@@ -17,7 +17,6 @@ from assistax_base.extras import optional
 from assistax_base.parallel import run_all
 
 CHUNK = 1 << 20
-_HUB = re.compile(r"hf://(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[^@\s]+))?")
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
 T = TypeVar("T")
@@ -64,29 +63,6 @@ class Remote(Protocol):
             RemoteError: The file is not there or cannot be read.
             TransientError: It may be there on the next attempt.
         """
-
-
-def open_remote(text: str | Path) -> Remote:
-    """Return the remote that the text names; nothing is read yet.
-
-    Args:
-        text: A folder, `https://...`, `hf://org/name` or `hf://org/name@revision`, or an fsspec URL
-            such as `s3://...`.
-
-    Raises:
-        RemoteError: The text names no remote.
-    """
-    text = str(text)
-    if text.startswith("hf://"):
-        match = _HUB.fullmatch(text)
-        if match is None:
-            raise _bad_name(text, "hf://org/name or hf://org/name@revision")
-        from zoo.transport.hub import HubRemote
-
-        return HubRemote(text, match["repo"], match["revision"] or "main")
-    if text.startswith(("https://", "http://")):
-        return HttpRemote(text)
-    return FileRemote(text if "://" in text else str(Path(text).resolve()))
 
 
 def with_retries(
@@ -183,7 +159,7 @@ class FileRemote:
         except (FileNotFoundError, NotADirectoryError):
             raise missing(path, self) from None
         except (ImportError, ValueError) as error:
-            raise _bad_name(
+            raise bad_address(
                 self.name, "a folder, https://..., hf://org/name or a URL that fsspec opens", error
             ) from None
         except OSError as error:
@@ -304,5 +280,6 @@ def _retry_after(response: Any) -> float | None:
     return float(text) if text.isdecimal() else None
 
 
-def _bad_name(text: str, expected: str, error: Exception | None = None) -> RemoteError:
+def bad_address(text: str, expected: str, error: Exception | None = None) -> RemoteError:
+    """Return the error of an address that names no remote."""
     return RemoteError(f"remote {shorten(text)}", expected, str(error) if error else shorten(text))

@@ -17,7 +17,7 @@ from zoo.locking import make_lock, write_lock
 from zoo.namespaces import plain_name, split_namespace
 from zoo.registry import Registry, load_registry
 from zoo.schema import PolicyEntry
-from zoo.transport.remotes import open_remote
+from zoo.transport.addresses import open_remote
 
 if TYPE_CHECKING:
     from zoo.transport.fetch import Report

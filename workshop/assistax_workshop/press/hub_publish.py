@@ -24,8 +24,9 @@ from assistax_workshop.press.model_card import MARK, model_card
 from assistax_workshop.press.publish import publish
 from population.runs.trained import TrainedTeam
 from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
+from zoo.transport.addresses import open_remote
 from zoo.transport.hub import HubRemote, hub_errors
-from zoo.transport.remotes import TransientError, open_remote, read_file, with_retries
+from zoo.transport.remotes import TransientError, read_file, with_retries
 
 MAX_CARD_BYTES = 1024 * 1024
 FILMS = (".gif", ".webp", ".mp4")
