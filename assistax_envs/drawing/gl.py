@@ -14,7 +14,7 @@ LIBRARY, VARIABLE = "OpenGL", "PYOPENGL_PLATFORM"  # PyOpenGL takes its platform
 
 
 class RenderError(ValueError):
-    """This machine cannot draw: says what to install."""
+    """This machine cannot draw; the message names the packages to install."""
 
 
 def open_context(width: int, height: int) -> tuple[str, Any]:

@@ -131,7 +131,7 @@ def script_of(
 
 
 def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:
-    """Return vectors [N, 3], none longer than `most`."""
+    """Return vectors [N, 3], shortened to at most `most`."""
     length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
     return vector * jnp.minimum(1.0, most / jnp.maximum(length, 1e-9))
 

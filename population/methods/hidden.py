@@ -1,4 +1,4 @@
-"""What no robot observes, as observations that training may use."""
+"""Facts hidden from robots, as observations that training may use."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ _SETTING = ("strength", "elbow_range", "tremor")
 
 
 class WithHidden(ShowingMore):
-    """An environment that also shows who the partner is and what is hidden of it.
+    """An environment that also shows the partner's place and its hidden facts.
 
     "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
     body can do and, of persons, their 25 numbers, standardised.

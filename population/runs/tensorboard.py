@@ -23,7 +23,7 @@ _EPISODE = (*OF_EPISODES, "reward", "episodes", "nonfinite")
 
 
 class EventFiles:
-    """Writes what a run reports.
+    """Writes a run's metrics.
 
     An update of a member is one event, which a file holds whole or not at all. A run that goes on
     begins new files with what its own metrics have kept, and a mark: TensorBoard then drops what
@@ -68,7 +68,7 @@ class EventFiles:
             self._flush()
 
     def catch_up(self, before: int | None = None) -> None:
-        """Begin the files, once, with what the run's metrics have.
+        """Open the files once, and write the run's earlier metrics.
 
         Only of updates `before` one if it is given.
         """
@@ -80,7 +80,7 @@ class EventFiles:
             self._write(rows if before is None else rows.filter(pl.col("update") < before), {})
 
     def close(self) -> None:
-        """Write what is still in memory, and close the files."""
+        """Write the buffered events, and close the files."""
         for file in self._files:
             file.close()
 
@@ -108,7 +108,7 @@ class EventFiles:
 
 
 def scalars(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a row of metrics holds, by the names under which it is shown."""
+    """Return the scalars of a row of metrics by their tags."""
     shown = {name: value for name, value in row.items() if name not in _NOT_SCALARS}
     return {tag(name): value for name, value in shown.items() if value is not None}
 

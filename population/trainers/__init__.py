@@ -1,1 +1,1 @@
-"""Trainers: PPO and SAC, what they share, and whom they train with."""
+"""Trainers: PPO and SAC, their common parts, and training partners."""

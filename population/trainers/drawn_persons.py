@@ -1,4 +1,4 @@
-"""Persons as partners of an ego: each episode meets another, whom its key draws."""
+"""Persons as partners of an ego: the key of each episode draws one."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from population.trainers.frozen_partners import FrozenPartners
 
 
 class FamiliesPlayer:
-    """Persons of several families, each of whom acts as its own does.
+    """Persons of several families; each acts by its own family's program.
 
     Args:
         players: Of the families.
@@ -56,7 +56,7 @@ class FamiliesPlayer:
 
 
 class DrawnPersons(FrozenPartners):
-    """Persons of whom each episode draws one, by its key: a run that goes on meets the same ones.
+    """Persons, one drawn for each episode by its key; a resumed run meets the same ones.
 
     Who is in a simulation stands in its `EnvParams`, as a place among the rows.
 
@@ -99,7 +99,7 @@ class DrawnPersons(FrozenPartners):
         return self._of(jnp.zeros(num_envs, jnp.int32))
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
-        """Return whom the episodes meet that begin from `keys` [N]."""
+        """Return the humans of the episodes that begin from `keys` [N]."""
         return self._of(draw_persons(keys, jnp.arange(len(self.rows), dtype=jnp.int32)))
 
     def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
@@ -137,7 +137,7 @@ class DrawnPersons(FrozenPartners):
 
 
 class IdlePersons(DrawnPersons):
-    """The same persons, body and wishes, none of whom does anything."""
+    """The same persons with body and preferences, but idle."""
 
     def act(
         self,
@@ -166,5 +166,5 @@ class OnePersonEach(DrawnPersons):
         return self._of(jnp.full(num_envs, member, jnp.int32))
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
-        """See `FrozenPartners.renewed`: those who were there."""
+        """See `FrozenPartners.renewed`: the humans stay."""
         return humans

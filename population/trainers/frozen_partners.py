@@ -1,4 +1,4 @@
-"""Frozen partners of an ego's training: who acts in the other seat."""
+"""Frozen partners of an ego's training, which act in the other seat."""
 
 import dataclasses
 import math
@@ -20,7 +20,7 @@ from population.networks.stack import PolicyStack
 
 
 class FrozenPartners:
-    """Partners who act with their most likely action, each in the same number of simulations.
+    """Partners that act by their most likely action, each in the same number of simulations.
 
     A member's simulations are laid out [partner, simulation], so that a partner's network reads one
     block of all members' simulations: no parameters are gathered, and nobody acts where another
@@ -104,7 +104,7 @@ class FrozenPartners:
         return disability_params(self.settings(num_envs), liked)
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
-        """Return the humans [N] of episodes that begin from `keys` [N]: those who were there."""
+        """Return the humans [N] of episodes that begin from `keys` [N]: the same as before."""
         return humans
 
     def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
@@ -115,7 +115,7 @@ class FrozenPartners:
 
     @property
     def numbers(self) -> np.ndarray | None:
-        """What describes each of them [P, W]; None of networks, whom only their place names."""
+        """Numbers that describe each partner [P, W]; None for networks, which have only a place."""
         return None
 
     def who(self, humans: Any, num_envs: int) -> jax.Array:
