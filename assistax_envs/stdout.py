@@ -9,7 +9,7 @@ from contextlib import contextmanager, redirect_stdout
 
 @contextmanager
 def stdout_is_data() -> Generator[None]:
-    """Send the output of libraries, C code included, to standard error, so that results stand alone.
+    """Send the output of libraries, C code included, to standard error; results stand alone.
 
     Work inside the block, print the result after it:
 
