@@ -185,22 +185,23 @@ def check_starts(played: Mapping[str, Returns]) -> None:
         if returns.keys is None:
             raise ValueError(f"robots of {name} played different episodes; evaluate them together")
         for place, row in enumerate(returns.partners.iter_rows(named=True)):
-            who, keys = row["partner"], returns.keys[place].tolist()
-            about = {f"{column} of {who}": value for column, value in row.items()}
-            liked = [] if returns.preferences is None else returns.preferences[0, place].tolist()
-            other, described, their_keys, their_liked = known.setdefault(
-                who, (name, about, keys, liked)
+            partner, keys = row["partner"], returns.keys[place].tolist()
+            facts = {f"{column} of {partner}": value for column, value in row.items()}
+            drawn = returns.preferences
+            preferences = [] if drawn is None else drawn[0, place].tolist()
+            other, other_facts, other_keys, other_preferences = known.setdefault(
+                partner, (name, facts, keys, preferences)
             )
-            check_alike({other: described, name: about}, advice=ADVICE)
-            if keys != their_keys:
+            check_alike({other: other_facts, name: facts}, advice=ADVICE)
+            if keys != other_keys:
                 raise ValueError(
-                    f"{name} and {other} met {who} in different episodes; evaluate all methods "
+                    f"{name} and {other} met {partner} in different episodes; evaluate all methods "
                     "with the same seed and episodes"
                 )
-            if liked != their_liked:
+            if preferences != other_preferences:
                 raise ValueError(
-                    f"{who} liked different things with {name} and {other}; evaluate all methods "
-                    "with the same split and preferences"
+                    f"{partner} has different preferences with {name} and {other}; evaluate all "
+                    "methods with the same split and preferences"
                 )
 
 

@@ -257,7 +257,7 @@ def test_preferences_of_other_side_are_noted(tmp_path: Path) -> None:
 def test_comparison_refuses_other_preferences(tmp_path: Path) -> None:
     first, other = (played(tmp_path / name, preferences=(name,)) for name in ("p1", "p2"))
     assert summarise_comparison(recorded(first), recorded(first)).test is not None
-    with pytest.raises(ValueError, match="liked different things with the second"):
+    with pytest.raises(ValueError, match="has different preferences with the second"):
         summarise_comparison(recorded(first), recorded(other))
 
 
