@@ -65,10 +65,7 @@ class Gaussian:
         return density.sum(-1)
 
     def entropy(self) -> jax.Array:
-        """Return the entropy [...].
-
-        For "tanh" the mean log slope is integrated by Gauss-Hermite quadrature.
-        """
+        """Return the entropy [...]; Gauss-Hermite quadrature integrates the slope of "tanh"."""
         entropy = self.log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))
         if self.squash == "tanh":
             std = jnp.exp(self.log_std)
@@ -96,17 +93,14 @@ class HiddenLayers(Protocol):
     @property
     def torso(self) -> str:
         """Kind of the layers: "mlp" or "gru"."""
-        ...
 
     @property
     def hidden(self) -> tuple[int, ...]:
         """Widths of the layers."""
-        ...
 
     @property
     def activation(self) -> str:
         """Activation after each dense layer: "tanh" or "relu"."""
-        ...
 
 
 class _Network:

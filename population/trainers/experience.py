@@ -163,8 +163,7 @@ def collect(
         record |= {"raw": raw, "log_prob": log_prob, "reward": after.reward}
         record |= {"terminated": terminated, "truncated": truncated}
         if watched and partners:
-            angles = (env.joint_positions(now)[partners.role] for now in (state.env, after))
-            record["partner"] = _watched(action[partners.role], *angles)
+            record["partner"] = _watched(env, partners.role, action, state.env, after)
         after, diverged = select(ended, fresh, after), after.nonfinite
         state = Simulations(after, carry, partner_carry, ended, episodes, state.series)
         if series > 1:
@@ -172,9 +171,24 @@ def collect(
         return (state, tally), record
 
     (after, tally), seen = jax.lax.scan(step, (state, _empty_tally(state, inputs)), keys)
-    last_obs = {name: after.env.obs[name] for name in inputs}
-    ends = {"last_obs": last_obs, "last_first": after.first, "tally": tally}
-    return after, Batch(carry=to_simulations(state.carry), **seen, **ends)
+    return after, _batch(state, after, tally, seen, inputs)
+
+
+def _batch(
+    before: Simulations,
+    after: Simulations,
+    tally: Tally,
+    steps: dict[str, Any],
+    inputs: tuple[str, ...],
+) -> Batch:
+    """Return the experience between two states, of records of its steps [T, N, ...] by name."""
+    return Batch(
+        carry=to_simulations(before.carry),
+        **steps,
+        last_obs={name: after.env.obs[name] for name in inputs},
+        last_first=after.first,
+        tally=tally,
+    )
 
 
 def by_member(batch: Batch, members: int) -> Batch:
@@ -269,10 +283,13 @@ def _read(policy: Policy, role: str, obs: dict[str, jax.Array]) -> jax.Array:
     return jnp.concatenate([obs[role], *(obs[name] for name in policy.beside)], axis=-1)
 
 
-def _watched(action: jax.Array, before: jax.Array, after: jax.Array) -> jax.Array:
-    """Return a partner's action and joint speeds in a step [N, A + J]; NaN speeds become 0."""
-    speed = jnp.clip((after - before) / STEP, -FASTEST, FASTEST)
-    return jnp.concatenate([jnp.clip(action, -1.0, 1.0), jnp.nan_to_num(speed)], axis=-1)
+def _watched(
+    env: Environment, role: str, action: dict[str, jax.Array], before: EnvState, after: EnvState
+) -> jax.Array:
+    """Return a role's action and joint speeds in a step [N, A + J]; NaN speeds become 0."""
+    start, end = (env.joint_positions(state)[role] for state in (before, after))
+    speed = jnp.clip((end - start) / STEP, -FASTEST, FASTEST)
+    return jnp.concatenate([jnp.clip(action[role], -1.0, 1.0), jnp.nan_to_num(speed)], axis=-1)
 
 
 def _gains(state: EnvState) -> dict[str, jax.Array]:
