@@ -14,7 +14,7 @@ from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons import recipe_with_persons
+from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, load_persons, prepare, train_egos
@@ -248,7 +248,8 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     if split.task in PREFERRED and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
     if split.rule != PERSONS:
-        recipe.pop("num_envs", None)  # of which every team gets the same share
+        # Every team gets the same share of the preset's simulations, and teams have no own will.
+        recipe = {name: value for name, value in recipe.items() if name not in WITH_PERSONS}
     learning = prepare(
         making.registry,
         split.task,

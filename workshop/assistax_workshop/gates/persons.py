@@ -60,9 +60,13 @@ class Robots:
 
 
 BOTH, MEMORY = ("human", "robot"), {"torso": "gru"}
+# A critic without a memory does not see whether its person still wants to go on. With a lambda
+# below .99, or short rollouts, that error gets into the advantages, and PPO unlearns feeding
+# (docs/log/ppo_with_persons.md).
+WITH_PERSONS = {"num_envs": 512, "rollout_steps": 256, "gae_lambda": 0.99}
 # Few simulations learn more from the same number of steps, but less gently. Best responses have
-# 10 M steps.
-FEW = {"num_envs": 256, "learning_rate": 1e-3}
+# 10 M steps, and the rollouts with which they were measured.
+FEW = {"num_envs": 256, "rollout_steps": 64, "gae_lambda": 0.95, "learning_rate": 1e-3}
 ROBOTS: Mapping[str, Robots] = {
     "ppo": Robots(),
     "told": Robots(told=BOTH),
@@ -77,7 +81,7 @@ STAGES = (*ROBOTS, SCRIPT, SEARCH, READ)
 
 def recipe_with_persons(task: str) -> dict[str, Any]:
     """Return the changes of PPO's preset for robots of a gentle task that train with persons."""
-    return {**CHANGES[task], "learning_rate": 5e-4, "num_envs": 2048}
+    return {**CHANGES[task], "learning_rate": 5e-4, **WITH_PERSONS}
 
 
 def run_stages(
