@@ -8,22 +8,18 @@ guards it. Each task has its own in its `TaskKind`.
 
 from collections.abc import Mapping
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 from assistax_envs.registered import REGISTERED, ByTask
-
-if TYPE_CHECKING:
-    PAPER_TASKS: tuple[str, ...]
-    # Gentle tasks at the arm, and at the mouth; of the latter all partners are persons.
-    GENTLE_TASKS: tuple[str, ...]
-    CARE_TASKS: tuple[str, ...]
 
 VERSIONS: Mapping[str, int] = ByTask(lambda kind: kind.version)
 TASKS: tuple[str, ...] = tuple(REGISTERED)
 
 
 def __getattr__(name: str) -> tuple[str, ...]:
-    """Return a group of tasks, which is made on demand: it needs the kind of every task."""
+    """Return a group of tasks: of the paper, or gentle ones at the arm or at the mouth.
+
+    A group is made on demand, because it needs the kind of every task.
+    """
     groups = {
         "PAPER_TASKS": ByTask(lambda kind: kind.name, lambda kind: kind.paper),
         "GENTLE_TASKS": ByTask(

@@ -12,7 +12,6 @@ from jaxtyping import Float32, Shaped
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import Disability
 from assistax_envs.own_settings import own_settings
-from population.networks.policy import Policy
 from population.networks.seat import Seat
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
@@ -126,8 +125,3 @@ def _acting(spec: Seat) -> Callable[..., tuple[Any, jax.Array]]:
     return jax.jit(
         lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
     )
-
-
-def _player(spec: Any) -> Any:
-    """Return what plays a spec: a network from outside, such as of an ONNX file, brings its own."""
-    return spec.make_policy() if hasattr(spec, "make_policy") else Policy(spec)
