@@ -294,5 +294,5 @@ def ego_metadata(
         "split": training.split.id,
         "training": {"run": folder.resolve().name, "key": RunFolder(folder).key, **trained},
         **training.met.claim,
-        **({"told": training.config.told} if training.config.told else {}),
+        **training.config.view.claim,
     }

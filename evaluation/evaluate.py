@@ -20,6 +20,7 @@ from evaluation.play.runner import share_cores
 from evaluation.play.study import context_of, locked_if_current, make_job, read_best_responses, seal
 from evaluation.record import tables
 from evaluation.record.record import Record
+from population.views import View
 from zoo.locations import CACHE_VARIABLE
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -129,7 +130,7 @@ def _job(cast: Cast, how: PlaySettings, baselines: bool) -> "tuple[Env, Job, Spl
     """Return the environment, the job, and the split that it is of; robots from outside answer."""
     if cast.split is None or (baselines and not cast.baselines):
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
-    if cast.robots.told and baselines:
+    if cast.robots.view is not View.PLAIN and baselines:
         raise ValueError(
             "the robots are told what humans like, and references are not: leave references out"
         )

@@ -12,6 +12,7 @@ from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.preferences import PREFERRED, Told, check_preferences
 from assistax_envs.versions import TASKS
 from population.hyperparameters import KINDS, PPOConfig, TrainerConfig
+from population.views import CLAIM, View
 
 # Stands for the disability setting of an ego, which trains with partners of several.
 MIXED = "mixed"
@@ -113,6 +114,11 @@ class TrainConfig:
             )
 
     @property
+    def view(self) -> View:
+        """Observations of the robots in training."""
+        return View.of_told(self.told)
+
+    @property
     def updates(self) -> int:
         """Number of updates of the run."""
         return math.ceil(self.steps / self.trainer.batch_steps)
@@ -132,8 +138,8 @@ class TrainConfig:
             del content["precision"]
         if self.env_version is None:
             del content["env_version"]
-        if not self.told:
-            del content["told"]
+        if self.view is View.PLAIN:
+            del content[CLAIM]
         return content
 
     @classmethod

@@ -14,7 +14,7 @@ from assistax_envs.versions import TASKS
 # Folders and modules that may ask: `/`-separated beginnings of places.
 HOMES = ("zoo/partners/", "assistax_envs/persons/", "assistax_envs/registered.py")
 # The place where views of an observation are made may name the conditions of told robots.
-VIEWS = "population/environment.py"
+VIEWS = "population/views.py"
 NAMES = frozenset(
     {
         "PERSONS",

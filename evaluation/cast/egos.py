@@ -22,6 +22,7 @@ from evaluation.record.manifest import file_sha256, identity_digest
 from population.networks.seat import Seat
 from population.networks.stack import stack_policies
 from population.networks.tensors import flatten, row_sha256
+from population.views import View
 from zoo.met.claims import claimed_met, claimed_version, declared_met
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import read_policy_file
@@ -315,14 +316,13 @@ def _file_hash(path: str) -> str:
 
 def _of_file(text: str, files: Files, registry: Registry, claims: Mapping[str, Any]) -> Member:
     """Return the member of a robot's file, with its claimed partners, version and observations."""
-    told: Any = claims.get("told")
     return Member(
         text,
         files[0][1] if len(files) == 1 else identity_digest([sha256 for _, sha256 in files]),
         files=files,
         met=claimed_met(registry, claims),
         env_version=claimed_version(claims),
-        told="partner" if told == "partner" else told is True,
+        view=View.claimed(claims),
     )
 
 

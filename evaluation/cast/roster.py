@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from assistax_envs.disability import Disability
-from assistax_envs.preferences import Told
 from evaluation.cast.robot_forms import as_robot
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
+from population.views import View
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
@@ -33,7 +33,7 @@ class Member:
     met: Met = NOT_KNOWN  # a robot's training partners; no part of a job's identity
     # The environment version that a robot's file claims; None if it claims none.
     env_version: int | None = None
-    told: Told = False  # what it observes that no robot may: a row to compare with
+    view: View = View.PLAIN  # a robot's observations
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,20 +78,20 @@ class Roster:
         return stack if isinstance(stack, HostEgo) else None
 
     @property
-    def told(self) -> Told:
-        """What its robots observe that no robot may.
+    def view(self) -> View:
+        """The observations of its robots.
 
         Raises:
             ValueError: Some do and some do not.
         """
-        told = {self.members[name].told for name in self.ids}
-        if len(told) > 1:
-            names = [name for name in self.ids if self.members[name].told]
+        views = {self.members[name].view for name in self.ids}
+        if len(views) > 1:
+            names = [name for name in self.ids if self.members[name].view is not View.PLAIN]
             raise ValueError(
                 f"{names[0]} is told what humans like and other robots are not, or less; play them "
                 "apart"
             )
-        return told.pop() if told else False
+        return views.pop() if views else View.PLAIN
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:

@@ -35,6 +35,7 @@ from evaluation.record.alike import (
 from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import strange_tables_refused, unchecked
+from population.views import plain_engine
 
 ADVICE = "evaluate all methods alike"
 _CONTEXT = ("task", "env_version", "backend", "engine", "release", "episodes_per_pair")
@@ -262,10 +263,8 @@ def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _untold(about: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields without the engine's condition for told robots."""
-    engine = dict(about.get("engine") or {})
-    engine.pop("condition", None)
-    return {**about, "engine": engine}
+    """Return the fields without the view of the robots."""
+    return {**about, "engine": plain_engine(about.get("engine"))}
 
 
 def _partners(record: Record) -> set[str]:

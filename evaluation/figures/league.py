@@ -22,14 +22,16 @@ from evaluation.figures.summary import Context
 from evaluation.record import tables
 from evaluation.record.alike import check_alike
 from evaluation.record.record import Record, Returns
+from population.views import View
 
 FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
-TOLD, TOLD_MEMORY, TOLD_PARTNER = "told-preference", "told-gru", "told-partner"
+# Of robots that observe the preference, without a memory and with one, or a person's numbers.
+KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS = "told-preference", "told-gru", View.NUMBERS.condition
 MIRROR = "mirror"
-RESPONSE, TOLD_RESPONSE = "best-response", "told-best-response"
+RESPONSE, KNOWING_RESPONSE = "best-response", "told-best-response"
 REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
 FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
-LAST = (TOLD, TOLD_MEMORY, TOLD_PARTNER, MIRROR, RESPONSE, TOLD_RESPONSE)
+LAST = (KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR, RESPONSE, KNOWING_RESPONSE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +99,7 @@ def read_league(folder: Path) -> League:
             "each row"
         )
     read = [Evaluated.read(place, name) for name, place in folders.items()]
-    compared = comparable(read, parts=(RESPONSE, TOLD_RESPONSE), told=True)
+    compared = comparable(read, parts=(RESPONSE, KNOWING_RESPONSE), told=True)
     returns = {
         row.name: record.returns.evaluated_side
         for row, record in zip(read, compared.records, strict=True)
@@ -183,13 +185,13 @@ class _Means:
 
 
 def _means(name: str, returns: Returns) -> _Means:
-    alone = name in (RESPONSE, TOLD_RESPONSE)
+    alone = name in (RESPONSE, KNOWING_RESPONSE)
     scores = best_of_robots(returns.values)[None] if alone else returns.scores
     return _Means(scores, returns.partners["partner"].to_list())
 
 
 def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
-    alone = name in (RESPONSE, TOLD_RESPONSE)
+    alone = name in (RESPONSE, KNOWING_RESPONSE)
     variance = None if alone else variance_components(returns.values)
     spread = variance.spread if variance else None
     starts = {"common_starts": returns.common_starts}
@@ -215,9 +217,9 @@ def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
 
 def _share(own: _Means, means: Mapping[str, _Means]) -> Interval | None:
     """Return a row's share of the range from script to told best response."""
-    if SCRIPT not in means or TOLD_RESPONSE not in means:
+    if SCRIPT not in means or KNOWING_RESPONSE not in means:
         return None
-    ends = means[SCRIPT], means[TOLD_RESPONSE]
+    ends = means[SCRIPT], means[KNOWING_RESPONSE]
     common = [name for name in own.partners if all(name in end.partners for end in ends)]
     if not common:
         return None
@@ -239,7 +241,7 @@ def _notes(rows: Iterable[LeagueRow]) -> Iterable[str]:
             f"fewer than {ENOUGH} robots: {', '.join(few)}; intervals of few seeds are too narrow"
         )
     if not any(row.share for row in rows):
-        yield f"no share of the range: it takes the rows {SCRIPT} and {TOLD_RESPONSE}"
+        yield f"no share of the range: it takes the rows {SCRIPT} and {KNOWING_RESPONSE}"
     counts = {row.partners for row in rows}
     if len(counts) > 1:
         yield "rows with fewer partners are of a part of the side; shares are over those in common"

@@ -12,12 +12,12 @@ from jaxtyping import Int, Shaped
 from evaluation.cast.roster import Member, Roster
 from evaluation.play.how import check_numbers
 from evaluation.record.manifest import identity_digest
+from population.views import View
 
 # Raise it if the same job would give other tables. 2: columns of behaviour. 3: tiles, which change
 # the last bit of values. 4: disability settings by value, and the engine. 5: policies of several
 # networks in one tile. 6: intervals of partners' means include new starts.
 EVALUATOR_VERSION = 6
-TOLD_PARTNER = "told-partner"  # the engine's condition: robots observe their person's numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,6 +38,7 @@ class Job:
     series: int = 1  # number of consecutive episodes in which a robot remembers its partner
     own_episodes: bool = False  # whether each partner has its own episode seeds, see `seeds`
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
+    view: View = View.PLAIN  # the robots' observations
     scene: str | None = None  # sha256 of the task's scene; None for an environment from outside
     # Of the gentle tasks: what the partners like, in turns, see `preferences_of`; empty where it is
     # drawn.
@@ -110,7 +111,7 @@ class Job:
             "task": self.task,
             "env_version": self.env_version,
             "backend": self.backend,
-            "engine": dict(self.engine),
+            "engine": self.view.engine(self.engine),
             "episodes": self.episodes,
             "seed": self.seed,
             "stochastic": self.stochastic,

@@ -25,7 +25,7 @@ from assistax_envs.interrupts import wait_for
 from assistax_envs.own_settings import own_settings
 from evaluation.cast.egos import Clipping, call_ego
 from evaluation.cast.roster import HostEgo, Roster
-from evaluation.play.jobs import TOLD_PARTNER, Job
+from evaluation.play.jobs import Job
 from evaluation.play.progress import Meter
 from evaluation.play.rows import played_rows
 from evaluation.play.tiles import TILE_ENVS, Chunk, StackSlice, Tile, plan
@@ -34,6 +34,7 @@ from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.play.tally import Tally
+from population.views import View
 from zoo.ids import parse_person
 
 MOST_DEVICES = 8  # each has a tile of up to 32,768 simulations in memory
@@ -242,7 +243,7 @@ def _humans(
     if job.own_wishes:
         own = [stack.spec.humans(stack.params) for stack in stacks]
         humans: EnvParams = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *own)
-        if job.engine.get("condition") != TOLD_PARTNER:
+        if job.view is not View.NUMBERS:
             return humans
         numbers = [named[2] for name in ids if (named := parse_person(name))]
         return dataclasses.replace(humans, person=jnp.asarray(numbers, jnp.int32))

@@ -14,10 +14,11 @@ from evaluation.cast.roster import Roster
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.how import PERSON_EPISODES, PlaySettings
-from evaluation.play.jobs import TOLD_PARTNER, Job, brings_wishes
+from evaluation.play.jobs import Job, brings_wishes
 from evaluation.record import manifest, tables
 from evaluation.record.alike import check_alike, check_members, conditions, read_identity
 from evaluation.record.verification import check_whole, strange_tables_refused
+from population.views import View
 from zoo.schema import Split
 
 if TYPE_CHECKING:
@@ -33,18 +34,15 @@ def make_job(
 ) -> "tuple[Env, Job]":
     """Return the environment and the job of robots with humans, on their sides of a split.
 
-    `version` is the environment's; the newest if not given. Robots that are told what humans like
-    play in one that tells them, and the job says so.
+    `version` is the environment's; the newest if not given. Its observations are those of the
+    robots' view, which the job names.
     """
-    from assistax_envs import make
     from assistax_envs.models.build import scene_sha256
+    from assistax_envs.persons import persons as rows
 
-    told: dict[str, Any] = {"told": ("robot", "human")} if robots.told else {}
-    env: Any = make(how.task, backend=how.backend, version=version, **told)
-    condition = {"condition": "told"} if told else {}
-    persons = brings_wishes(humans)
-    if robots.told == "partner":
-        env, condition = _with_numbers(env, persons=persons), {"condition": TOLD_PARTNER}
+    persons, view = brings_wishes(humans), robots.view
+    numbers = rows(how.task) if persons and view is View.NUMBERS else None
+    env = view.make(how.task, how.backend, version=version, numbers=numbers)
     episodes, turns = how.episodes_of_pair, how.turns
     if persons:
         episodes = how.episodes or math.ceil(PERSON_EPISODES / how.series) * how.series
@@ -53,7 +51,8 @@ def make_job(
         task=how.task,
         env_version=env.version,
         backend=env.backend,
-        engine={**getattr(env, "engine", {}), **condition},
+        engine=getattr(env, "engine", {}),
+        view=view,
         scene=scene_sha256(how.task),
         egos=robots,
         partners=humans,
@@ -68,14 +67,6 @@ def make_job(
     return env, job
 
 
-def _with_numbers(env: "Env", *, persons: bool) -> Any:
-    """Return an environment that tells the robot its person's numbers, by its place among all."""
-    from assistax_envs.persons import persons as rows
-    from population.environment import ToldNumbers
-
-    return ToldNumbers(env, rows(env.task) if persons else None)
-
-
 def context_of(
     job: Job, result: Evaluation, *, split: Split | None, release: str, lock: str | None
 ) -> Context:
@@ -84,7 +75,7 @@ def context_of(
         task=job.task,
         env_version=job.env_version,
         backend=job.backend,
-        engine=dict(job.engine),
+        engine=job.view.engine(job.engine),
         release=release,
         split=SplitName(split.id, split.sha256, dict(split.preferences)) if split else None,
         lock=lock,

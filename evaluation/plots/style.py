@@ -21,6 +21,7 @@ from matplotlib.typing import ColorType
 from scipy.optimize import isotonic_regression
 
 from assistax_base.files import atomic_write
+from population.views import View
 
 FORMATS = (".png", ".pdf", ".svg")
 _UNDATED: dict[str, dict[str, Any]] = {
@@ -52,7 +53,7 @@ ALGORITHMS = {
 ROWS = {
     **{"asymmetric": "#33bbaa", "asymmetric_gru": "#ff0088", "gru": "#0000dd", "liam": "#aabb66"},
     **{"palm": "#6699aa", "rl2": "#aa44ff", "rma": "#0055bb", "mirror": "#aa1177"},
-    **{"told-preference": "#996677", "told-gru": "#550066", "told-partner": "#aa8855"},
+    **{"told-preference": "#996677", "told-gru": "#550066", View.NUMBERS.condition: "#aa8855"},
 }
 OTHERS = ("#dd1111", "#cc99dd", "#447744", "#005544")  # of methods that are not ours
 MARKERS, DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", ":", "-.")

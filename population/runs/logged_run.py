@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from assistax_base.bounded_reading import parse_json
 from assistax_base.extras import optional
 from population.config import TrainConfig
-from population.networks.spec import ROLES
 from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
@@ -47,8 +46,6 @@ def run_training(
     """
     optional("optax", "training", "train")
     optional("orbax.checkpoint", "training", "train")
-    from assistax_envs import make
-    from population.environment import ToldNumbers
     from population.runs.train import train
 
     folder = Path(folder or tempfile.mkdtemp(prefix=f"assistax-{config.task}-"))
@@ -63,10 +60,8 @@ def run_training(
             for report_to in reports:
                 report_to(state)
 
-        told: dict[str, Any] = {"told": ROLES} if config.told else {}
-        env: Any = make(config.task, backend, version=config.env_version, **told)
-        if config.told == "partner":
-            env = ToldNumbers(env, partners.numbers if partners else None)
+        numbers = partners.numbers if partners else None
+        env = config.view.make(config.task, backend, version=config.env_version, numbers=numbers)
         train(
             config,
             env,

@@ -329,10 +329,9 @@ def _provenance(
 ) -> Mapping[str, Any]:
     """Return the facts of a run that the registry records."""
     likes = {"preferences": list(config.preferences)} if config.preferences else {}
-    told = {"told": config.told} if config.told else {}
     return (
         likes
-        | told
+        | config.view.claim
         | {
             "steps": config.updates * config.trainer.batch_steps,
             "env_version": env.version,

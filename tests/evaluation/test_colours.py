@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from evaluation.figures.league import MIRROR, TOLD, TOLD_MEMORY, TOLD_PARTNER
+from evaluation.figures.league import KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR
 from evaluation.plots import style
 from population.hyperparameters import METHODS
 
@@ -34,7 +34,7 @@ OURS = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "mep"])
 OTHERS = style.algorithm_colours(["e", "f", "g", "h"])
 # Rows whose learning curves usually stand in one figure.
 ROWS = style.algorithm_colours(
-    ["ppo", "sac", *METHODS, TOLD, TOLD_MEMORY, TOLD_PARTNER, MIRROR],
+    ["ppo", "sac", *METHODS, KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR],
 )
 MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
 CLEAR, SEEN = 15.0, 8.0  # CIEDE2000: of two colours for full vision, and for any vision

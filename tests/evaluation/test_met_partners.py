@@ -180,7 +180,7 @@ def claimed(folder: Path, metadata: dict[str, Any]) -> Path:
 def test_file_keeps_told_observations(registry: Registry, tmp_path: Path, told: bool | str) -> None:
     mine, graph = claimed(tmp_path, {"task": TASK, "told": told}), tmp_path / "mine.onnx"
     export_policy(str(mine), "onnx", graph, lambda: registry)
-    assert [read_egos([path], registry, TASK).told for path in (mine, graph)] == [told] * 2
+    assert [read_egos([path], registry, TASK).view.told for path in (mine, graph)] == [told] * 2
 
 
 def test_older_files_name_policy_or_split(registry: Registry, tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_shared_base_of_tasks_may_not_ask() -> None:
 
 
 def test_only_the_views_name_their_conditions() -> None:
-    assert asked('TOLD = "told"', "population/environment.py") == []
+    assert asked('TOLD = "told"', "population/views.py") == []
     assert asked('TOLD = "told"', "population/config.py") == [
         (1, 'names the condition "told"'),
         (1, "refers to TOLD"),

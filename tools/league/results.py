@@ -13,12 +13,12 @@ from evaluation.figures.contrasts import Contrast, ContrastsFile
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIRST,
+    KNOWING,
+    KNOWING_MEMORY,
     LAST,
     PPO,
     RESPONSE,
     SCRIPT,
-    TOLD,
-    TOLD_MEMORY,
 )
 from evaluation.figures.metrics.inference import holm
 from tools.league.figures import FAILED, failures
@@ -73,7 +73,7 @@ class Played:
     @property
     def told(self) -> ShownRow | None:
         """The better robot that is told the preference, with a memory or without, or None."""
-        found = [row for name in (TOLD, TOLD_MEMORY) if (row := self.row(name))]
+        found = [row for name in (KNOWING, KNOWING_MEMORY) if (row := self.row(name))]
         return max(found, key=lambda row: row.mean, default=None)
 
     def row(self, name: str) -> ShownRow | None:

@@ -7,13 +7,13 @@ from assistax_envs.preferences import Told
 from evaluation.figures.league import (
     BEST_OF_FOUR,
     FIXED,
+    KNOWING,
+    KNOWING_MEMORY,
+    KNOWING_NUMBERS,
+    KNOWING_RESPONSE,
     MIRROR,
     PPO,
     RESPONSE,
-    TOLD,
-    TOLD_MEMORY,
-    TOLD_PARTNER,
-    TOLD_RESPONSE,
     ordered,
 )
 from population.hyperparameters import METHODS
@@ -59,12 +59,12 @@ def rows() -> dict[str, Row]:
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),
-        Row(TOLD, "train", told=True),
-        Row(TOLD_MEMORY, "train", "gru", told=True),
-        Row(TOLD_PARTNER, "train", told="partner"),
+        Row(KNOWING, "train", told=True),
+        Row(KNOWING_MEMORY, "train", "gru", told=True),
+        Row(KNOWING_NUMBERS, "train", told="partner"),
         Row(MIRROR, "test"),
         Row(RESPONSE, "each"),
-        Row(TOLD_RESPONSE, "each", told=True),
+        Row(KNOWING_RESPONSE, "each", told=True),
     ]
     known = {row.name: row for row in (*methods, *others)}
     return {name: known[name] for name in ordered(known)}

@@ -1,7 +1,7 @@
 """Audit of a task: whether it needs the partner, and whether it is done gently."""
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -70,11 +70,14 @@ def audit(
     PlaySettings(task, episodes, seed, backend)  # refuses what is none of them
     registry = open_zoo(zoo).registry
     own = read_teams(_listed(teams), registry, task)
-    egos = {"ego": ego, "ego_told": ego_told, "ego_recurrent": ego_recurrent}
-    robots = {"passive": passive_robot, "response": response}
-    pairs = {"told": told, "blind": blind, "recurrent": recurrent}
-    policies = _read(read_robots, robots, registry, task) | _read(read_teams, pairs, registry, task)
-    policies |= _read(read_trained_egos, egos, registry, task)
+    robots = partial(_read, read_robots, registry, task)
+    pairs = partial(_read, read_teams, registry, task)
+    egos = partial(_read, read_trained_egos, registry, task)
+    policies = {
+        **robots(passive=passive_robot, response=response),
+        **pairs(told=told, blind=blind, recurrent=recurrent),
+        **egos(ego=ego, ego_told=ego_told, ego_recurrent=ego_recurrent),
+    }
     if env_version is None:
         env_version = version_together(registry, task, registry.known(own.robots.ids))
     play = partial(audit_task, episodes=episodes, seed=seed, backend=backend, version=env_version)
@@ -84,7 +87,7 @@ def audit(
 
 
 def _read(
-    read: Callable[..., Teams], named: Mapping[str, Names], registry: Registry, task: str
+    read: Callable[..., Teams], registry: Registry, task: str, /, **named: Names
 ) -> dict[str, Teams]:
     """Return the policies of each non-empty argument by name."""
     return {name: read(_listed(names), registry, task) for name, names in named.items() if names}

@@ -39,6 +39,7 @@ from evaluation.play.runner import share_cores
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.views import CONDITION
 
 JOINT_SPEEDS = (2.175,) * 4 + (2.61,) * 3  # rad/s, of the robot's datasheet
 HELD = (-1.0, 0.0, 1.0)  # constant torques of a held human, as shares of each joint's strength
@@ -85,6 +86,7 @@ class WrongBeliefEnv:
 
     def __init__(self, env: Any) -> None:
         self._env = env
+        self.engine = {**env.engine, CONDITION: "mistaken"}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
@@ -195,12 +197,14 @@ def _play(
             its_env = table.env(told=BOTH) if name == "ego_told" else env
             met = table.play(name, egos.robots, teams.humans, env=its_env)
             played[Condition[name.upper()]] = met.filter(~pl.col("partner").is_in(egos.met))
-    for name in ("recurrent", "told", "blind"):
-        if pairs := getattr(others, name):
-            observers = {"told": BOTH, "blind": ()}.get(name)
-            its_env = env if observers is None else table.env(told=observers)
-            played[Condition[name.upper()]] = table.play(
-                name, pairs.robots, pairs.humans, env=its_env, paired=True
+    for pairs, condition, its_env in (
+        (others.recurrent, Condition.RECURRENT, lambda: env),
+        (others.told, Condition.KNOWING, lambda: table.env(told=BOTH)),
+        (others.blind, Condition.BLIND, lambda: table.env(told=())),
+    ):
+        if pairs:
+            played[condition] = table.play(
+                str(condition), pairs.robots, pairs.humans, env=its_env(), paired=True
             )
     if task in PREFERRED:
         played[Condition.MISTAKEN] = table.play(
@@ -209,7 +213,6 @@ def _play(
             teams.humans,
             env=WrongBeliefEnv(env),
             paired=True,
-            condition="mistaken",
         )
     return played
 
@@ -237,7 +240,6 @@ class _Tables:
         *,
         env: Any = None,
         paired: bool = False,
-        condition: str | None = None,
         times: int = 1,
     ) -> pl.DataFrame:
         """Return the episodes of robots with humans."""
@@ -246,7 +248,7 @@ class _Tables:
             task=self.task,
             env_version=env.version,
             backend=env.backend,
-            engine=env.engine | ({"condition": condition} if condition else {}),
+            engine=env.engine,
             egos=robots,
             partners=humans,
             episodes=times * self.episodes,

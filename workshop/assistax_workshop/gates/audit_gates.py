@@ -14,6 +14,7 @@ from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
 from evaluation.record.columns import with_safety
 from evaluation.record.record import lay_out
+from population.views import View
 
 Ends = tuple[float, float] | None
 
@@ -34,7 +35,7 @@ class Condition(StrEnum):
     EGO_TOLD = "ego told"
     EGO_RECURRENT = "ego recurrent"
     RECURRENT = "recurrent"
-    TOLD = "told"
+    KNOWING = View.PREFERENCE.condition
     BLIND = "blind"
     MISTAKEN = "mistaken humans"
     TOUCH = "own, step by step"
@@ -95,7 +96,7 @@ def gates_of(
         _cross_play(pairs),
         earned("best response to a frozen partner", ">= 80% of self-play", Condition.RESPONSE, 0.8,
                "a response to each team", paired=True),
-        earned("teams whose robot is told the preference", "> 5% more", Condition.TOLD, 1.05,
+        earned("teams whose robot is told the preference", "> 5% more", Condition.KNOWING, 1.05,
                "told teams"),
         earned("teams whose robot remembers", "more than those without memory", Condition.RECURRENT,
                1.0, "recurrent teams"),

@@ -28,7 +28,7 @@ from assistax_workshop.gates.persons_play import (
 )
 from assistax_workshop.gates.persons_reading import read_wishes
 from assistax_workshop.gates.script_search import search_script
-from assistax_workshop.gates.training import CHANGES
+from assistax_workshop.gates.training import CHANGES, KNOWING
 from assistax_zoo.shell.console import TrainingLine
 from evaluation.play.baselines import script_roster
 from population.config import MIXED, Member, make_run
@@ -69,7 +69,7 @@ WITH_PERSONS = {"num_envs": 512, "rollout_steps": 256, "gae_lambda": 0.99}
 FEW = {"num_envs": 256, "rollout_steps": 64, "gae_lambda": 0.95, "learning_rate": 1e-3}
 ROBOTS: Mapping[str, Robots] = {
     "ppo": Robots(),
-    "told": Robots(told=BOTH),
+    KNOWING: Robots(told=BOTH),
     "gru": Robots(changes=MEMORY),
     "told-gru": Robots(told=BOTH, changes=MEMORY),
     "idle": Robots(partners=IdlePersons),

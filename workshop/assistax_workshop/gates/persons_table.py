@@ -12,6 +12,7 @@ from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
 from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH
 from assistax_workshop.gates.persons_play import SINGLE, STRANGERS
+from assistax_workshop.gates.training import KNOWING
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
@@ -39,7 +40,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
         *_with_one(files),
         _as_searched(files),
         _lost(files),
-        *(_worth(f"told the wishes, {side}: more", files, ("ppo", "told"), side, MORE)
+        *(_worth(f"told the wishes, {side}: more", files, ("ppo", KNOWING), side, MORE)
           for side in STRANGERS),
         _worth(f"told, of those that remember, {SIDE}: more", files, ("gru", "told-gru"), SIDE),
         *(_worth(f"with a memory, {side}: more", files, ("ppo", "gru"), side)
@@ -121,7 +122,7 @@ def _worth(
 def _won_back(files: Files) -> Gate:
     """Return the gate of the share of telling's worth that a memory recovers."""
     name, bar = "a memory wins back, of that", f">= {BACK:.0%}"
-    kinds = ("ppo", "told", "gru")
+    kinds = ("ppo", KNOWING, "gru")
     if absent := [kind for kind in kinds if kind not in files]:
         return _missing(name, bar, *absent)
     plain, told, _ = (_scores(files[kind], SIDE, "return").mean() for kind in kinds)

@@ -27,6 +27,7 @@ from population.networks.seat import Carry
 from population.networks.stack import PolicyStack
 from population.runs.train import train
 from population.trainers.frozen_partners import FrozenPartners
+from population.views import View
 from zoo.registry import load_registry
 
 # Changes of PPO's presets for all runs of a task.
@@ -47,11 +48,12 @@ class Condition:
     humans: str = "none"
 
 
+KNOWING = View.PREFERENCE.condition  # teams whose robots observe the preference
 CONDITIONS: Mapping[str, Condition] = {
     "teams": Condition(),
     "mappo": Condition("mappo"),
     "masac": Condition("masac"),
-    "told": Condition(told=("human", "robot")),
+    KNOWING: Condition(told=("human", "robot")),
     "blind": Condition(told=()),
     "recurrent": Condition(torso="gru"),
     "passive": Condition(humans="passive"),

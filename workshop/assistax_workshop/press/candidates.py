@@ -13,6 +13,7 @@ from assistax_envs.disability import DISABILITY_SETTINGS
 from population.networks.spec import PolicySpec, Role
 from population.networks.tensors import Leaves, flatten, row_sha256
 from population.runs.trained import TrainedTeam
+from population.views import CLAIM
 from zoo.ids import EGO, TeamId
 from zoo.schema import Ego, PolicyRow, SelfPlay, Team, TrainedAgainst, Training
 
@@ -50,7 +51,7 @@ def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
         FormatError: Its parameters do not fit its spec.
     """
     name = _name(team, release)
-    if team.training.get("told"):
+    if team.training.get(CLAIM):
         found = "one that is told what the human likes, which no robot may observe"
         raise PublishError(f"ego {name}", "a robot that observes what robots do", found)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
