@@ -208,11 +208,7 @@ def _play(
             )
     if task in PREFERRED:
         played[Condition.MISTAKEN] = table.play(
-            "mistaken",
-            teams.robots,
-            teams.humans,
-            env=WrongBeliefEnv(env),
-            paired=True,
+            "mistaken", teams.robots, teams.humans, env=WrongBeliefEnv(env), paired=True
         )
     return played
 
