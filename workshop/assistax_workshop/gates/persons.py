@@ -61,7 +61,7 @@ class Robots:
 
 BOTH, MEMORY = ("human", "robot"), {"torso": "gru"}
 # A critic without a memory does not see whether its person still wants to go on. With a lambda
-# below .99, or short rollouts, that error gets into the advantages, and PPO unlearns feeding
+# below .99, or short rollouts, that error likely gets into the advantages: PPO unlearns feeding
 # (docs/log/ppo_with_persons.md).
 WITH_PERSONS = {"num_envs": 512, "rollout_steps": 256, "gae_lambda": 0.99}
 # Few simulations learn more from the same number of steps, but less gently. Best responses have
