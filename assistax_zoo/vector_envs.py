@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_zoo.zoos import open_zoo
+from zoo.partners.kinds import kinds
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from zoo.schema import Split
 
 FORMS = ("gymnasium", "sb3", "pettingzoo", "jaxmarl")
-PERSONS = "persons"
 
 
 def vector_env(
@@ -67,12 +67,12 @@ def vector_env(
         raise ValueError(f"form is {form!r}; allowed are {', '.join(FORMS)}")
     if form in ("sb3", "jaxmarl") and arrays != "numpy":
         raise ValueError(f"arrays is {arrays!r}, but form {form!r} has its own kind of arrays")
-    if partners == PERSONS:
+    if isinstance(partners, str) and partners in {kind.word for kind in kinds()}:
         if split or preferences:
-            raise ValueError("persons have no split and no preferences; leave these out")
-        from assistax_envs.adapters.partners import Persons
-
-        humans: Partners = Persons(task)
+            raise ValueError(f"{partners} have no split and no preferences; leave these out")
+        sources = open_zoo(zoo).registry.sources
+        [source] = [source for source in sources if source.word == partners]
+        humans: Partners = source.vector_partners(task)
         version = None
     else:
         humans, version = _published(task, partners, split, preferences, zoo)

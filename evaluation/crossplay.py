@@ -7,7 +7,7 @@ from typing import Any
 
 from assistax_base.cluster import RayCluster
 from assistax_base.errors import SplitError
-from evaluation.cast.cast import Cast, choose_partners, in_release, release_in
+from evaluation.cast.cast import Cast, in_release, release_in
 from evaluation.cast.roster import registry_roster
 from evaluation.figures.saved_tables import save_crossplay
 from evaluation.figures.summary import CrossPlaySummary
@@ -19,11 +19,9 @@ from evaluation.play.shares import run_blocks_on_ray
 from evaluation.play.study import context_of, locked_if_current, make_job, seal
 from evaluation.record import tables
 from evaluation.record.record import Record
-from zoo.ids import PERSONS
 from zoo.namespaces import split_namespace
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
-from zoo.splitting.persons import asks_for_persons
 
 
 def cast_population(
@@ -46,8 +44,11 @@ def cast_population(
     share_cores()
     egos = in_release(registry, robots, release, task=task, role="robot")
     dealt = None if humans else _split(registry, task, (), release)
-    if asks_for_persons(None, humans) or (dealt and dealt.rule == PERSONS):
-        split, partners = choose_partners(registry, task, None, humans or PERSONS, persons)
+    source = registry.source_asked(None, humans)
+    if source is None and dealt is not None:
+        source = registry.source_of_split(dealt)
+    if source and source.word:  # others than teams
+        split, partners = source.choose(task, None, humans or source.word, persons)
     else:
         partners = in_release(registry, humans or f"{task}/*", release, task=task, role="human")
         split = _split(registry, task, partners, release)

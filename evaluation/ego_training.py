@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.digest import json_sha256
-from assistax_base.errors import counted
 from assistax_base.files import atomic_write
 from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
@@ -15,10 +14,9 @@ from population.hyperparameters import TrainerConfig, robot_preset
 from population.runs.folder import RunFolder
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
-from zoo.ids import PERSONS
 from zoo.met.claims import side_met
 from zoo.met.published import Met
-from zoo.parameters.storage import load_stacks, write_policy_file
+from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 from zoo.schema import Split
 
@@ -42,17 +40,13 @@ class EgoTraining:
     @property
     def summary(self) -> str:
         """One line of text on the simulations of each partner."""
-        envs, count = self.config.trainer.num_envs, len(self.partners)
-        if self.split.rule == PERSONS:
-            return f"a new person each episode, of the {len(self.split.train)} of {self.split.id}"
-        share = f"{counted(envs // count, 'simulation')} each"
-        likes = ", ".join(self.config.preferences)
-        line = (
-            f"{counted(count, 'partner')} of {self.split.id}{likes and f' under {likes}'}, {share}"
+        return self.partners.sharing(
+            self.split.id,
+            len(self.split.train),
+            self.config.trainer.num_envs,
+            self.preset_envs,
+            self.config.preferences,
         )
-        if envs == self.preset_envs:
-            return line
-        return f"{line}, {envs} in place of the preset's {self.preset_envs}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +101,7 @@ def prepare(
     check_names(task)
     trainer = robot_preset(algorithm, **(changes := {**(hyperparameters or {})}))
     chosen = _chosen_split(registry, task, split, partners)
-    frozen = _load_frozen(registry, chosen, preferences)
+    frozen = load_partners(registry, chosen, preferences)
     config = make_run(
         task,
         algorithm,
@@ -172,8 +166,7 @@ def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:
         met: The training side, with the sha256 of each partner's parameters, or of a person's row
             and program.
     """
-    teams = () if split.rule == PERSONS else registry.known(f"{team}/human" for team in split.train)
-    settings = [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
+    settings = registry.source_of_split(split).settings(split)
     return {"split": split.sha256, "partners": json_sha256([met.partners, settings])}
 
 
@@ -201,26 +194,22 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
     return trainer
 
 
-def load_partners(registry: Registry, split: Split) -> "FrozenPartners":
-    """Return the humans of a split's training side; no parameters of the test side are loaded."""
-    from population.trainers.frozen_partners import FrozenPartners
-
-    entries = [registry.policy(f"{team}/human") for team in split.train]
-    settings = {entry.id: entry.partner_setting for entry in entries}
-    return FrozenPartners(load_stacks(registry, entries), settings)
-
-
 def _chosen_split(
     registry: Registry, task: str, split: str | Split | None, partners: str | None
 ) -> Split:
     """Return the split that gives the training partners; a split of persons for "persons"."""
     if isinstance(split, Split):
         return split
-    if partners not in (None, PERSONS):
-        raise ValueError(f"partners are {partners!r}; allowed are {PERSONS}, or a split's alone")
+    words = [source.word for source in registry.sources if source.word]
+    if partners is not None and partners not in words:
+        raise ValueError(
+            f"partners are {partners!r}; allowed are {', '.join(words)}, or a split's alone"
+        )
     chosen = registry.split(task, split or partners)
-    if partners and chosen.rule != PERSONS:
-        raise ValueError(f"split {chosen.id} has no persons; leave out the split or the partners")
+    if partners and chosen.rule != partners:
+        raise ValueError(
+            f"split {chosen.id} has no {partners}; leave out the split or the partners"
+        )
     return chosen
 
 
@@ -233,40 +222,27 @@ def older_version(registry: Registry, split: Split) -> int | None:
     return None if version == VERSIONS[split.task] else version
 
 
-def _load_frozen(registry: Registry, split: Split, preferences: Sequence[str]) -> "FrozenPartners":
-    if split.rule != PERSONS:
-        return load_partners(registry, split)
-    if preferences:
-        raise ValueError(
-            f"preferences are {', '.join(preferences)}, but persons have their own preferences; "
-            "leave preferences out"
-        )
-    return load_persons(registry, split)
-
-
-def load_persons(registry: Registry, split: Split, *, each: bool = False) -> "FrozenPartners":
-    """Return the persons of a split's training side.
+def load_partners(
+    registry: Registry, split: Split, preferences: Sequence[str] = (), *, each: bool = False
+) -> "FrozenPartners":
+    """Return the partners of a split's training side; nothing of the test side is loaded.
 
     Args:
-        registry: Where the persons are.
-        split: Whose training side is meant.
-        each: The first of them for the first member alone, and so on; else each episode draws one.
+        registry: Where the partners are.
+        split: Split whose training side is meant.
+        preferences: What the humans are to like.
+        each: The first partner for the first member alone, and so on.
+
+    Raises:
+        ValueError: Preferences are given, and the partners have their own.
     """
-    from population.trainers.drawn_persons import DrawnPersons, OnePersonEach
-
-    return (OnePersonEach if each else DrawnPersons)(*_player_and_rows(registry, split), split.id)
-
-
-def _player_and_rows(registry: Registry, split: Split) -> tuple[Any, Any]:
-    """Return the player of the persons of a split's training side, and their rows."""
-    from assistax_envs.persons import PersonPlayer
-    from population.trainers.drawn_persons import FamiliesPlayer
-
-    stacks = load_stacks(registry, registry.known(f"{team}/human" for team in split.train))
-    players = [PersonPlayer(split.task, stack.spec.family) for stack in stacks]
-    if len(players) == 1:
-        return players[0], stacks[0].params["row"]
-    return FamiliesPlayer(players), FamiliesPlayer.rows([stack.params["row"] for stack in stacks])
+    source = registry.source_of_split(split)
+    if preferences and source.own_preferences:
+        raise ValueError(
+            f"preferences are {', '.join(preferences)}, but {source.word} have their own "
+            "preferences; leave preferences out"
+        )
+    return source.training_partners(split, each=each)
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:

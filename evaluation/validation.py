@@ -22,9 +22,7 @@ from evaluation.record import tables
 from evaluation.record.record import Record, Returns
 from population.runs.folder import RunFolder
 from population.runs.trained import TrainedRun, TrainedTeam, read_teams
-from zoo.ids import PERSONS
 from zoo.parameters.storage import write_policy_file
-from zoo.persons.registered import VALIDATION
 from zoo.registry import Registry
 from zoo.schema import Split
 
@@ -54,17 +52,19 @@ class Choices:
     best: tuple[Choice, ...]  # of each group of so many seeds, in their order
 
 
-def check_validation(split: Split) -> None:
-    """Check that a split has a validation side.
+def validation_side(registry: Registry, split: Split) -> str:
+    """Return the name of a split's validation side, as `choose_partners` takes it.
 
     Raises:
         ValueError: It has no validation side.
     """
-    if split.rule != PERSONS and not split.validation:
+    name = registry.source_of_split(split).validation(split)
+    if name is None:
         raise ValueError(
             f"split {split.id} has no validation side, by which checkpoints could be chosen; make "
             "one of three sides: `assistax-zoo split create` with the rule three-sides"
         )
+    return name
 
 
 def choose(
@@ -95,11 +95,10 @@ def choose(
     Raises:
         ValueError: The split has no validation side, or the run no snapshots.
     """
-    check_validation(training.split)
+    name = validation_side(registry, training.split)
     if best_of < 1:
         raise ValueError(f"best_of is {best_of}; allowed is 1 or more")
     files = _snapshot_files(training, run)
-    name = f"{training.split.id if training.split.rule != PERSONS else PERSONS}:{VALIDATION}"
     partners = choose_partners(registry, how.task, name, None, persons)
     cast = cast_robots(registry, [str(path) for path in files], partners)
     evaluate(cast, how, run.folder / PLAYED, on_progress=on_progress)

@@ -3,7 +3,7 @@
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
     ego     task/algorithm-ego-sM-vR        scratch/ppo-ego-s0-v1    a robot without a human
     policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
-    person  task/person-NNNNN-vR            gentle_scratch/person-00042-v3    of five digits
+    partner task/NAME-...-vR                gentle_scratch/person-00042-v3    of any kind
 
 All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
 is the disability setting, s the training seed, v the release; numbers have no leading zeros. A
@@ -15,6 +15,7 @@ import fnmatch
 import re
 
 from assistax_base.errors import IdError, shorten
+from assistax_envs.versions import TASKS
 
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
 _SEED = r"(?:0|[1-9][0-9]{0,18})"
@@ -30,13 +31,11 @@ _TEAM = re.compile(
     rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/(?P<algorithm>{_NAME})"
     rf"-(?P<disability>d[1-9][0-9]{{0,3}}|ego)-s(?P<seed>{_SEED})-(?P<release>v{_NUMBER})"
 )
-_PERSON = re.compile(
-    rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/person-(?P<number>[0-9]{{5}})"
-    rf"-(?P<release>v{_NUMBER})(?:/human)?"
+# Of partners of every kind: a kind's own grammar says more.
+_PARTNER = re.compile(
+    rf"(?:{_NAME}:)?(?P<task>{_NAME})/{_NAME}(?:-[a-z0-9_]{{1,32}}){{0,4}}-(?P<release>v{_NUMBER})"
 )
 _MAX_SEED = 2**63  # a season's seeds have as many bits as fit a table's column
-PERSON, OWN = "person", "own"  # of whom ids say it, and whose body is no disability setting
-PERSONS = "persons"  # what their splits are called, by their beginning
 EGO = "ego"  # stands for the disability setting where no human was trained
 
 
@@ -86,7 +85,7 @@ class TeamId:
 
 
 _EXAMPLES = {
-    "task": "scratch",
+    "task": TASKS[0],
     "algorithm": "ippo",
     "disability": "d3",
     "release": "v1",
@@ -98,7 +97,7 @@ def parse_team(text: str) -> TeamId:
     """Return the team id that the text spells; `str` of it gives the text back."""
     match = _TEAM.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        expected = "task/algorithm-dN-sM-vR, for example scratch/ippo-d3-s5-v1"
+        expected = f"task/algorithm-dN-sM-vR, for example {TASKS[0]}/ippo-d3-s5-v1"
         raise IdError("team id", expected, shorten(text))
     return TeamId(
         task=match["task"],
@@ -110,17 +109,13 @@ def parse_team(text: str) -> TeamId:
     )
 
 
-def parse_person(text: str) -> tuple[str, str, int, str] | None:
-    """Return namespace, task, number and release of a person's id; None of any other text."""
-    match = _PERSON.fullmatch(text)
+def task_and_release(partner: str) -> tuple[str, str]:
+    """Return the task and the release of a partner of any kind, by its id without a role."""
+    match = _PARTNER.fullmatch(partner)
     if match is None:
-        return None
-    return match["namespace"] or "", match["task"], int(match["number"]), match["release"]
-
-
-def names_persons(pattern: str) -> bool:
-    """Return whether an id or glob is of persons: they are named as such, or not meant."""
-    return f"/{PERSON}-" in pattern
+        expected = f"task/NAME-vR, for example {TASKS[0]}/ippo-d3-s5-v1"
+        raise IdError("partner id", expected, shorten(partner))
+    return match["task"], match["release"]
 
 
 def same_team(team: str, other: str) -> bool:

@@ -20,10 +20,10 @@ from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, ZooError, listing, shorten
 from assistax_base.validated import first_problem
 from zoo.history.merkle import leaves
+from zoo.partners.sides import parse_split
 from zoo.registry import Registry, build_registry
 from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team
 from zoo.splits import check_split
-from zoo.splitting.sides import parse_split
 
 LOCK_VERSION = 3
 MAX_LOCK_BYTES = 16 * 1024 * 1024

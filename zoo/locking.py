@@ -8,7 +8,6 @@ from assistax_base.digest import sha256
 from assistax_base.errors import LockError, listing
 from assistax_base.files import atomic_write
 from zoo.history.merkle import leaves
-from zoo.ids import OWN
 from zoo.lock import LOCK_VERSION, Lock, PinnedSplit
 from zoo.namespaces import plain_name
 from zoo.registry import Registry
@@ -30,8 +29,9 @@ def make_lock(
         LockError: The policies are of several releases, or lack teams of a split.
         SplitError: A split does not exist, or cannot be trusted.
     """
-    if persons := [entry.id for entry in entries if entry.disability == OWN]:
-        found = f"{len(persons)} persons, all of whom the release's root pins"
+    if made := [entry.id for entry in entries if not entry.shard]:
+        source = registry.source_of(made[0])
+        found = f"{len(made)} {source.word}, {source.pinned}"
         advice = "name the release and its root, as `assistax-zoo cite` does"
         raise LockError("selection", "policies that have bytes", found, advice)
     releases = sorted({entry.release for entry in entries})
@@ -75,9 +75,11 @@ def used_leaves(
     for entry in entries:
         team = plain_name(entry.team)
         names |= {f"team {team}", f"ego {team}", f"setting {entry.disability}"}
-        names |= {f"persons {entry.task}"} if entry.disability == OWN else set()
+        names |= registry.source_of(entry.id).leaves(entry)
         names |= {f"run {plain_name(entry.run)}", f"shard {plain_name(entry.shard)}"}
     part, name = registry.part_of(release)
+    if name not in part.data.releases:  # of partners that belong to no release
+        return {}
     return {leaf: digest for leaf, digest in leaves(part.data, name).items() if leaf in names}
 
 

@@ -2,9 +2,9 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -14,13 +14,12 @@ from assistax_base.errors import (
     RegistryVersionError,
     SplitError,
     listing,
-    nearest,
     shorten,
 )
 from assistax_base.validated import first_problem
 from zoo.history.merkle import check_roots, release_root
 from zoo.history.own_splits import own_splits
-from zoo.ids import PERSONS, names_persons, parse_team
+from zoo.ids import parse_team
 from zoo.locations import (
     REGISTRY_VARIABLE,
     added_registries,
@@ -28,10 +27,17 @@ from zoo.locations import (
     registry_path,
     shard_root,
 )
-from zoo.namespaces import merge, qualify_split, split_namespace
+from zoo.namespaces import merge, split_namespace
+from zoo.partners.asking import asked_source
+from zoo.partners.kinds import kinds
+from zoo.partners.source import PartnerSource
 from zoo.schema import SCHEMA_VERSION, Ego, PolicyEntry, RegistryFile, Split, Team
 from zoo.selection import refuse_unknown, select
-from zoo.splits import check_split, leaks, refuse_leak
+
+if TYPE_CHECKING:
+    from population.networks.stack import PolicyStack
+
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,33 +80,78 @@ class Registry:
         fetched = cached_shard(self.data.shards[shard].sha256)
         return fetched if fetched.is_file() else beside
 
+    @functools.cached_property
+    def sources(self) -> tuple[PartnerSource, ...]:
+        """The kinds of partners: teams, persons, then those of installed packages."""
+        return tuple(kind(self) for kind in kinds())
+
+    @property
+    def teams(self) -> PartnerSource:
+        """The source of teams, whose parameters the shards hold."""
+        return self.sources[0]
+
+    def source_of(self, name: str) -> PartnerSource:
+        """Return the source of the partners that an id or a glob names."""
+        return next((source for source in self.sources[1:] if source.owns(name)), self.teams)
+
+    def source_of_split(self, split: Split) -> PartnerSource:
+        """Return the source of the partners that a split deals."""
+        return next((source for source in self.sources if source.word == split.rule), self.teams)
+
+    def source_asked(
+        self, split: str | None, patterns: str | Sequence[str] | None
+    ) -> PartnerSource | None:
+        """Return the source that a split's name or all patterns over partners ask for by name.
+
+        Returns:
+            None if they name no kind, so that teams, or the task's default partners, are meant.
+
+        Raises:
+            ValueError: The patterns are of several kinds, or one can be of no partner.
+        """
+        texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
+        return asked_source(self.sources, split, texts)
+
+    @functools.cached_property
+    def _by_id(self) -> dict[str, PolicyEntry]:
+        return {entry.id: entry for entry in self.policies}
+
     def policy(self, policy_id: str) -> PolicyEntry:
         """Return one policy by its id.
 
         Raises:
             UnknownIdError: The registry has no such policy; the nearest ids are named.
         """
-        for entry in self.policies:
-            if entry.id == policy_id:
-                return entry
-        if names_persons(policy_id) and (someone := self.known([policy_id])):
-            return someone[0]
-        refuse_unknown(policy_id, [entry.id for entry in self.policies])
+        if policy_id in self._by_id:
+            return self._by_id[policy_id]
+        if found := self.known([policy_id]):
+            return found[0]
+        refuse_unknown(policy_id, list(self._by_id))
 
     def known(self, ids: Iterable[str]) -> list[PolicyEntry]:
-        """Return the policies of these ids that there are: in registry order, then persons."""
-        wanted = dict.fromkeys(ids)
-        entries = [entry for entry in self.policies if entry.id in wanted]
-        named = [name for name in wanted if names_persons(name) and name.endswith("/human")]
-        if named:
-            from zoo.persons.registered import known_persons  # which makes rows by NumPy
+        """Return the entries of `ids`, skipping unknown ones: teams first, in registry order."""
+        wanted = self._by_source(dict.fromkeys(ids), self.source_of)
+        return [entry for source, names in wanted for entry in source.known(names)]
 
-            entries += known_persons(self.data, named)
-        return entries
+    def stacks(self, entries: Iterable[PolicyEntry]) -> "tuple[PolicyStack, ...]":
+        """Return the parameters of entries, verified, one stack for each spec: teams first."""
+        chosen = self._by_source(entries, lambda entry: self.source_of(entry.id))
+        return tuple(stack for source, some in chosen for stack in source.stacks(some))
+
+    def _by_source(
+        self, items: Iterable[T], source_of: Callable[[T], PartnerSource]
+    ) -> list[tuple[PartnerSource, list[T]]]:
+        """Return each source that has any of the items, with its items in their order."""
+        dealt: dict[PartnerSource, list[T]] = {source: [] for source in self.sources}
+        for item in items:
+            dealt[source_of(item)].append(item)
+        return [(source, some) for source, some in dealt.items() if some]
 
     def env_version(self, entry: PolicyEntry) -> int:
         """Return the version of its task's environment that a policy was trained on."""
-        return self.data.releases[entry.release].environments[entry.task]
+        release = self.data.releases.get(entry.release)
+        environments = release.environments if release else {}
+        return environments.get(entry.task, entry.training.env_version)
 
     def root(self, release: str) -> str:
         """Return the root over all that a release holds here: what a result is traced to."""
@@ -131,20 +182,19 @@ class Registry:
     ) -> list[PolicyEntry]:
         """Return the policies that match, in registry order, as `zoo.selection.select` does.
 
-        Persons are meant where a pattern says so, as "gentle_scratch/person-*-v3", and come last.
+        Partners of another kind than teams match if a pattern says so, such as
+        "gentle_scratch/person-*-v3". They come last.
 
         Raises:
             UnknownIdError: Nothing matches; the nearest ids are named.
         """
-        patterns = [pattern] if isinstance(pattern, str) else list(pattern or ())
-        named = [text for text in patterns if names_persons(text)]
-        if not named:
-            return select(self.policies, pattern, **fields)
-        from zoo.persons.registered import select_persons
-
-        others = [text for text in patterns if text not in named]
-        chosen = select(self.policies, others, **fields) if others else []
-        return [*chosen, *select(select_persons(self.data, named), named, **fields)]
+        if pattern is None:
+            return select(self.policies, **fields)
+        patterns = [pattern] if isinstance(pattern, str) else list(pattern)
+        chosen: list[PolicyEntry] = []
+        for source, some in self._by_source(patterns, self.source_of):
+            chosen += select(source.candidates(some), some, **fields)
+        return chosen
 
     def of_task(self, task: str, role: str) -> list[PolicyEntry]:
         """Return a task's robots or humans, those of its default release, in registry order.
@@ -157,7 +207,7 @@ class Registry:
     def split(self, task: str, id: str | None = None, *, release: str | None = None) -> Split:
         """Return a verified split: the one named, or a release's default (the task's own).
 
-        The default of a release that has persons of the task alone is theirs.
+        If a release has no stored default split, it is that of its persons, or of another kind.
 
         Args:
             task: Task the split is for.
@@ -171,64 +221,15 @@ class Registry:
             SplitError: There is no such split, or its content differs from its sha256.
             LeakageError: A team, or the same parameters, stand on two sides.
         """
-        if PERSONS in (id or ""):
-            from zoo.persons.registered import person_split
-
-            if dealt := person_split(self.data, task, str(id)):
-                return dealt
-        namespace, name = split_namespace(id or release or "")
-        if namespace in self.parts and namespace:
-            arguments = {"id": name or None} if id else {"release": name}
-            theirs = qualify_split(self.parts[namespace].split(task, **arguments), namespace)
-            if theirs not in self.splits and theirs.rule != PERSONS:  # narrowed down by a lock
-                raise SplitError(f"split {theirs.id}", "one of this registry", "none")
-            return theirs
-        split = (
-            self._named_split(task, id)
-            if id
-            else self._default_split(task, release or self.release_of(task))
-        )
-        if split.rule == PERSONS:  # made here just now, and of no team
-            return split
-        check_split(split)
-        teams = self.data.teams
-        if missing := [team for side in split.sides.values() for team in side if team not in teams]:
-            raise SplitError(
-                f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
-            )
-        return refuse_leak(split.id, pairs) if (pairs := leaks(split, teams)) else split
-
-    def _named_split(self, task: str, name: str) -> Split:
-        known = [split for split in self.splits if split.task == task]
-        full = name if "/" in name else f"{task}/{name}"
-        exact = [split for split in known if split.id == full]
-        matching = exact or [split for split in known if split.id.startswith(f"{full}-")]
-        newest = self.release_of(task)
-        # A split that somebody made since does not change what the name of a default one means.
-        defaults = {id for release in self.data.releases.values() for id in release.splits.values()}
-        default = [split for split in matching if split.id in defaults]
-        its = [[split for split in some if split.release == newest] for some in (default, matching)]
-        for candidates in (matching, default, *its):
-            if len(candidates) == 1:
-                return candidates[0]
-        ids = [split.id for split in known]
-        close = nearest(full, ids) or ids
-        raise SplitError(
-            f"split {shorten(name)} of task {shorten(task)}",
-            f"one split ({listing(close)})",
-            f"{len(matching)} that begin so" if matching else "none",
-        )
-
-    def _default_split(self, task: str, release: str) -> Split:
-        if release not in self.data.releases:
-            allowed = f"one of {listing(self.data.releases)}"
-            raise SplitError(f"release {shorten(release)}", allowed, "no such release")
-        entry = self.data.releases[release]
-        if task in entry.splits:
-            return next(split for split in self.splits if split.id == entry.splits[task])
-        if task in entry.persons:
-            return self.split(task, f"{PERSONS}-s0-{release}")
-        allowed = f"a default split (release {release} has one for {listing(sorted(entry.splits))})"
+        sources = self.sources
+        # A kind knows the names of its splits; every other name is of a stored split.
+        asked = (*sources[1:], sources[0]) if id else sources
+        release = None if id else release or self.release_of(task)
+        for source in asked:
+            if split := source.split(task, id or None, release):
+                return split
+        having = sorted(self.data.releases[release].splits) if release in self.data.releases else ()
+        allowed = f"a default split (release {release} has one for {listing(having)})"
         raise SplitError(f"task {shorten(task)}", allowed, "none")
 
 

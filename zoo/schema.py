@@ -7,7 +7,7 @@ installation does not know is refused by it, with the advice to upgrade.
 """
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     BaseModel,
@@ -41,7 +41,7 @@ Rule = Literal[
     "custom",
     "three-sides",
 ]
-
+RULES: tuple[str, ...] = get_args(Rule)
 
 Spec = Annotated[PolicySpec, PlainValidator(spec_from_json), PlainSerializer(PolicySpec.to_json)]
 
@@ -95,7 +95,7 @@ class Citation(StrictModel):
 
 
 class Persons(StrictModel):
-    """Persons of a task: rows of numbers that a formula gives, see `zoo.persons`."""
+    """Persons of a task: rows of numbers that a formula gives, see `zoo.partners`."""
 
     program: Annotated[int, Field(ge=1)]  # version of what acts by a row
     count: Annotated[int, Field(ge=1, le=50_000)]
@@ -130,11 +130,7 @@ class DisabilitySetting(StrictModel):
         return self
 
     def value(self) -> Disability:
-        """Return it as what a simulation takes.
-
-        Raises:
-            ValueError: No human can have such a number.
-        """
+        """Return the setting for a simulation; a ValueError says which number is impossible."""
         return Disability(**self.model_dump())
 
 
@@ -188,7 +184,8 @@ class Split(StrictModel):
     id: str
     task: Name
     release: ReleaseName
-    rule: Rule | Literal["persons"]  # whose sides their numbers say, see `zoo.persons`
+    # One of `RULES`, or the word of a kind of partner that makes the split, see `zoo.partners`.
+    rule: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]{0,31}$")]
     held_out: str | None = None
     n: int | None = None
     seed: Count
@@ -233,7 +230,7 @@ class RegistryFile(StrictModel):
     def release_of(self, task: str) -> ReleaseName:
         """Return a task's default release: the newest whole one that has it, else of all that do.
 
-        Those of an added zoo have its namespace before their name, and are nobody's default.
+        Releases of an added zoo, which have a namespace, are never the default.
         """
         newest = release_number(self.release)
         having = [
@@ -252,6 +249,8 @@ class RegistryFile(StrictModel):
         _known("release", self.release, self.releases)
         for name, entry in self.members.items():
             self._check_member(name, entry)
+        for split in self.splits:
+            _known(f"split {split.id}: rule", split.rule, RULES)
         splits = {split.id: (split.task, split.release) for split in self.splits}
         if len(splits) != len(self.splits):
             raise ValueError("a split id occurs twice in splits")
@@ -303,15 +302,15 @@ class PolicyEntry:
     task: str
     algorithm: str
     role: Role
-    disability: str  # "d3"; "ego" for a robot without a human; "own" for a person
+    disability: str  # "d3"; "ego" for a robot without a human; "own" for a body of its own
     setting: Disability | None  # what "d3" is, as the registry has it
     seed: int
     release: str  # "v1"
-    spec: PolicySpec  # of persons `zoo.persons.seat.PersonSpec`
-    shard: str  # path relative to the registry's folder; "" for a person
+    spec: PolicySpec  # of a partner that is no network another `SeatSpec`
+    shard: str  # path relative to the registry's folder; "" if nothing is stored
     row: int
-    sha256: str  # of the row's canonical bytes; a person's identity
-    run: str  # key of its provenance in `runs`; "" for a person
+    sha256: str  # of the row's canonical bytes, or of all else that it acts by
+    run: str  # key of its provenance in `runs`; "" if it was not trained
     training: Training
     self_play: SelfPlay | None
     trained_against: TrainedAgainst | None = None  # of egos

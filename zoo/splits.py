@@ -19,8 +19,8 @@ from typing import Any, NoReturn
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError, listing
 from assistax_envs.preferences import check_preferences
-from zoo.ids import parse_person, parse_team
-from zoo.schema import Split, Team
+from zoo.ids import task_and_release
+from zoo.schema import RULES, Split, Team
 
 
 def check_split(split: Split) -> None:
@@ -43,7 +43,7 @@ def check_split(split: Split) -> None:
             raise SplitError(
                 f"split {split.id}", f"{name} sorted and without repetition", "another order"
             )
-        foreign = [team for team in side if _home(team) != (split.task, split.release)]
+        foreign = [team for team in side if task_and_release(team) != (split.task, split.release)]
         if foreign:
             raise SplitError(
                 f"split {split.id}",
@@ -88,15 +88,6 @@ def refuse_leak(split: str, pairs: Sequence[tuple[str, str]]) -> NoReturn:
     )
 
 
-def _home(team: str) -> tuple[str, str]:
-    """Return task and release of a team or a person."""
-    if person := parse_person(team):
-        _, task, _, release = person
-        return task, release
-    named = parse_team(team)
-    return named.task, named.release
-
-
 def _check_preferences(split: Split) -> None:
     missing = sorted(set(split.sides) ^ set(split.preferences))
     if missing:
@@ -115,12 +106,38 @@ def _check_preferences(split: Split) -> None:
 
 def split_id(content: Mapping[str, Any]) -> str:
     """Return the id of a split of this content."""
+    rule, held_out = str(content["rule"]), content["held_out"]
+    made = rule if rule in RULES else "-".join(filter(None, (rule, held_out)))
     slug = {
-        "leave-one-algorithm-out": f"without-{content['held_out']}",
-        "leave-one-disability-out": f"without-{content['held_out']}",
+        "leave-one-algorithm-out": f"without-{held_out}",
+        "leave-one-disability-out": f"without-{held_out}",
         "small-train": f"small-{content['n']}",
-        "persons": "-".join(filter(None, ("persons", content["held_out"]))),
-    }.get(str(content["rule"]), str(content["rule"]))
+    }.get(rule, made)
     digest = json_sha256(content)[:8]
     slug = "-".join((slug, *content.get("preferences", {}).get("test", ())))
     return f"{content['task']}/{slug}-s{content['seed']}-{content['release']}-{digest}"
+
+
+def made_split(
+    rule: str,
+    task: str,
+    release: str,
+    train: Sequence[str],
+    test: Sequence[str],
+    *,
+    held_out: str | None = None,
+) -> Split:
+    """Return a split that a kind of partner makes and nothing stores.
+
+    Args:
+        rule: The kind's word.
+        task: Task of the partners.
+        release: Their release.
+        train: Ids of the training side, without roles.
+        test: Ids of the test side, without roles.
+        held_out: What names it among the splits of the kind.
+    """
+    fields = {"task": task, "release": release, "rule": rule, "held_out": held_out}
+    content = {**fields, "n": None, "seed": 0, "train": tuple(train), "test": tuple(test)}
+    named = {"id": split_id(content), "sha256": json_sha256(content)}
+    return Split.model_validate({**content, **named})

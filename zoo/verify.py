@@ -13,7 +13,6 @@ from zoo.history.signing import check_signature
 from zoo.ids import parse_team, release_number, same_team
 from zoo.locations import shard_root
 from zoo.parameters.storage import read_shard
-from zoo.persons.registered import check_table, person_tables
 from zoo.registry import Registry
 from zoo.schema import DisabilitySetting, PolicyEntry
 
@@ -49,7 +48,8 @@ def verify(registry: Registry, *, key: Path | None = None) -> Report:
     registry = registry.part("")
     data = registry.data
     problems = [*root_problems(data), *_shards_problems(registry)]
-    problems += [*_duplicates(registry), *_split_problems(registry), *_person_problems(registry)]
+    problems += [*_duplicates(registry), *_split_problems(registry)]
+    problems += [problem for source in registry.sources for problem in source.problems()]
     if key:
         problems += _signature_problems(registry, key)
     if data.disability_settings != installed_settings():
@@ -63,7 +63,7 @@ def verify(registry: Registry, *, key: Path | None = None) -> Report:
         bytes=sum(shard.bytes for shard in data.shards.values()),
         policies=len(registry.policies),
         splits=len(data.splits),
-        persons=sum(table.count for *_, table in person_tables(data)),
+        persons=sum(size for source in registry.sources for size in source.table_sizes()),
         roots={release: registry.root(release) for release in data.releases},
         problems=tuple(problems),
         notes=tuple(_notes(registry)),
@@ -131,14 +131,6 @@ def _split_problems(registry: Registry) -> Iterator[str]:
     for split in registry.splits:
         try:
             registry.split(split.task, split.id)
-        except ZooError as error:
-            yield str(error)
-
-
-def _person_problems(registry: Registry) -> Iterator[str]:
-    for named in person_tables(registry.data):
-        try:
-            check_table(*named)
         except ZooError as error:
             yield str(error)
 

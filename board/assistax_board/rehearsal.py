@@ -31,7 +31,7 @@ from assistax_envs.preferences import preferences_of
 SEASON = "rehearsal"
 LIMIT_SECONDS = 1800.0  # for any one thing to happen
 TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [8, 8]}
-PERSONS = 4  # hidden, where the task has any
+HIDDEN_PERSONS = 4  # hidden, where the task has any
 MEMBERS = {"disabilities": ("d1", "d9"), "seeds": 2, "steps": 32, "self_play_episodes": 1}
 
 
@@ -72,8 +72,8 @@ def rehearse(stage: Stage) -> Iterator[str]:
     yield "stage 1 of 6, train hidden teams"
     yield f"trained {train_hidden(stage)} hidden teams from a secret plan: {stage.private}"
     if preferences_of(stage.task):
-        add_persons(stage.private, stage.task, PERSONS)
-        yield f"drew {PERSONS} hidden persons from a secret, beside them"
+        add_persons(stage.private, stage.task, HIDDEN_PERSONS)
+        yield f"drew {HIDDEN_PERSONS} hidden persons from a secret, beside them"
     service = open_service(stage.data, registry=stage.registry, backend=stage.backend)
     plan = Plan(SEASON, stage.task, budget=3, small=True)
     season = service.create_season(plan, stage.private, load_registry(stage.registry))

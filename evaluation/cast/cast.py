@@ -8,17 +8,16 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from assistax_base.errors import RegistryVersionError, SplitError, listing, nearest
+from assistax_base.errors import RegistryVersionError, listing
 from assistax_envs.versions import VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
-from zoo.ids import EGO, PERSONS
+from zoo.ids import EGO
 from zoo.namespaces import split_namespace
+from zoo.partners.sides import SIDES
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
-from zoo.splitting.persons import asks_for_persons, choose_persons
-from zoo.splitting.sides import SIDES, parse_split
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,7 +79,7 @@ class Cast:
             humans=registry_roster(registry, humans),
             split=split,
             sides=sides_of(humans, split),
-            releases=tuple(sorted({entry.release for entry in (*published, *humans)})),
+            releases=tuple(sorted({entry.release for entry in (*published, *humans)} - {""})),
             lock=registry.lock,
             met=met_partners(robots, humans),
             own_robots=own_robots(registry, humans) if baselines else None,
@@ -102,36 +101,18 @@ def choose_partners(
 ) -> tuple[Split, list[PolicyEntry]]:
     """Return the split that `split` names, and the humans of its sides that match `patterns`.
 
-    If `split` names no split, it is that of the release of the matching partners, or the task's
-    default one if the partners are of several releases. Persons, at most `persons` of them, are
-    chosen by `zoo.splitting.persons.choose_persons`.
+    Names and patterns say of which kind the partners are; if they do not, the kind is that of the
+    task's default split. If `split` names no split, it is that of the release of the matching
+    partners, or the task's default one if the partners are of several releases. At most `persons`
+    partners are drawn, of a kind that makes its partners.
 
     Raises:
         ValueError: There is no such split, or its sides have no partner that matches.
     """
-    by_default = not patterns and split in (None, *SIDES)
-    if asks_for_persons(split, patterns) or (by_default and registry.split(task).rule == PERSONS):
-        return choose_persons(registry.data, task, split, patterns, persons)
-    if persons is not None:
-        raise ValueError(f"persons is {persons}, but other partners are named; leave it out")
-    name, side = parse_split(split, registry.parts)
-    humans = registry.select(patterns, task=task, role="human")
-    releases = {entry.release for entry in humans}
-    release = releases.pop() if len(releases) == 1 else None
-    try:
-        manifest = registry.split(task, name, release=release)
-    except SplitError:
-        if name is None:
-            raise
-        raise ValueError(_unknown_split(registry, task, name)) from None
-    chosen = [entry for entry in humans if manifest.side(entry.team) in SIDES[side]]
-    if not chosen:
-        raise ValueError(
-            f"none of the partners that match ({len(humans)}) is on the "
-            f"{' or '.join(SIDES[side])} side of split {manifest.id}; choose others, another "
-            "side, or another split's id (assistax-zoo split list)"
-        )
-    return manifest, chosen
+    source = registry.source_asked(split, patterns)
+    if source is None and not patterns and split in (None, *SIDES):
+        source = registry.source_of_split(registry.split(task))
+    return (source or registry.teams).choose(task, split, patterns, persons)
 
 
 def in_release(
@@ -220,14 +201,12 @@ def version_of_all(
 
 
 def _unfit(registry: Registry, entry: PolicyEntry, version: int, why: str) -> RegistryVersionError:
-    """Return the error of a policy that was trained in none of `versions`; `why` explains them."""
+    """Return the error of a policy that was trained in another version; `why` explains it."""
     fitting = []
-    for release in registry.data.releases.values():
+    for name, release in registry.data.releases.items():
         if release.environments.get(entry.task) == version:
-            if split := release.splits.get(entry.task):  # none in a release of egos alone
-                fitting.append(f"split {split}")
-            if entry.task in release.persons:
-                fitting.append("partners persons")
+            offers = (source.offered(entry.task, name) for source in registry.sources)
+            fitting += [offer for offer in offers if offer]
     return RegistryVersionError(
         f"policy {entry.id}",
         expected=f"version {version} of environment {entry.task}, {why}",
@@ -253,7 +232,9 @@ def entries_of(
 
 def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, str]:
     """Return the root hash of each release of the entries, by release."""
-    return {release: registry.root(release) for release in sorted({e.release for e in entries})}
+    return {
+        release: registry.root(release) for release in sorted({e.release for e in entries} - {""})
+    }
 
 
 def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:
@@ -272,14 +253,3 @@ def own_robots(registry: Registry, partners: Sequence[PolicyEntry]) -> tuple[Ros
     robots = {entry.team: entry for entry in registry.policies if entry.role == "robot"}
     pairs = [(robots[human.team], human) for human in partners if human.team in robots]
     return paired_rosters(registry, pairs) if pairs else None
-
-
-def _unknown_split(registry: Registry, task: str, name: str) -> str:
-    """Return the message for a split that does not exist, with the nearest names."""
-    ids = [split.id for split in registry.data.splits if split.task == task]
-    near = nearest(name, [*SIDES, PERSONS, *ids])
-    return (
-        f"split {name!r} is neither a side ({', '.join(SIDES)}) nor a split's id"
-        f"{f', nearest: {listing(near)}' if near else ''}; "
-        "`assistax-zoo split list` prints the ids"
-    )

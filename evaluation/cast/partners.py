@@ -57,9 +57,11 @@ class Partner:
     @property
     @own_settings()
     def humans(self) -> Any:
-        """A person's own `EnvParams` [1], its body and wishes; None of others."""
-        own = getattr(self.spec, "humans", None)
-        return own and own(jax.tree.map(lambda leaf: leaf[None], self._params))
+        """Its own `EnvParams` [1]; None if a setting and a preference are chosen for it."""
+        if not self.spec.own_preferences:
+            return None
+        stacked = jax.tree.map(lambda leaf: leaf[None], self._params)
+        return self.spec.humans(stacked, [self.setting or "d1"], None)
 
     def reset(self, rows: int | None = None) -> None:
         """Clear the memory before an episode. `rows`, which evaluators pass, is not used."""

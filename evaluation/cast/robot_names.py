@@ -11,7 +11,7 @@ from assistax_envs.versions import TASKS
 Kind = Literal["zoo", "file", "onnx", "python", "zero", "random"]
 
 FORMS = (
-    "an id such as scratch/ppo-ego-s0-v1/robot, FILE.safetensors, FILE.onnx, "
+    f"an id such as {TASKS[0]}/ppo-ego-s0-v1/robot, FILE.safetensors, FILE.onnx, "
     "python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
 )
 # An id or glob of a task, with the namespace of an added registry in front, as in lab:scratch/...

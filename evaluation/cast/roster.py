@@ -94,6 +94,21 @@ class Roster:
         return views.pop() if views else View.PLAIN
 
     @property
+    def own_preferences(self) -> bool:
+        """Whether its humans bring preferences and bodies of their own.
+
+        Raises:
+            ValueError: Some do, and some do not.
+        """
+        bring = {stack.spec.own_preferences for stack in self.policies}
+        if len(bring) > 1:
+            raise ValueError(
+                "some partners are persons, which have their own preferences, and others are not; "
+                "play them in separate jobs"
+            )
+        return True in bring
+
+    @property
     def policies(self) -> tuple[PolicyStack, ...]:
         """The stacks of networks, without robots from outside."""
         return tuple(stack for stack in self.stacks if isinstance(stack, PolicyStack))

@@ -17,10 +17,9 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from assistax_envs.persons.parameters import PARAMETERS
-from assistax_envs.persons.rows import persons
 from evaluation.record.columns import with_safety
 from evaluation.record.record import Record
-from zoo.ids import parse_person
+from zoo.partners.kinds import described_kind
 
 BINS = 5
 RESAMPLES, SHUFFLES = 1000, 200
@@ -76,27 +75,15 @@ def outcomes(record: Record) -> Outcomes:
         .agg(pl.col(RETURN).cast(pl.Float64).mean(), pl.col(success).cast(pl.Float64).mean())
         .sort("partner")
     )
-    named = [parse_person(name) for name in means["partner"]]
-    known = [of is not None for of in named]
-    tasks = {of[1] for of in named if of}
-    if len(tasks) != 1:
-        found = f"persons of {', '.join(sorted(tasks))}" if tasks else "no person"
-        raise ValueError(
-            f"{record.folder} has {found} among its {means.height} partners; evaluate robots with "
-            "persons of one task, with partners 'persons'"
-        )
-    [task] = tasks
+    names = means["partner"].to_list()
+    try:
+        task, known, rows = described_kind().numbers(names)
+    except ValueError as error:
+        raise ValueError(f"{record.folder} has {error}") from None
     played = means.filter(pl.Series(known))
-    numbers = [of[2] for of in named if of]
-    if max(numbers) >= len(persons(task)):
-        raise ValueError(
-            f"{record.folder} has persons of a season's secret, such as number {max(numbers)}, and "
-            "holds no rows of theirs; evaluate robots with the public persons, by partners "
-            "'persons'"
-        )
     mine = table.filter(pl.col("partner").is_in(played["partner"].to_list()))
     values = {name: played[name].to_numpy() for name in (RETURN, success)}
-    return Outcomes(task, persons(task)[numbers], values, mine.height, mine["ego"].n_unique())
+    return Outcomes(task, rows, values, mine.height, mine["ego"].n_unique())
 
 
 def effects(

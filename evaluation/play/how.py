@@ -62,9 +62,6 @@ class PlaySettings:
         return self.episodes or default_episodes(self.task, self.series)
 
 
-PERSON_EPISODES = 4  # of a pair with a person, who has one wish, and of whom there are many
-
-
 def default_episodes(task: str, series: int = 1) -> int:
     """Return how many episodes a pair plays if nothing else is asked for: whole series.
 

@@ -62,7 +62,7 @@ class Job:
                 f"paired egos {sizes[0]} and partners {sizes[1]} differ in number; give them one "
                 "to one"
             )
-        if self.own_wishes and self.preferences:
+        if self.partners.own_preferences and self.preferences:
             raise ValueError(
                 f"preferences are {', '.join(self.preferences)}, but persons have their own "
                 "preferences; leave preferences out"
@@ -72,15 +72,6 @@ class Job:
                 raise ValueError(
                     f"partner {member.id} has no disability setting; give it one of d1..d9"
                 )
-
-    @property
-    def own_wishes(self) -> bool:
-        """Whether the partners bring wishes of their own, as persons do.
-
-        Raises:
-            ValueError: Some do, and some do not.
-        """
-        return brings_wishes(self.partners)
 
     @property
     def rows(self) -> int:
@@ -189,21 +180,6 @@ class Job:
         names = tuple(sorted({name for side in played.values() for name in side}))
         differing = played if len(played) > 1 else {}
         return dataclasses.replace(self, preferences=names, side_preferences=differing)
-
-
-def brings_wishes(humans: Roster) -> bool:
-    """Return whether humans bring wishes and bodies of their own, as persons do.
-
-    Raises:
-        ValueError: Some do, and some do not.
-    """
-    bring = {hasattr(stack.spec, "humans") for stack in humans.policies}
-    if len(bring) > 1:
-        raise ValueError(
-            "some partners are persons, which have their own preferences, and others are not; "
-            "play them in separate jobs"
-        )
-    return True in bring
 
 
 def episode_seeds(seed: int, episodes: Iterable[int], partner: str | None = None) -> list[int]:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import polars as pl
 
-from assistax_envs import EnvParams, disability_params
+from assistax_envs import EnvParams
 from assistax_envs.interrupts import wait_for
 from assistax_envs.own_settings import own_settings
 from evaluation.cast.egos import Clipping, call_ego
@@ -35,7 +35,6 @@ from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.play.tally import Tally
 from population.views import View
-from zoo.ids import parse_person
 
 MOST_DEVICES = 8  # each has a tile of up to 32,768 simulations in memory
 # For fewer simulations, compiling the programs for another device takes longer than it saves.
@@ -239,17 +238,19 @@ def _host(job: Job, tile: Tile) -> HostEgo | None:
 def _humans(
     job: Job, stacks: Sequence[PolicyStack], ids: Sequence[str], episodes: Sequence[int]
 ) -> EnvParams:
-    """Return the humans [P] of stacks: persons as their rows say, others by their settings."""
-    if job.own_wishes:
-        own = [stack.spec.humans(stack.params) for stack in stacks]
-        humans: EnvParams = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *own)
-        if job.view is not View.NUMBERS:
-            return humans
-        numbers = [named[2] for name in ids if (named := parse_person(name))]
-        return dataclasses.replace(humans, person=jnp.asarray(numbers, jnp.int32))
+    """Return the bodies and preferences [P] of stacks, as their specs give them."""
     settings = [member.setting or str(member.disability) for member in job.partners.describe(ids)]
     preferences = job.preferences_of(ids, episodes) if job.preferences else None
-    return disability_params(settings, preferences)
+    parts, start = [], 0
+    for stack in stacks:
+        rows = slice(start, start := start + len(stack))
+        liked = None if preferences is None else preferences[rows]
+        parts.append(stack.spec.humans(stack.params, settings[rows], liked))
+    humans: EnvParams = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    if job.view is not View.NUMBERS:
+        return humans
+    places = [job.partners.ids.index(name) for name in ids]
+    return dataclasses.replace(humans, person=jnp.asarray(places, jnp.int32))
 
 
 def _padded_stacks(roster: Roster, slices: Sequence[StackSlice]) -> list[PolicyStack]:

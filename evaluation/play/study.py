@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from assistax_base.locks import locked
@@ -13,8 +14,8 @@ from evaluation.cast.cast import Cast
 from evaluation.cast.roster import Roster
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
-from evaluation.play.how import PERSON_EPISODES, PlaySettings
-from evaluation.play.jobs import Job, brings_wishes
+from evaluation.play.how import PlaySettings
+from evaluation.play.jobs import Job
 from evaluation.record import manifest, tables
 from evaluation.record.alike import check_alike, check_members, conditions, read_identity
 from evaluation.record.verification import check_whole, strange_tables_refused
@@ -38,15 +39,16 @@ def make_job(
     robots' view, which the job names.
     """
     from assistax_envs.models.build import scene_sha256
-    from assistax_envs.persons import persons as rows
 
-    persons, view = brings_wishes(humans), robots.view
-    numbers = rows(how.task) if persons and view is View.NUMBERS else None
+    view = robots.view
+    numbers = _numbers_of(humans) if view is View.NUMBERS else None
     env = view.make(how.task, how.backend, version=version, numbers=numbers)
     episodes, turns = how.episodes_of_pair, how.turns
-    if persons:
-        episodes = how.episodes or math.ceil(PERSON_EPISODES / how.series) * how.series
+    if humans.own_preferences:
         turns = () if how.preferences is None else turns
+    usual = max((stack.spec.episodes or 0 for stack in humans.policies), default=0)
+    if usual:
+        episodes = how.episodes or math.ceil(usual / how.series) * how.series
     job = Job(
         task=how.task,
         env_version=env.version,
@@ -65,6 +67,13 @@ def make_job(
         preferences=turns,
     )
     return env, job
+
+
+def _numbers_of(humans: Roster) -> np.ndarray | None:
+    """Return the numbers of humans [P, W] by place in the roster; None if some have none."""
+    tables = [stack.spec.numbers(stack.params) for stack in humans.policies]
+    known = [table for table in tables if table is not None]
+    return np.concatenate(known) if tables and len(known) == len(tables) else None
 
 
 def context_of(

@@ -36,7 +36,7 @@ from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.record import Record
 from evaluation.record.verification import strange_tables_refused, unchecked
 from evaluation.report.matrix_data import matrix_data
-from zoo.ids import names_persons
+from zoo.partners.kinds import kind_of
 
 _HASHED = (
     *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
@@ -174,7 +174,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     known = {key: column for key, column in _PARTNER.items() if column in partners.columns}
     headings, columns = [*known], [*known.values()]
     images = {"returns with training and test partners": zsc_dots(named)}
-    if all(map(names_persons, partners["partner"])):
+    if kind_of(partners["partner"].to_list()).has_numbers:
         images |= _effects_figure(folder)
     else:
         images["returns by the partner's disability setting"] = trait_points(named)

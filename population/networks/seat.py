@@ -4,11 +4,15 @@ Imports no JAX: the registry reads specs too.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 if TYPE_CHECKING:
+    import numpy as np
     from jaxtyping import Array, Bool, Float
 
+    from assistax_envs.disability import Disability
+    from assistax_envs.humans import EnvParams
     from population.networks.spec import Role
 
 Params = dict[str, Any]  # nested dicts of arrays
@@ -37,11 +41,10 @@ class Player(Protocol):
 
 
 class Seat(Protocol):
-    """Spec of policies that can be stacked and mapped over; hashable.
+    """Spec of policies that can be stacked and mapped over; hashable."""
 
-    A spec of humans may have `humans(params)`, which returns the `EnvParams` of stacked parameters;
-    without it the disability setting and the preference give them.
-    """
+    own_preferences: ClassVar[bool]
+    episodes: ClassVar[int | None]
 
     @property
     def role(self) -> "Role":
@@ -66,9 +69,65 @@ class Seat(Protocol):
         """Return the player of these policies; imports JAX."""
         ...
 
+    def humans(
+        self,
+        params: Mapping[str, Any],
+        settings: "Sequence[str | Disability]",
+        preferences: "Sequence[str] | np.ndarray | None",
+    ) -> "EnvParams":
+        """Return the bodies and preferences of humans; see `SeatSpec.humans`."""
+        ...
+
+    def numbers(self, params: Mapping[str, Any]) -> "np.ndarray | None":
+        """Return the numbers that describe the policies; see `SeatSpec.numbers`."""
+        ...
+
+
+class SeatSpec:
+    """Base of the specs of a seat; a subclass adds role, sizes and `player`.
+
+    Attributes:
+        own_preferences: Whether humans bring preferences of their own, so that `humans` reads
+            their parameters alone.
+        episodes: How many episodes a pair plays if no number is asked for; None for the task's.
+    """
+
+    own_preferences: ClassVar[bool] = False
+    episodes: ClassVar[int | None] = None
+
+    def humans(
+        self,
+        params: Mapping[str, Any],
+        settings: "Sequence[str | Disability]",
+        preferences: "Sequence[str] | np.ndarray | None",
+    ) -> "EnvParams":
+        """Return the bodies and preferences of P humans.
+
+        Args:
+            params: Their stacked parameters, leaves [P, ...].
+            settings: Their disability settings [P].
+            preferences: Names of their preferences, [P] or [P, K]; None to draw them.
+        """
+        from assistax_envs.humans import disability_params
+
+        return disability_params(settings, preferences)
+
+    def numbers(self, params: Mapping[str, Any]) -> "np.ndarray | None":
+        """Return the numbers [P, W] that describe the policies; None if nothing does."""
+        return None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what a card says of the spec, JSON-ready."""
+        return {"kind": type(self).__name__}
+
+    @property
+    def digest(self) -> str:
+        """Short name of the spec."""
+        return type(self).__name__
+
 
 @dataclasses.dataclass(frozen=True)
-class SeatSizes:
+class SeatSizes(SeatSpec):
     """Base of specs that are not our networks (scripts, ONNX, persons); subclasses add `player`."""
 
     role: "Role"

@@ -7,14 +7,14 @@ from pydantic import NonNegativeInt, PositiveInt
 
 from assistax_base.digest import json_sha256
 from assistax_base.validated import Widths, validated
-from population.networks.seat import Player
+from population.networks.seat import Player, SeatSpec
 
 Role = Literal["robot", "human"]
 ROLES: tuple[Role, ...] = ("robot", "human")
 
 
 @validated
-class PolicySpec:
+class PolicySpec(SeatSpec):
     """Shape of a policy network; policies of one spec can be stacked and mapped over."""
 
     role: Role  # the seat this policy acts in

@@ -106,6 +106,10 @@ class DrawnPersons(FrozenPartners):
         """Return the humans [N]: their wishes are their own."""
         return humans
 
+    def sharing(self, split: str, size: int, envs: int, preset: int, preferences: Any) -> str:
+        """Return in a line whom the simulations meet; see `FrozenPartners.sharing`."""
+        return f"a new person each episode, of the {size} of {split}"
+
     @property
     def numbers(self) -> np.ndarray:
         """Their rows [P, 25]."""

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax_base.errors import counted
 from assistax_envs import EnvParams, disability_params
 from assistax_envs.disability import Disability
 from assistax_envs.tasks.gentle_base import draw_preferences
 from population.environment import Environment
 from population.networks.members import member_map
-from population.networks.policy import Policy
-from population.networks.seat import Carry
+from population.networks.seat import Carry, Player
 from population.networks.stack import PolicyStack
 
 
@@ -49,7 +49,7 @@ class FrozenPartners:
         if missing := [name for name in self.ids if name not in settings]:
             raise ValueError(f"partner {missing[0]} has no disability setting; give one for each")
         self._settings = tuple(settings[name] for name in self.ids)
-        self._policies = tuple(Policy(stack.spec) for stack in stacks)
+        self._policies = tuple(stack.spec.player() for stack in stacks)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -113,6 +113,23 @@ class FrozenPartners:
             humans, preference=jax.vmap(draw_preferences)(humans.preference_code, keys)
         )
 
+    def sharing(self, split: str, size: int, envs: int, preset: int, preferences: Any) -> str:
+        """Return in a line how simulations are shared out.
+
+        Args:
+            split: Id of the split whose training side the partners are.
+            size: Partners of that side.
+            envs: Simulations of a member.
+            preset: Simulations of a member in the preset.
+            preferences: Names of what the humans like; empty if it is drawn.
+        """
+        likes = ", ".join(preferences)
+        line = (
+            f"{counted(len(self), 'partner')} of {split}{likes and f' under {likes}'}, "
+            f"{counted(envs // len(self), 'simulation')} each"
+        )
+        return line if envs == preset else f"{line}, {envs} in place of the preset's {preset}"
+
     @property
     def numbers(self) -> np.ndarray | None:
         """Numbers that describe each partner [P, W]; None for networks, which have only a place."""
@@ -154,8 +171,32 @@ class FrozenPartners:
         action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
         return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
 
-    def _pairs(self) -> list[tuple[Policy, PolicyStack]]:
+    def _pairs(self) -> list[tuple[Player, PolicyStack]]:
         return list(zip(self._policies, self.stacks, strict=True))
+
+
+class PartnersWithBodies(FrozenPartners):
+    """Frozen partners whose specs give bodies and preferences of their own."""
+
+    def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
+        """Return the humans [N] of a member's simulations.
+
+        Raises:
+            ValueError: Preferences are given.
+        """
+        if preferences:
+            raise ValueError("the partners have their own preferences; leave preferences out")
+        settings, parts = iter(self._settings), []
+        for stack in self.stacks:
+            bodies = [next(settings) for _ in stack.ids]
+            parts.append(stack.spec.humans(stack.params, bodies, None))
+        humans = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        share = num_envs // len(self)
+        return jax.tree.map(lambda leaf: jnp.repeat(leaf, share, axis=0), humans)
+
+    def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
+        """Return the humans [N]: their preferences are their own."""
+        return humans
 
 
 def fitting_envs(num_envs: int, partners: int, minibatches: int = 1) -> int:

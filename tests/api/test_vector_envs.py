@@ -25,13 +25,13 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_test_half_is_refused_and_never_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    read = []
+    read, load_shards = [], storage.load_shards
 
     def noted(registry, entries):
         read.extend(entry.team for entry in entries)
-        return storage.load_stacks(registry, entries)
+        return load_shards(registry, entries)
 
-    monkeypatch.setattr("evaluation.ego_training.load_stacks", noted)
+    monkeypatch.setattr("zoo.parameters.storage.load_shards", noted)
     split = load_registry().split(TASK)
     env = az.vector_env(TASK, 2, backend="native")
     assert set(read) == set(split.train) and not {*read} & {*split.test}

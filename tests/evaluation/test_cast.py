@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 import assistax_zoo as az
-from evaluation.cast import cast as casting
 from evaluation.cast.cast import Cast
 from tests import untrained
 from zoo import splits
+from zoo.partners import teams
 from zoo.registry import Registry
 
 ZOO = str(Path(splits.__file__).parent)
@@ -91,13 +91,13 @@ def test_a_split_is_parsed_once(
     zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     texts: list[str | None] = []
-    parse = casting.parse_split
+    parse = teams.parse_split
 
     def counted(text: str | None, *others: Any) -> Any:
         texts.append(text)
         return parse(text, *others)
 
-    monkeypatch.setattr(casting, "parse_split", counted)
+    monkeypatch.setattr(teams, "parse_split", counted)
     monkeypatch.setattr("assistax_zoo.evaluating.evaluate_cast", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         evaluate(zoo, tmp_path)  # up to the play, which has no registry

@@ -68,7 +68,8 @@ def test_preparation_reports_shared_simulations():
         load_registry(), "scratch", split="small-5", algorithm="sac", hyperparameters={}
     )
     assert fitted.summary.endswith("13 simulations each, 65 in place of the preset's 64")
-    one: Any = dataclasses.replace(fitted, partners=["one"])
+    split = training.split.model_copy(update={"train": training.split.train[:1]})
+    one = dataclasses.replace(fitted, partners=load_partners(load_registry(), split))
     assert one.summary.startswith("1 partner of scratch/small-5-s0-v1-2ffd32b1, 65 simulations")
 
 

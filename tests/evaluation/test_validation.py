@@ -9,7 +9,7 @@ import pytest
 from assistax_zoo.shell.main import run
 from evaluation.ego_training import prepare
 from evaluation.record.record import Record
-from evaluation.validation import CHOICES, CURVE, check_validation
+from evaluation.validation import CHOICES, CURVE, validation_side
 from tests import untrained
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
@@ -37,10 +37,11 @@ def test_split_without_validation_is_refused_early(tmp_path: Path, capsys) -> No
 
 
 def test_persons_have_a_validation_side() -> None:
-    split = load_registry().split("scratch", "half")
+    registry = load_registry()
     with pytest.raises(ValueError, match="no validation side"):
-        check_validation(split)
-    check_validation(split.model_copy(update={"rule": "persons"}))
+        validation_side(registry, registry.split("scratch", "half"))
+    persons = registry.split("gentle_scratch", "persons")
+    assert validation_side(registry, persons) == "persons:validation"
 
 
 @pytest.mark.slow

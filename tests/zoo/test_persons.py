@@ -22,15 +22,15 @@ from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy
 from zoo.history.merkle import leaves, lost_leaves, with_roots
-from zoo.ids import parse_person
 from zoo.locking import make_lock
 from zoo.namespaces import merge
 from zoo.parameters.storage import load_stacks
-from zoo.persons.registered import described, person_splits
+from zoo.partners.person_ids import parse_person
+from zoo.partners.person_tables import described, person_splits
+from zoo.partners.persons import Persons
 from zoo.registry import Registry, load_registry, read_registry
 from zoo.schema import Split
 from zoo.splits import check_split, split_id
-from zoo.splitting.persons import choose_persons
 from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
@@ -82,13 +82,13 @@ def test_a_default_split_is_of_persons_where_a_release_has_no_teams(official: Re
     assert grown.split("gentle_feeding", "persons").release == "v6"
     assert grown.split("gentle_scratch", release="v3").rule == "three-sides"  # it has teams
     glob = "gentle_feeding/person-0900?-v5"
-    split, chosen = choose_persons(data, "gentle_feeding", None, glob)
+    split, chosen = Persons(grown).choose("gentle_feeding", None, glob)
     assert split == older and {entry.release for entry in chosen} == {"v5"} and len(chosen) == 10
     added = merge(official.data, {"lab": official.data})
     lab = dataclasses.replace(official, data=added, parts={"": official, "lab": official})
     assert lab.split("gentle_feeding", "lab:") == lab.split("gentle_feeding", "lab:persons")
     assert lab.split("gentle_feeding", "lab:").id == f"lab:{older.id}"
-    split, chosen = choose_persons(added, "gentle_feeding", None, f"lab:{glob}")
+    split, chosen = Persons(lab).choose("gentle_feeding", None, f"lab:{glob}")
     assert split.id == f"lab:{older.id}" and len(chosen) == 10
 
 

@@ -11,13 +11,13 @@ from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError
 from zoo.history.merkle import with_roots
 from zoo.ids import parse_team
+from zoo.partners.sides import parse_split
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.saving import dump_registry
 from zoo.splits import check_split, shared_parameters, split_id
 from zoo.splitting import rules
 from zoo.splitting.create import competent, create_split
 from zoo.splitting.rules import RULES, half_side, make_split
-from zoo.splitting.sides import parse_split
 
 
 def ids(

@@ -7,7 +7,6 @@ from assistax_zoo.results import EvaluationResult, brief, load_result
 from assistax_zoo.shell.main import run
 from evaluation.cast.cast import choose_partners
 from tools.release_page.markdown import table
-from zoo.ids import PERSONS
 from zoo.registry import load_registry
 
 FILM = ("--width", "480", "--height", "360", "--fps", "10")
@@ -39,7 +38,7 @@ def write_cards(pattern: str, out: Path, persons: int, steps: int) -> list[Path]
         folder = out / robot.team.replace("/", "-")
         film, card, result = folder / "film.webp", folder / "card.md", folder / "result"
         manifest, partners = choose_partners(registry, task, f"{split}:test", None)
-        many = ["--persons", str(persons)] if manifest.rule == PERSONS else []
+        many = ["--persons", str(persons)] if registry.source_of_split(manifest).word else []
         played = ["--task", task, "--policy", robot.id, "--split", split, *many, "--no-references"]
         _run("evaluate", *played, "--out", str(result))
         if not film.is_file():

@@ -17,18 +17,17 @@ from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
-from evaluation.ego_training import EgoTraining, load_persons, prepare, train_egos
+from evaluation.ego_training import EgoTraining, load_partners, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
 from evaluation.play.how import PlaySettings
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
-from evaluation.validation import CHOICES, Choice, Choices, check_validation, choose
+from evaluation.validation import CHOICES, Choice, Choices, choose, validation_side
 from population.runs.trained import TrainedRun
 from tools.league.parts import RECORD, TRAINED, Part
 from tools.league.rows import Row, rows
-from zoo.ids import PERSONS
 from zoo.locations import cache_root
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -115,7 +114,7 @@ def make_row(making: Making) -> dict[str, Any]:
     Raises:
         ValueError: The split has no validation side, or what is there is of another row.
     """
-    check_validation(making.split)
+    validation_side(making.registry, making.split)
     if making.side != "test" and making.row.source != "each":
         raise ValueError(
             f"side is {making.side!r} for row {making.row.name!r}; only best responses are of "
@@ -172,7 +171,8 @@ def _robots(making: Making, seconds: dict[str, float]) -> Made:
         return Made([_best_published(making, seconds)])
     if row.source == "each":
         humans, place = sampled(making), making.runs
-        if split.rule == PERSONS:  # one program for all: the first robot has the first person
+        # One program for all: the first robot has the first person.
+        if making.registry.source_of_split(split).word:
             split = split.model_copy(update={"train": tuple(human.team for human in humans)})
             run, files = _trained(making, split, place / TRAINED, seconds)
             return Made.of(files, [run])
@@ -235,19 +235,19 @@ def sampled(making: Making) -> list[PolicyEntry]:
 def _partners(
     making: Making, side: str, persons: int | None
 ) -> tuple[Split, Sequence[PolicyEntry]]:
-    name = PERSONS if making.split.rule == PERSONS else making.split.id
+    name = making.registry.source_of_split(making.split).word or making.split.id
     return choose_partners(making.registry, making.how.task, f"{name}:{side}", None, persons)
 
 
 def _learning(making: Making, split: Split) -> EgoTraining:
     """Return the training of robots with a split's training side."""
     row, sizes = making.row, making.sizes
-    alone = row.source == "each" and split.rule == PERSONS
+    alone = row.source == "each" and bool(making.registry.source_of_split(split).word)
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
     if split.task in PREFERRED and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
-    if split.rule != PERSONS:
+    if not making.registry.source_of_split(split).word:
         # Every team gets the same share of the preset's simulations, and teams have no own will.
         recipe = {name: value for name, value in recipe.items() if name not in WITH_PERSONS}
     learning = prepare(
@@ -261,7 +261,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
         told=row.told,
     )
     if alone:
-        partners = load_persons(making.registry, split, each=True)
+        partners = load_partners(making.registry, split, each=True)
         learning = dataclasses.replace(learning, partners=partners)
     return learning
 

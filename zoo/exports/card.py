@@ -1,6 +1,5 @@
 """A team's or policy's card: what it is, how it was trained, what it reaches, how to use it."""
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,11 +7,7 @@ from typing import Any
 
 from assistax_base.errors import printable
 from assistax_base.files import atomic_write
-from assistax_envs.persons.rows import described_numbers, grades
-from zoo.ids import OWN, parse_person
-from zoo.persons.registered import registered_person
 from zoo.registry import Registry
-from zoo.schema import PolicyEntry
 
 LICENSE = "apache-2.0"  # of the partners of this project
 _SPEC_WORDS = {
@@ -33,56 +28,8 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
         UnknownIdError: There is none of that id; the nearest ids are named.
     """
     entries = [entry for entry in registry.policies if name in (entry.id, entry.team)]
-    if not entries:
-        person = parse_person(name) and not name.endswith("/human")
-        entries = [registry.policy(f"{name}/human" if person else name)]
-    return [
-        (person_card if entry.disability == OWN else policy_card)(registry, entry)
-        for entry in entries
-    ]
-
-
-def person_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
-    """Return everything known of a person, each number beside its range, JSON-ready."""
-    someone = registered_person(registry.data, entry)
-    return {
-        "id": entry.id,
-        "team": entry.team,
-        "release": entry.release,
-        "side": someone.side,
-        "spec": entry.spec.to_json(),
-        "numbers": described_numbers(someone),
-        "grades": grades(someone),
-        "sha256": entry.sha256,
-    }
-
-
-def policy_card(registry: Registry, entry: PolicyEntry) -> dict[str, Any]:
-    """Return everything known of a policy, JSON-ready."""
-    sides = {split.id: split.side(entry.team) for split in registry.splits}
-    setting = dataclasses.asdict(entry.setting) if entry.setting else {}
-    against = entry.trained_against
-    return {
-        "id": entry.id,
-        "team": entry.team,
-        "release": entry.release,
-        "disability": {"setting": entry.disability, **setting},
-        "spec": entry.spec.to_json(),
-        "self_play": entry.self_play.model_dump(mode="json") if entry.self_play else None,
-        **({"trained_against": against.model_dump(mode="json")} if against else {}),
-        "training": {
-            "run": entry.run,
-            "seed": entry.seed,
-            **entry.training.model_dump(mode="json"),
-        },
-        "splits": {split: side for split, side in sides.items() if side},
-        "shard": {
-            "path": entry.shard,
-            "row": entry.row,
-            "sha256": registry.data.shards[entry.shard].sha256,
-        },
-        "sha256": entry.sha256,
-    }
+    entries = entries or registry.known([f"{name}/human"]) or [registry.policy(name)]
+    return [registry.source_of(entry.id).card(entry) for entry in entries]
 
 
 def write_card(
@@ -111,7 +58,7 @@ def markdown_card(
     """Return the card of one team.
 
     Args:
-        cards: `policy_card` of each of its policies.
+        cards: Of each of its policies, see `find_cards`.
         image: Path or address of a picture, as it is to stand in the card.
         namespace: What stands before its ids in commands; none for the official zoo.
     """
@@ -123,7 +70,11 @@ def markdown_card(
     summary |= {f"side of {split}": side for split, side in first["splits"].items()}
     policies = [
         ("id", *(card["id"] for card in cards)),
-        *((word, *(card["spec"][field] for card in cards)) for field, word in _SPEC_WORDS.items()),
+        *(
+            (word, *(card["spec"][field] for card in cards))
+            for field, word in _SPEC_WORDS.items()
+            if field in first["spec"]
+        ),
         ("sha256", *(f"`{card['sha256']}`" for card in cards)),
     ]
     return render(

@@ -8,7 +8,6 @@ from typing import Any, Literal
 from assistax_base.digest import sha256
 from assistax_base.errors import ExportError
 from assistax_base.files import atomic_write
-from zoo.ids import OWN
 from zoo.met.published import met_in_training
 from zoo.parameters.storage import load_stacks, read_policy_file
 from zoo.registry import Registry
@@ -56,11 +55,11 @@ def policy_file(name: str, format: Format, registry: Callable[[], Registry]) -> 
         return write(*read_policy_file(name))
     loaded = registry()
     entry = loaded.policy(name)
-    if entry.disability == OWN:
+    if not entry.shard:
         raise ExportError(
             name,
             "a policy with parameters",
-            "a person, who is a program and its numbers",
+            loaded.source_of(entry.id).without_bytes,
             "read its numbers: `assistax-zoo show`",
         )
     [stack] = load_stacks(loaded, [entry])

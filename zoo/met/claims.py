@@ -6,16 +6,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from assistax_base.errors import IdError, nearest, shorten
-from zoo.ids import PERSONS, parse_person, parse_team
+from zoo.ids import parse_team, task_and_release
 from zoo.met.published import (
     CLAIMED,
     Humans,
     Met,
-    humans_of,
+    made_split_met,
     met_in_training,
-    split_of_persons,
 )
-from zoo.persons.registered import identities
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split, TrainedAgainst
 
@@ -25,9 +23,7 @@ NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
 
 def side_met(registry: Registry, split: Split) -> Met:
     """Return what a robot met that was trained with a split's training side."""
-    persons = split.rule == PERSONS
-    teams = registry.data.teams
-    partners = identities(split.train) if persons else humans_of(teams, split.train)
+    partners = registry.source_of_split(split).identities(split)
     against = TrainedAgainst(split=split.id, sha256=split.sha256)
     return Met(source="registry", partners=partners, split=against)
 
@@ -40,7 +36,7 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
     if "met" in metadata:
         try:
             if not set(metadata["met"]) - set(CLAIMED):
-                return _with_persons(
+                return _with_partners(
                     registry, Met.model_validate({"source": "file", **metadata["met"]})
                 )
         except (ValidationError, TypeError):
@@ -94,10 +90,10 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
     partners: Humans = {}
     sides = []
     for name in names:
-        if _names_teams(name):
+        if _names_partners(registry, name):
             chosen = registry.select(name, task=task, role="human")
             partners |= {entry.team: entry.sha256 for entry in chosen}
-        elif meant := _misspelt(name):
+        elif meant := _misspelt(registry, name):
             raise ValueError(
                 f"trained_with is {name!r}; allowed are {NOBODY!r}, or split ids, each for its "
                 f"training side, and globs over partners; did you mean {meant[0]!r}?"
@@ -117,30 +113,35 @@ def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[st
     )
 
 
-def _with_persons(registry: Registry, met: Met) -> Met:
-    """Return a file's claim with the persons whose split it names, who are too many for a file."""
+def _with_partners(registry: Registry, met: Met) -> Met:
+    """Return a file's claim with the partners of the split that it names, if it lists none."""
     if met.split is None or met.partners:
         return met
-    if (dealt := split_of_persons(registry, met.split)) is None:
+    if (made := made_split_met(registry, met.split)) is None:
         reason = (
             f"split {shorten(met.split.split)}, of which its file speaks, is not in this registry"
         )
         return Met(source="not known", split=met.split, reason=reason)
-    return met.model_copy(update={"partners": identities(dealt.train)})
+    return met.model_copy(update={"partners": made.partners})
 
 
-def _misspelt(name: str) -> list[str]:
-    """Return what a word was probably meant to be; nothing of what may be a split's id."""
-    word = name != PERSONS and name.removeprefix(f"{PERSONS}:").isalpha()
-    return nearest(name, (NOBODY, PERSONS)) if word else []
+def _misspelt(registry: Registry, name: str) -> list[str]:
+    """Return the words that a name is near to; empty if it may be a split's id."""
+    words = [source.word for source in registry.sources if source.word]
+    plain = name.partition(":")[2] if name.partition(":")[0] in words else name
+    return nearest(name, (NOBODY, *words)) if name not in words and plain.isalpha() else []
 
 
-def _names_teams(text: str) -> bool:
+def _names_partners(registry: Registry, text: str) -> bool:
     """Return whether a text is a glob, or the id of a team or a policy, and no split's."""
-    if set(text) & set("*?[") or parse_person(text):
+    if set(text) & set("*?["):
         return True
+    plain = text.removesuffix("/human").removesuffix("/robot")
     try:
-        parse_team(text.removesuffix("/human").removesuffix("/robot"))
+        if registry.source_of(text).word:
+            task_and_release(plain)
+        else:
+            parse_team(plain)
     except IdError:
         return False
     return True

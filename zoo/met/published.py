@@ -5,19 +5,17 @@ training side. Humans are told apart by the sha256 of their parameters, so that 
 published under two ids is one human. `zoo.met.claims` has what others say of their robots.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
 
 from pydantic import Field
 
 from assistax_base.digest import json_sha256
 from assistax_base.errors import SplitError, shorten
 from zoo.namespaces import plain_name, split_namespace
-from zoo.persons.registered import identities, person_split
+from zoo.partners.teams import Humans, humans_of
 from zoo.registry import Registry
-from zoo.schema import PolicyEntry, Sha256, Split, StrictModel, Team, TrainedAgainst
-
-Humans = dict[Annotated[str, Field(max_length=200)], Sha256 | None]  # team -> sha256 of its human
+from zoo.schema import PolicyEntry, Split, StrictModel, Team, TrainedAgainst
 
 
 class Met(StrictModel):
@@ -62,8 +60,8 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
     if against is None:
         teams = registry.part(namespace).data.teams
         return Met(source="registry", own=humans_of(teams, [robot.team], namespace))
-    if (dealt := split_of_persons(registry, against)) is not None:
-        return Met(source="registry", partners=identities(dealt.train), split=against)
+    if (made := made_split_met(registry, against)) is not None:
+        return made
     named = [
         (place, teams, split)
         for place, teams, split in _published_splits(registry, namespace)
@@ -79,14 +77,21 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
     return Met(source="not known", split=against, reason=reason)
 
 
-def split_of_persons(registry: Registry, against: TrainedAgainst) -> Split | None:
-    """Return the split of persons that is named, None where it is none or not here as it was."""
+def made_split_met(registry: Registry, against: TrainedAgainst) -> Met | None:
+    """Return what a robot met that trained with a split which a kind of partner makes.
+
+    Returns:
+        None if no kind makes such a split, or makes another one now.
+    """
     task = plain_name(against.split).partition("/")[0]
-    try:
-        dealt = person_split(registry.data, task, against.split)
-    except SplitError:
-        return None
-    return dealt if dealt and dealt.sha256 == against.sha256 else None
+    for source in registry.sources[1:]:
+        try:
+            made = source.split(task, against.split)
+        except SplitError:
+            continue
+        if made and made.sha256 == against.sha256:
+            return Met(source="registry", partners=source.identities(made), split=against)
+    return None
 
 
 def _published_splits(
@@ -99,13 +104,3 @@ def _published_splits(
             yield namespace, data.teams, split
     for split in registry.splits:
         yield "", registry.data.teams, split
-
-
-def humans_of(teams: Mapping[str, Team], names: Iterable[str], namespace: str = "") -> Humans:
-    """Return the sha256 of each team's human; None where the zoo has none."""
-    humans: Humans = {}
-    for name in names:
-        team = teams.get(name) or teams.get(name.removeprefix(f"{namespace}:"))
-        human = team.policies.get("human") if team else None
-        humans[name] = human.sha256 if human else None
-    return humans

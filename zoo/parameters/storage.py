@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,10 +24,10 @@ from population.networks.tensors import (
     row_sha256,
     take_row,
 )
-from zoo.ids import OWN
-from zoo.persons.registered import person_stacks
-from zoo.registry import Registry
 from zoo.schema import PolicyEntry
+
+if TYPE_CHECKING:
+    from zoo.registry import Registry
 
 
 class PolicyFile(NamedTuple):
@@ -38,7 +38,12 @@ class PolicyFile(NamedTuple):
     metadata: dict[str, Any]
 
 
-def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
+def load_stacks(registry: "Registry", entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
+    """Return the parameters of entries of all kinds, one stack for each spec: teams first."""
+    return registry.stacks(entries)
+
+
+def load_shards(registry: "Registry", entries: Iterable[PolicyEntry]) -> tuple[PolicyStack, ...]:
     """Return the parameters of the entries as float32, one stack for each spec, in the order asked.
 
     Stacks come in the order in which their specs first occur. Every shard's sha256 and every
@@ -49,8 +54,6 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         FormatError: A shard's content contradicts the registry.
     """
     entries = list(entries)
-    persons = [entry for entry in entries if entry.disability == OWN]
-    entries = [entry for entry in entries if entry.disability != OWN]
     leaves = load_leaves(registry, entries)
     forms: dict[PolicySpec, tuple[str, dict[str, tuple[int, ...]]]] = {}
     for entry in entries:
@@ -58,18 +61,17 @@ def load_stacks(registry: Registry, entries: Iterable[PolicyEntry]) -> tuple[Pol
         first, expected = forms.setdefault(entry.spec, (entry.id, form))
         if form != expected:
             raise FormatError(f"parameters of {entry.id}", f"the leaves of {first}", "others")
-    stacks = stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
-    return (*stacks, *person_stacks(registry.data, persons))
+    return stack_policies((entry.id, entry.spec, _float32(leaves[entry.id])) for entry in entries)
 
 
-def load_leaves(registry: Registry, entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
+def load_leaves(registry: "Registry", entries: Iterable[PolicyEntry]) -> dict[str, Leaves]:
     """Return the leaves of each entry by its id, in the dtype that is stored; verified."""
     entries = list(entries)
     shards = {path: read_shard(registry, path) for path in dict.fromkeys(e.shard for e in entries)}
     return {entry.id: _verified_row(shards[entry.shard], entry.row, entry) for entry in entries}
 
 
-def read_shard(registry: Registry, path: str) -> StackedFile:
+def read_shard(registry: "Registry", path: str) -> StackedFile:
     """Return one shard of the registry, its file verified; rows are when they are taken."""
     shard = registry.data.shards[path]
     data = read_bytes(

@@ -32,16 +32,15 @@ either side.
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from assistax_base.digest import json_sha256, sha256
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_envs.preferences import preferences_of
 from zoo.ids import TeamId, parse_team
-from zoo.schema import Rule, Split
+from zoo.schema import RULES, Split
 from zoo.splits import check_split, split_id
 
-RULES = get_args(Rule)
 LEAVE_ONE_OUT = {
     "leave-one-algorithm-out": "algorithm",
     "leave-one-disability-out": "disability",

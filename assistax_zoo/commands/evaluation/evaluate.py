@@ -11,7 +11,7 @@ from assistax_base.errors import counted, listing
 from assistax_zoo.commands.options import Engine, PartnerChoice, Source
 from assistax_zoo.shell.console import answer, new_table, print_json, print_table, stdout_is_data
 from evaluation.play.how import PlaySettings
-from zoo.ids import OWN
+from zoo.partners.person_ids import OWN
 
 Figure = dict[str, Any] | None
 

@@ -11,7 +11,7 @@ from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import MOST_LINES, answer, first_lines, progress, stdout_is_data
 from population.networks.spec import Role
 from zoo.exports.card import find_cards, write_card
-from zoo.persons.registered import person_glob, person_tables
+from zoo.partners.person_tables import person_glob, person_tables
 from zoo.registry import Registry, load_registry
 from zoo.schema import SelfPlay
 

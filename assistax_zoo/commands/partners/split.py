@@ -8,7 +8,7 @@ from assistax_envs.versions import TASKS
 from assistax_zoo.commands.options import parse_names
 from assistax_zoo.commands.partners.listing import table_lines
 from assistax_zoo.shell.console import answer, first_lines
-from zoo.persons.registered import person_splits
+from zoo.partners.person_tables import person_splits
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
 from zoo.splitting.create import create_split, partner_teams

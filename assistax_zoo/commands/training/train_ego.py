@@ -11,8 +11,8 @@ from assistax_base.errors import counted
 from assistax_zoo.commands.options import Choosing, Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
 from assistax_zoo.shell.console import answer, command_line, study_progress
-from zoo.ids import PERSONS
 from zoo.registry import Registry, load_registry
+from zoo.schema import RULES
 
 if TYPE_CHECKING:
     from evaluation.ego_training import EgoTraining, TrainedEgos
@@ -77,21 +77,21 @@ def train_ego(
             told=told,
             **what,
         )
-        egos = _trained(prepared, out, choosing, progress=progress, **training.how())
+        egos = _trained(loaded, prepared, out, choosing, progress=progress, **training.how())
     _report(egos, _choices(loaded, prepared, egos, choosing, training.backend), json, json_lines)
 
 
 def _trained(
-    prepared: "EgoTraining", out: Path, choosing: Choosing, **options: Any
+    registry: Registry, prepared: "EgoTraining", out: Path, choosing: Choosing, **options: Any
 ) -> "TrainedEgos":
     """Train, and record by which command."""
     from evaluation.ego_training import train_egos
     from evaluation.record.manifest import record_command
-    from evaluation.validation import check_validation
+    from evaluation.validation import validation_side
     from population.runs.folder import RunFolder
 
     if choosing.validate:
-        check_validation(prepared.split)
+        validation_side(registry, prepared.split)
     print(prepared.summary, file=sys.stderr)
     finished = RunFolder(out).finished(prepared.config)
     egos = train_egos(prepared, out, snapshots=choosing.validate, **options)
@@ -132,8 +132,8 @@ def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lin
     result |= {"choices": dataclasses.asdict(choices)} if choices else {}
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
     whom = "--split both"
-    if egos.split.rule == PERSONS:
-        whom = "--partners persons"
+    if egos.split.rule not in RULES:  # the word of another kind than teams
+        whom = f"--partners {egos.split.rule}"
     chosen = [
         f"seed {choice.seed}: {choice.steps:,} steps, {choice.mean:.1f} on the validation side"
         for choice in (choices.by_seed if choices else ())

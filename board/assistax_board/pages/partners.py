@@ -4,8 +4,6 @@ import dataclasses
 from typing import Any
 
 from assistax_board.pages.crossplays import CrossPlay
-from assistax_board.rules.catalogue import public_entries
-from zoo.ids import PERSONS
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry
 
@@ -36,9 +34,7 @@ def list_partners(registry: Registry, task: str, crossplay: CrossPlay | None) ->
     They stand in the registry's order.
     """
     split = registry.split(task)
-    humans = (
-        public_entries(registry, task) if split.rule == PERSONS else registry.of_task(task, "human")
-    )
+    humans = registry.source_of_split(split).public(task, split)
     played = crossplay.humans if crossplay else {}
     return [_partner(entry, split.side(entry.team), played.get(entry.team)) for entry in humans]
 

@@ -58,7 +58,7 @@ def unpack(data: bytes, folder: Path) -> "Registry":
 
 def hidden_partners(registry: "Registry", task: str) -> list["PolicyEntry"]:
     """Return the humans of a private release in the order of their ordinals."""
-    from zoo.persons.registered import person_glob
+    from zoo.partners.person_tables import person_glob
 
     persons = [person_glob(task, release) for release in hidden_persons(registry, task)]
     entries = registry.select(persons) if persons else []
@@ -111,7 +111,7 @@ def add_persons(folder: Path, task: str, count: int) -> Path:
     from assistax_base.files import exclusive
     from assistax_envs.preferences import PREFERRED, preferences_of
     from assistax_envs.versions import VERSIONS
-    from zoo.persons.registered import described
+    from zoo.partners.person_tables import described
     from zoo.registry import load_registry
     from zoo.saving import save_registry
 

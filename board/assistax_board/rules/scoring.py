@@ -10,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from assistax_board.problems import Problem
 from assistax_board.vocabulary import Kind
-from zoo.ids import OWN
 
 # Columns of a result, in this order: nothing else leaves a worker.
 COLUMNS = {
@@ -22,6 +21,7 @@ COLUMNS = {
     "success": pl.Boolean(),
     "nonfinite": pl.Boolean(),
 }
+OWN = "own"  # preference of a partner that brings its own
 # Of the gentle tasks: what the human liked, "own" of a person, and whether a contact was above the
 # hard limit.
 GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}

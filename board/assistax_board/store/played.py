@@ -15,16 +15,15 @@ NOT_PEOPLE = (
     "They are not validated models of people: a place on this board says nothing about safety or "
     "benefit for a person."
 )
-TRAINED = "trained policies"
-PERSONS = "persons made of numbers, who were trained with no robot"
+TRAINED_IN_WORDS = "trained policies"
+PERSONS_IN_WORDS = "persons made of numbers, who were trained with no robot"
 
 
 def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
     """Return the public description of partners: counts by kind and environment version."""
-    from zoo.ids import OWN
 
-    def count(persons: bool) -> dict[str, int]:
-        kinds = Counter(e.algorithm for e in entries if (e.disability == OWN) is persons)
+    def count(own_preferences: bool) -> dict[str, int]:
+        kinds = Counter(e.algorithm for e in entries if e.spec.own_preferences is own_preferences)
         return dict(sorted(kinds.items()))
 
     versions = {registry.env_version(entry) for entry in entries}
@@ -65,11 +64,11 @@ def statement_of(hidden: Mapping[str, Any] | None) -> str:
     if not hidden:
         who = "Partners are simulated."
     elif hidden["teams"] and hidden["persons"]:
-        who = f"Public partners are {TRAINED} in simulation, hidden ones {TRAINED} and {PERSONS}."
+        who = f"Public partners are {TRAINED_IN_WORDS} in simulation, hidden ones {TRAINED_IN_WORDS} and {PERSONS_IN_WORDS}."
     elif hidden["persons"]:
-        who = f"All partners are simulated; hidden ones are {PERSONS}."
+        who = f"All partners are simulated; hidden ones are {PERSONS_IN_WORDS}."
     else:
-        who = f"The partners are {TRAINED} in simulation."
+        who = f"The partners are {TRAINED_IN_WORDS} in simulation."
     return f"{who} {NOT_PEOPLE}"
 
 

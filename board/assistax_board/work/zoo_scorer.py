@@ -16,8 +16,7 @@ import polars as pl
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.rules.catalogue import Catalogue, version_id
 from assistax_board.rules.release_pack import hidden_partners, ordinal_index, unpack
-from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, Work
-from zoo.ids import OWN
+from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, OWN, Work
 
 
 class ZooScorer:
@@ -51,7 +50,9 @@ class ZooScorer:
             humans = hidden_partners(hidden, work.task)
             pairs = [(humans[ordinal_index(name)], name) for name in work.partners]
             # Persons have wishes of their own: a job of theirs is no job of other partners.
-            apart = [[p for p in pairs if (p[0].disability == OWN) is own] for own in (False, True)]
+            apart = [
+                [p for p in pairs if p[0].spec.own_preferences is own] for own in (False, True)
+            ]
             return pl.concat(self._play(work, egos, hidden, some) for some in apart if some)
 
     def _play(
@@ -67,7 +68,7 @@ class ZooScorer:
 
         entries = [entry for entry, _ in pairs]
         version = env_version(registry, work.task, entries)
-        wishes = () if entries[0].disability == OWN else work.preferences
+        wishes = () if entries[0].spec.own_preferences else work.preferences
         seed, preferences = int(work.seed, 16), ",".join(wishes) or None
         how = PlaySettings(work.task, work.episodes, seed, self._backend, preferences=preferences)
         env, job = make_job(how, egos, registry_roster(registry, entries), version=version)

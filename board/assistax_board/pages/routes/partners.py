@@ -16,8 +16,7 @@ from assistax_board.pages.routes.films import ask_for, film_file
 from assistax_board.pages.site import STILL, NotFoundError, Site
 from assistax_board.pages.videos import ROBOT, Pair
 from assistax_envs.persons.rows import COUNT, described_numbers, grades, person
-from zoo.ids import names_persons
-from zoo.persons.registered import person_tables
+from zoo.partners.person_tables import person_tables
 
 # Of pairs' films; those of robots, whose keys begin so, may have to go: see `films`.
 _FOR_EVER = "public, max-age=31536000, immutable"
@@ -49,13 +48,13 @@ def partner_router(site: Site) -> APIRouter:
 
     @router.get("/partners/{task}/{team}")
     def partner(request: Request, task: str, team: str) -> Response:
-        is_person = names_persons(f"{task}/{team}")
+        has_numbers = site.registry.source_of(f"{task}/{team}").has_numbers
 
         def values() -> dict[str, Any]:
-            card = person_values if is_person else card_values
+            card = person_values if has_numbers else card_values
             return card(site, site.task(task), team)
 
-        template = "person.html" if is_person else "partner.html"
+        template = "person.html" if has_numbers else "partner.html"
         return site.page(request, f"{task} {team}", STILL, template, values)
 
     return router

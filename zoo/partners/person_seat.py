@@ -5,16 +5,19 @@ Imports no JAX until somebody plays.
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 from assistax_envs.persons.rows import PROGRAM_VERSION
-from population.networks.seat import Params, Player
+from population.networks.seat import Player, SeatSpec
 from population.networks.spec import Role
 
 
 @dataclasses.dataclass(frozen=True)
-class PersonSpec:
+class PersonSpec(SeatSpec):
     """Persons of a task and a family: one program, whose parameters are "row", [25] each."""
+
+    own_preferences: ClassVar[bool] = True
+    episodes: ClassVar[int | None] = 4  # a person has one wish, and there are many persons
 
     task: str
     family: str
@@ -47,11 +50,15 @@ class PersonSpec:
         """Return what acts for them; imports JAX."""
         return _player(self.task, self.family)
 
-    def humans(self, params: Params) -> Any:
-        """Return the `EnvParams` [P] of stacked parameters: their own bodies and wishes."""
+    def humans(self, params: Any, settings: Any, preferences: Any) -> Any:
+        """Return the bodies and preferences [P] that stacked rows say."""
         from assistax_envs.persons.player import person_params
 
         return person_params(self.task, params["row"])
+
+    def numbers(self, params: Any) -> Any:
+        """Return the rows [P, 25]."""
+        return params["row"]
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from assistax_base.digest import json_sha256, sha256
+from assistax_base.digest import sha256
 from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
 from assistax_envs.disability import Disability
 from assistax_envs.persons.parameters import index
@@ -28,13 +28,14 @@ from assistax_envs.persons.rows import (
     persons,
 )
 from population.networks.stack import PolicyStack
-from zoo.ids import OWN, PERSON, PERSONS, compile_pattern, parse_person
+from zoo.ids import compile_pattern
 from zoo.namespaces import qualify_split, split_namespace
-from zoo.persons.seat import PersonSpec
-from zoo.schema import Persons, PolicyEntry, RegistryFile, Split, Training
-from zoo.splits import split_id
+from zoo.partners.person_ids import OWN, PERSON, PERSONS, VALIDATION, parse_person
+from zoo.partners.person_seat import PersonSpec
+from zoo.partners.source import made_entry
+from zoo.schema import Persons, PolicyEntry, RegistryFile, Split
+from zoo.splits import made_split
 
-VALIDATION = "validation"
 # Side of a split, by split: the persons of which sides of `rows.SIDES` these are.
 DEALT = {"": ("training", "test"), VALIDATION: ("training", VALIDATION)}
 
@@ -122,11 +123,6 @@ def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
         return None
     check_table(release, task, table)
     return _entry(data, release, _person(task, number, table))
-
-
-def known_persons(data: RegistryFile, policies: Iterable[str]) -> list[PolicyEntry]:
-    """Return the entries of those of some ids that are persons' and that there are."""
-    return [someone for policy in policies if (someone := find_person(data, policy))]
 
 
 def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEntry]:
@@ -220,40 +216,24 @@ def _split_of(
 ) -> Split:
     namespace, plain = split_namespace(release)
     train, test = (tuple(_team(task, n, plain) for n in side) for side in (training, tested))
-    fields = {"task": task, "release": plain, "rule": PERSONS, "held_out": held_out or None}
-    content = {**fields, "n": None, "seed": 0, "train": train, "test": test}
-    names = {"id": split_id(content), "sha256": json_sha256(content)}
-    split = Split.model_validate({**content, **names})
+    split = made_split(PERSONS, task, plain, train, test, held_out=held_out or None)
     return qualify_split(split, namespace) if namespace else split
 
 
 def _entry(data: RegistryFile, release: str, someone: Person) -> PolicyEntry:
-    team = _team(someone.task, someone.number, release)
-    spec: Any = PersonSpec(someone.task, someone.family)
-    return PolicyEntry(
-        id=f"{team}/human",
-        team=team,
-        task=someone.task,
+    return made_entry(
+        PersonSpec(someone.task, someone.family),
+        someone.task,
+        _team(someone.task, someone.number, release),
         algorithm=someone.family,
-        role="human",
-        disability=OWN,
+        number=someone.number,
+        digest=someone.identity,
+        env_version=data.releases[release].environments[someone.task],
         # Strength and tremor are in what a person does, see `assistax_envs.persons.player`.
         setting=Disability(1.0, float(someone.row[index(someone.task)["range"]]), 0.0),
-        seed=someone.number,
+        disability=OWN,
         release=release,
-        spec=spec,
-        shard="",
-        row=someone.number,
-        sha256=someone.identity,
-        run="",
-        training=_untrained(data.releases[release].environments[someone.task]),
-        self_play=None,
     )
-
-
-@functools.cache
-def _untrained(version: int) -> Training:
-    return Training(steps=0, env_version=version, backend="none")
 
 
 def _team(task: str, number: int, release: str) -> str:

@@ -1,0 +1,1 @@
+"""Kinds of partners: teams of the registry, persons, and those of installed packages."""

@@ -1,0 +1,187 @@
+"""Persons: partners that are rows of numbers, which a formula gives. See `person_tables`."""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from assistax_base.errors import ZooError
+from zoo.partners.person_ids import PERSON, PERSONS, VALIDATION, parse_person
+from zoo.partners.source import PartnerSource
+from zoo.schema import PolicyEntry, Split
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from assistax_envs.adapters.partners import Partners
+    from population.networks.stack import PolicyStack
+    from population.trainers.frozen_partners import FrozenPartners
+
+_SPLIT = re.compile(rf"{PERSONS}(-|$)")
+
+
+class Persons(PartnerSource):
+    """The persons that the registry's releases name."""
+
+    word = PERSONS
+    own_preferences = True
+    most = 200  # a command then takes minutes
+    without_bytes = "a person, who is a program and its numbers"
+    pinned = "all of whom the release's root pins"
+    has_numbers = True
+
+    @classmethod
+    def owns(cls, name: str) -> bool:
+        """Return whether an id or a glob says "person"."""
+        return f"/{PERSON}-" in name
+
+    @classmethod
+    def names_split(cls, text: str) -> bool:
+        """Return whether a split's name speaks of persons."""
+        return PERSONS in text
+
+    def select(self, patterns: Sequence[str]) -> list[PolicyEntry]:
+        """Return the entries of all persons that match one of the globs, in their order."""
+        from zoo.partners.person_tables import select_persons
+
+        return select_persons(self.registry.data, patterns)
+
+    def known(self, ids: Iterable[str]) -> list[PolicyEntry]:
+        """Return the entries of persons by their policy ids; unknown ids are skipped."""
+        from zoo.partners.person_tables import find_person
+
+        found = (find_person(self.registry.data, name) for name in ids if name.endswith("/human"))
+        return [entry for entry in found if entry]
+
+    def split(self, task: str, name: str | None, release: str | None = None) -> Split | None:
+        """Return a split of persons; see `PartnerSource.split`."""
+        data = self.registry.data
+        if name is None:
+            named = data.releases.get(release or "")
+            if named is None or task not in named.persons:
+                return None
+            name = PERSONS
+        if not _SPLIT.match(name.rpartition(":")[2].removeprefix(f"{task}/")):
+            return None
+        if release and name in (PERSONS, f"{PERSONS}-{VALIDATION}"):
+            # That of their own release, which may not be the newest.
+            namespace, colon, plain = release.rpartition(":")
+            name = f"{namespace}{colon}{name}-s0-{plain}"
+        from zoo.partners.person_tables import person_split
+
+        return person_split(data, task, name)
+
+    def stacks(self, entries: Sequence[PolicyEntry]) -> "tuple[PolicyStack[Any], ...]":
+        """Return a stack of rows for each task and family, in the order of the entries."""
+        from zoo.partners.person_tables import person_stacks
+
+        return person_stacks(self.registry.data, entries)
+
+    def _split_and_side(self, text: str | None, default: str) -> tuple[str, str]:
+        """See `PartnerSource`; the validation side is the test side of a split of its own."""
+        name, side = super()._split_and_side(text, default)
+        if side != VALIDATION:
+            return name, side
+        namespace, colon, _ = name.rpartition(":")
+        return f"{namespace}{colon}{PERSONS}-{VALIDATION}", "test"
+
+    def identities(self, split: Split) -> dict[str, str | None]:
+        """Return the sha256 of the training side's persons, as the installed program makes them."""
+        from zoo.partners.person_tables import identities
+
+        return identities(split.train)
+
+    def validation(self, split: Split) -> str | None:
+        """Return the name of the validation side, which every split of persons has."""
+        return f"{PERSONS}:{VALIDATION}"
+
+    def offered(self, task: str, release: str) -> str | None:
+        """Return how to choose the persons of a release, if it has any of the task."""
+        return (
+            f"partners {PERSONS}" if task in self.registry.data.releases[release].persons else None
+        )
+
+    def card(self, entry: PolicyEntry) -> dict[str, Any]:
+        """Return all that is known of a person, each number beside its range, JSON-ready."""
+        from assistax_envs.persons.rows import described_numbers, grades
+        from zoo.partners.person_tables import registered_person
+
+        someone = registered_person(self.registry.data, entry)
+        return {
+            "id": entry.id,
+            "team": entry.team,
+            "release": entry.release,
+            "side": someone.side,
+            "spec": entry.spec.to_json(),
+            "numbers": described_numbers(someone),
+            "grades": grades(someone),
+            "sha256": entry.sha256,
+        }
+
+    def leaves(self, entry: PolicyEntry) -> set[str]:
+        """Return the name of the leaf of a task's table of persons."""
+        return {f"{PERSONS} {entry.task}"}
+
+    def table_sizes(self) -> list[int]:
+        """Return how many persons each table of the releases has."""
+        from zoo.partners.person_tables import person_tables
+
+        return [table.count for *_, table in person_tables(self.registry.data)]
+
+    def problems(self) -> Iterator[str]:
+        """Yield the tables whose rows the installed program does not make."""
+        from zoo.partners.person_tables import check_table, person_tables
+
+        for named in person_tables(self.registry.data):
+            try:
+                check_table(*named)
+            except ZooError as error:
+                yield str(error)
+
+    def settings(self, split: Split) -> list[list[Any]]:
+        """Return nothing: a person's identity covers its body."""
+        return []
+
+    def training_partners(self, split: Split, *, each: bool = False) -> "FrozenPartners":
+        """Return the persons of the training side: a new one each episode, or one each member."""
+        from assistax_envs.persons import PersonPlayer
+        from population.trainers.drawn_persons import DrawnPersons, FamiliesPlayer, OnePersonEach
+
+        stacks = self.stacks(self.known(f"{team}/human" for team in split.train))
+        players = [PersonPlayer(split.task, stack.spec.family) for stack in stacks]
+        tables = [stack.params["row"] for stack in stacks]
+        kind = OnePersonEach if each else DrawnPersons
+        if len(players) == 1:
+            return kind(players[0], tables[0], split.id)
+        return kind(FamiliesPlayer(players), FamiliesPlayer.rows(tables), split.id)
+
+    def vector_partners(self, task: str) -> "Partners":
+        """Return the persons of the training side for `vector_env`."""
+        from assistax_envs.adapters.partners import Persons as DrawnForEnvironments
+
+        return DrawnForEnvironments(task)
+
+    @classmethod
+    def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":
+        """Return task, which of the names are persons [P], and the numbers of those [Q, 25].
+
+        Raises:
+            ValueError: No name is a person's, they are of several tasks, or of a season's secret.
+        """
+        from assistax_envs.persons.rows import persons
+
+        named = [parse_person(name) for name in names]
+        tasks = {found[1] for found in named if found}
+        if len(tasks) != 1:
+            found = f"persons of {', '.join(sorted(tasks))}" if tasks else "no person"
+            raise ValueError(
+                f"{found} among its {len(names)} partners; evaluate robots with persons of one "
+                "task, with partners 'persons'"
+            )
+        [task] = tasks
+        numbers = [found[2] for found in named if found]
+        if max(numbers) >= len(persons(task)):
+            raise ValueError(
+                f"persons of a season's secret, such as number {max(numbers)}, and holds no rows "
+                "of theirs; evaluate robots with the public persons, by partners 'persons'"
+            )
+        return task, [found is not None for found in named], persons(task)[numbers]
