@@ -1,12 +1,16 @@
 """A real PostgreSQL, where Debian's `postgresql` is installed."""
 
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import pytest
 import sqlalchemy as sa
 
 from assistax_board.pages import behind
+from assistax_board.service import Service
+from tests.board.fakes import new_service
 from tests.board.postgres import Cluster, cluster
 
 
@@ -23,6 +27,42 @@ def readers_wait_for_boards() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(behind, "PATIENCE", 120.0)
         yield
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Service:
+    """Make a service of the fakes, whose database is in the test's folder."""
+    return new_service(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Make a client of the pages alone, over a small board."""
+    from starlette.testclient import TestClient
+
+    from tests.board.board_data import make_app
+
+    with TestClient(make_app(tmp_path_factory.mktemp("pages"))) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Serve these pages on loopback."""
+    from tests.board.board_data import make_app
+    from tests.board.browser import served
+
+    with served(make_app(tmp_path_factory.mktemp("browser"))) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Start a headless browser."""
+    from tests.board.browser import browsing
+
+    with browsing() as browser:
+        yield browser
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from assistax_board.problems import Refusal
+from assistax_board.rules import jobs
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.rules.submissions import Admitted, Draft
@@ -61,11 +62,14 @@ class FakeScorer:
                 "algorithm": ["ippo"] * len(rows),
                 "disability": ["d1"] * len(rows),
                 "episode": [k for _, k in rows],
-                "return": [strength + noise(work.seed, name, k) for name, k in rows],
+                "return": [strength + self.bonus(work, name, k) for name, k in rows],
                 "success": [True] * len(rows),
                 "nonfinite": [False] * len(rows),
             }
         )
+
+    def bonus(self, work: Work, partner: str, episode: int) -> float:
+        return noise(work.seed, partner, episode)
 
 
 class FakeClock:
@@ -144,3 +148,18 @@ def take(service: Service, version: int = 1) -> Work:
 def advance(service: Service, seconds: float) -> None:
     assert isinstance(service.clock, FakeClock)
     service.clock.now += seconds
+
+
+def fail_next_job(service: Service) -> str:
+    """Let the next job fail as often as it may; return its submission."""
+    for _ in range(jobs.MAX_FAILURES):
+        work = take(service)
+        service.job_failed(work.job, work.lease)
+    return work.submission
+
+
+def state_of(service: Service, season: str = "spring") -> str:
+    """Return the state of a season, given by its name or id."""
+    row = service.queries.season(season)
+    assert row is not None
+    return row.state

@@ -19,21 +19,10 @@ from assistax_board.commands import submitting as commands
 from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
-from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
+from tests.board.fakes import TASK, FakeScorer, draft, new_submitter, work_off
 from tests.board.test_season import open_season
 
-NUL_PATHS = [
-    "/api/submissions/a%00b",
-    "/submissions/%00/film",
-    "/api/boards/scratch?season=%00",
-    "/tasks/scratch?search=x%00",
-]
 FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
-
-
-@pytest.fixture
-def service(tmp_path: Path) -> Service:
-    return new_service(tmp_path)
 
 
 @pytest.fixture
@@ -103,15 +92,6 @@ def test_the_database_holds_no_token(service: Service, tmp_path: Path) -> None:
     assert token.encode() not in (tmp_path / "service.db").read_bytes()
 
 
-def test_a_large_body_is_not_read(service: Service, http: TestClient) -> None:
-    token = service.create_token(("submit",), submitter="lab")
-    headers = {"Authorization": f"Bearer {token}"}
-    answer = http.post(
-        "/api/submissions", params=FIELDS, headers=headers, content=bytes(MAX_BODY + 1)
-    )
-    assert (answer.status_code, answer.json()["error"]["code"]) == (413, "too_large")
-
-
 def test_body_without_size_is_cut_off(service: Service, http: TestClient) -> None:
     token = service.create_token(("submit",), submitter="lab")
     headers = {"Authorization": f"Bearer {token}"}
@@ -119,13 +99,6 @@ def test_body_without_size_is_cut_off(service: Service, http: TestClient) -> Non
     answer = http.post("/api/submissions", params=FIELDS, headers=headers, content=endless)
     assert answer.status_code >= 400
     assert service.queries.submissions() == []
-
-
-@pytest.mark.usefixtures("one_window")
-def test_too_many_requests_are_refused(service: Service, http: TestClient) -> None:
-    for _ in range(30):
-        assert http.post("/api/work/lease").status_code == 401
-    assert http.post("/api/work/lease").status_code == 429
 
 
 def test_an_unexpected_error_tells_nothing(
@@ -234,16 +207,12 @@ def test_head_is_get_without_a_body(http: TestClient, path: str) -> None:
 
 @pytest.mark.parametrize("path", ["/nope", "/ledger?after=x", "/submissions/x/receipt.json"])
 def test_a_browser_gets_a_page_of_an_error(http: TestClient, path: str) -> None:
-    page = http.get(path, headers={"Accept": "text/html,*/*;q=0.8"})
+    browser = {"Accept": "text/html,*/*;q=0.8"}
+    page = http.get(path, headers=browser)
     assert 404 <= page.status_code <= 422 and "That did not work" in page.text
     assert page.headers["content-security-policy"]
-
-
-@pytest.mark.parametrize("path", ["/nope", "/api/nope"])
-def test_a_program_gets_json_of_an_error(http: TestClient, path: str) -> None:
-    assert http.get(path).json()["error"]["code"] == "not_found"
-    answer = http.get("/api/nope", headers={"Accept": "text/html"})
-    assert answer.json()["error"]["code"] == "not_found"
+    for answer in (http.get(path), http.get("/api/nope"), http.get("/api/nope", headers=browser)):
+        assert answer.json()["error"]["code"] in ("not_found", "invalid")
 
 
 @pytest.mark.parametrize("after", ["1" + 23 * "0", "-5", "7"])
@@ -266,12 +235,6 @@ def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
     assert http.get(path).status_code == 404
 
 
-@pytest.mark.parametrize("path", NUL_PATHS)
-def test_a_name_with_a_nul_is_not_found(http: TestClient, path: str) -> None:
-    """PostgreSQL knows no such character: whoever asks for one made an error of the server."""
-    assert http.get(path).status_code == 404
-
-
 def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -> None:
     season, lab = open_season(service), new_submitter(service)
     id = service.submit(lab, draft(season=season))
@@ -284,7 +247,7 @@ def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -
 @pytest.mark.usefixtures("one_window")
 def test_rate_limit_sends_retry_after(http: TestClient) -> None:
     answers = [http.post("/api/work/lease") for _ in range(31)]
-    assert answers[-1].status_code == 429
+    assert [answer.status_code for answer in answers] == [401] * 30 + [429]
     assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
 
 

@@ -56,14 +56,6 @@ def test_a_name_is_a_sha256_and_no_path(store: Artefacts) -> None:
             store.get(name)
 
 
-def test_damaged_bytes_are_found(tmp_path: Path) -> None:
-    store = Artefacts(str(tmp_path))
-    name = store.put(b"robot")
-    (tmp_path / name[:2] / name).write_bytes(b"other")
-    with pytest.raises(Problem, match="is damaged"):
-        store.get(name)
-
-
 def test_repeated_upload_repairs_damaged_artefact(tmp_path: Path) -> None:
     artefacts = Artefacts(str(tmp_path))
     name = artefacts.put(b"a robot")

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +15,7 @@ from assistax_board.client import Client
 from assistax_board.rules.scoring import Work
 from assistax_board.service import Service
 from assistax_board.work.worker import Budget, Worker
-from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, shown, work_off
+from tests.board.fakes import FakeScorer, draft, new_submitter, shown, work_off
 from tests.board.test_season import open_season
 
 MIB = 1024 * 1024
@@ -64,24 +63,16 @@ def work_with(service: Service, takes: str, **budget: Any) -> list[str]:
         ("memory", {"memory": 100 * MIB}),
     ],
 )
-def test_a_robot_that_takes_more_is_too_slow(tmp_path: Path, takes: str, budget: Any) -> None:
-    service = new_service(tmp_path)
+def test_a_robot_that_takes_more_is_too_slow(service: Service, takes: str, budget: Any) -> None:
     id = service.submit(new_submitter(service), draft())
     assert work_with(service, takes, **budget) == ["anew"]
     assert (shown(service, id).state, shown(service, id).reason) == ("refused", "too_slow")
 
 
-def test_what_is_within_its_budget_is_scored(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft())
-    client = Client("", service.create_token(("work",)), transport=TestClient(create_app(service)))
-    Worker(client, FakeScorer()).run(until_empty=True)
-    assert shown(service, id).state == "scored"
-
-
 @pytest.mark.parametrize(("met", "attempt"), [(0, "refunded"), (3, "spent")])
-def test_too_slow_on_hidden_partners_spends_attempt(tmp_path: Path, met: int, attempt: str) -> None:
-    service = new_service(tmp_path)
+def test_too_slow_on_hidden_partners_spends_attempt(
+    service: Service, met: int, attempt: str
+) -> None:
     id = service.submit(new_submitter(service), draft(season=open_season(service)))
     work_off(service, most=met)
     work_with(service, "clock", clock_seconds=0.5)

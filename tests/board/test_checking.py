@@ -13,6 +13,7 @@ from assistax_board.checking import check_ledger, check_service
 from assistax_board.client import Client
 from assistax_board.service import Service
 from assistax_board.store import schema
+from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import ENTRY
 from tests.board.fakes import draft, new_service, new_submitter, shown, work_off
 
@@ -41,7 +42,9 @@ def test_a_whole_service_is_whole(service: Service, monkeypatch: pytest.MonkeyPa
 
 
 def test_changed_ledger_entry_is_found(service: Service) -> None:
-    entry = service.queries.ledger()[1]
+    first, entry, last = service.queries.ledger()
+    with pytest.raises(ValueError, match="entry 3"):
+        check_chain([first, last])
     changed(service, sa.update(schema.ledger).where(ENTRY.seq == 2).values(at=entry.at + 1))
     with pytest.raises(ValueError, match="entry 2 does not follow"):
         check_service(service)

@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -25,24 +26,14 @@ from assistax_board.folder import check_folder
 from assistax_board.problems import Problem
 from assistax_board.serve import open_service
 from assistax_board.store.schema import JOB
-from assistax_board.submitting import for_reader
 from assistax_zoo.shell.main import run
 from tests.board.fakes import new_service
 from tests.board.running import port_of_its_own
-from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
+from tests.board.test_zoo_scorer import teams_from
+from tests.untrained import ROBOT, params_of, published
 from zoo.parameters.storage import write_policy_file
 
 ROOT = Path(__file__).parents[2]
-
-
-def release(folder: Path, first: int, count: int) -> Path:
-    teams = [
-        untrained_team(
-            "d1", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
-        )
-        for seed in range(first, first + count)
-    ]
-    return published(teams, folder)
 
 
 def command(*words: Any, **environment: str) -> str:
@@ -62,7 +53,7 @@ def command(*words: Any, **environment: str) -> str:
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[dict[str, Any]]:
     """Serve a tiny registry with one local worker; SIGTERM must end it cleanly."""
-    registry = release(tmp_path / "public", 0, 4)
+    registry = published(teams_from(0, 4), tmp_path / "public")
     data = tmp_path / "board"
     options = ["--data", data, "--port", port_of_its_own(), "--registry", registry]
     options += ["--no-references"]
@@ -114,7 +105,7 @@ def _wait_until_it_answers(address: str) -> None:
 @pytest.mark.slow
 def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None:
     data, environment = board["data"], board["environment"]
-    private = release(tmp_path / "private", 100, 4).parent
+    private = published(teams_from(100, 4), tmp_path / "private").parent
     season = ("spring", "--data", data)
     made = command(
         "season", "create", *season, "--task", "scratch", "--release", private, "--small"
@@ -191,22 +182,21 @@ def test_a_stop_gives_the_job_under_way_back(board: dict[str, Any], tmp_path: Pa
     assert [tuple(row) for row in rows] == [("waiting", 0)]
 
 
-def test_a_folder_that_is_no_service_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["token", "list", "--data", str(tmp_path)]) == 1
-    assert "is not a service's folder" in capsys.readouterr().err
-
-
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["serve", "--port", "0"], r"\(pyproject.toml\).*such as my-board"),
+        (["token", "list"], "is not a service's folder"),
+    ],
+)
 def test_no_service_is_made_beside_other_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
     """A checkout has a folder `board`, which is the package."""
     (tmp_path / "pyproject.toml").touch()
     before = tmp_path.stat().st_mode
-    assert run(["serve", "--data", str(tmp_path), "--port", "0"]) == 1
-    error = capsys.readouterr().err
-    assert "(pyproject.toml)" in error and "such as my-board" in error
+    assert run([*words, "--data", str(tmp_path)]) == 1
+    assert re.search(message, capsys.readouterr().err, re.DOTALL)
     assert [path.name for path in tmp_path.iterdir()] == ["pyproject.toml"]
     assert tmp_path.stat().st_mode == before
 
@@ -241,33 +231,6 @@ def test_an_empty_token_is_named(
     (tmp_path / "token").touch()
     with pytest.raises(ValueError, match="token is empty"):
         open_client(None, tmp_path / "token")
-
-
-@pytest.mark.slow
-def test_a_refused_file_says_why_at_home(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "robot.pt"
-    path.write_bytes(b"\x80\x04pickle")
-    assert run(["submit", str(path), "--task", "scratch", "--check"]) == 1
-    assert "neither .safetensors" in capsys.readouterr().err
-
-
-def test_submission_without_method_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A name that all share would make seeds of one method of all robots."""
-    path = tmp_path / "robot.safetensors"
-    path.write_bytes(b"robot")
-    assert run(["submit", str(path), "--task", "scratch"]) == 1
-    assert "give --method" in capsys.readouterr().err
-
-
-def test_who_watches_reads_the_range_of_ranks() -> None:
-    answer = {"id": "7kq2", "state": "scored", "of_methods": 9, "board": "/tasks/scratch"}
-    for lowest, text in ((4, "2–4 of 9 on http://x/tasks/scratch"), (2, "2 of 9 on")):
-        ranks = {"board_place": 2, "board_lowest": lowest}
-        assert for_reader(answer | ranks, "http://x")["place"].startswith(text)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from assistax_board.store.schema import METADATA, submitters
 
 def test_migrations_lead_to_the_tables(tmp_path: Path) -> None:
     database = new_database(tmp_path)
+    database.upgrade()  # changes nothing
     with database.read() as connection:
         assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
 
@@ -27,10 +28,6 @@ def test_a_missing_column_would_be_found(tmp_path: Path) -> None:
         connection.execute(sa.text("ALTER TABLE submitters DROP COLUMN contact"))
     with database.read() as connection:
         assert compare_metadata(MigrationContext.configure(connection), METADATA) != []
-
-
-def test_upgrading_twice_changes_nothing(tmp_path: Path) -> None:
-    new_database(tmp_path).upgrade()
 
 
 def test_a_database_of_another_version_is_refused(tmp_path: Path) -> None:
@@ -45,13 +42,30 @@ def test_a_database_of_another_version_is_refused(tmp_path: Path) -> None:
 
 def test_a_failed_block_leaves_nothing(tmp_path: Path) -> None:
     database = new_database(tmp_path)
-    try:
-        with database.write() as connection:
-            add(connection, "lab")
-            raise RuntimeError("killed")
-    except RuntimeError:
-        pass
+    with pytest.raises(RuntimeError), database.write() as connection:
+        add(connection, "lab")
+        raise RuntimeError("killed")
     assert count(database) == 0
+
+
+def test_time_is_read_by_the_only_writer(tmp_path: Path) -> None:
+    """Entries of the ledger bear times in their order, however long a writer waits for its turn."""
+    database, now, began = new_database(tmp_path), [1.0], threading.Event()
+    times: list[float] = []
+
+    def write() -> None:
+        began.set()
+        with database.begin(lambda: now[0]) as transaction:
+            times.append(transaction.now)
+
+    with database.begin(lambda: now[0]):
+        waiting = threading.Thread(target=write)
+        waiting.start()
+        assert began.wait(60)
+        time.sleep(0.2)  # until it waits
+        now[0] = 2.0
+    waiting.join()
+    assert times == [2.0]
 
 
 def test_a_crowd_of_writers_leaves_connections_for_readers(tmp_path: Path) -> None:

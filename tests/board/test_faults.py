@@ -12,16 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sqlalchemy as sa
 from sqlalchemy import event
 
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table
 from assistax_board.service import Service
-from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
-from assistax_board.store.schema import ENTRY
 from tests.board.fakes import FakeClock, FakeScorer, draft, new_service, new_submitter, work_off
+from tests.board.test_faults_processes import losses
 from tests.board.test_season import open_season
 
 
@@ -89,7 +87,8 @@ def test_kills_lose_nothing(tmp_path: Path, kills: int, submissions: int) -> Non
             clock.now += jobs.LEASE_SECONDS + 1  # the time until somebody starts it again
             service = restart(tmp_path, fate, clock)
     assert struck > kills // 2  # the rest would have come later
-    _check(new_service(tmp_path), season, submissions)
+    states, lost = losses(new_service(tmp_path), season, submissions)
+    assert lost == [] and states.keys() == {"scored", "refused"}
 
 
 def _work_once(service: Service, fate: Fate) -> None:
@@ -113,27 +112,6 @@ def _work_once(service: Service, fate: Fate) -> None:
 def _unfinished(service: Service) -> bool:
     states = [row.state for row in service.queries.submissions(limit=1000)]
     return any(state in ("queued", "running") for state in states)
-
-
-def _check(service: Service, season: str, count: int) -> None:
-    rows = service.queries.submissions(limit=1000)
-    assert len(rows) == count  # none lost, none twice
-    assert {row.state for row in rows} == {"scored", "refused"}
-    for row in rows:
-        attempt = "spent" if row.state == "scored" else "refunded"
-        assert (row.attempt, row.place) == (attempt, None)
-    with service.database.read() as connection:
-        results = connection.execute(sa.select(sa.func.count()).select_from(schema.results))
-        scored = sum(row.state == "scored" for row in rows)
-        assert results.scalar_one() == 5 * scored
-        kinds = connection.execute(sa.select(ENTRY.kind)).scalars().all()
-    assert kinds.count("submission") == count
-    assert kinds.count("end") == count
-    assert kinds.count("score") == scored
-    entries = service.queries.ledger(limit=100_000)
-    assert check_chain(entries) == len(entries)
-    spent = sum(row.spent for row in service.queries.attempts(season))
-    assert spent == scored
 
 
 def test_endless_lease_would_lose_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

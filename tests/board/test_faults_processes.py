@@ -6,9 +6,11 @@ else that is not a score or a refusal is.
 """
 
 import contextlib
+import functools
 import json
 import os
 import random
+import statistics
 import subprocess
 import sys
 import threading
@@ -23,12 +25,21 @@ import sqlalchemy as sa
 
 from assistax_board.client import Client
 from assistax_board.rules import jobs
+from assistax_board.rules.catalogue import PUBLIC_SEED, panel_episodes
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import ENTRY, JOB, RESULT, SCORE, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES
-from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, take, work_off
+from tests.board.fakes import (
+    FakeCatalogue,
+    draft,
+    fail_next_job,
+    new_service,
+    new_submitter,
+    noise,
+    work_off,
+)
 from tests.board.faulty import PATIENCE, real_service
 from tests.board.postgres import Cluster
 from tests.board.running import port_of_its_own
@@ -98,7 +109,7 @@ def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], l
 
 def wrong_scores(service: Service) -> list[str]:
     """Return the scores on the public panel that are not what undisturbed work gives."""
-    wrong, scorer = [], FakeScorer()
+    wrong = []
     with service.database.read() as connection:
         query = sa.select(schema.scores, SUBMISSION.artefact).join(
             schema.submissions, SUBMISSION.id == SCORE.submission
@@ -107,22 +118,17 @@ def wrong_scores(service: Service) -> list[str]:
     for row in rows:
         strength = float(service.artefacts.get(row.artefact).decode().split()[1])
         mean = row.figures["mean"]
-        if abs(mean - strength - public_ease(scorer)) > 1e-4:
+        if abs(mean - strength - public_ease()) > 1e-4:
             wrong.append(f"{row.submission} has {mean} for strength {strength}")
     return wrong
 
 
-def public_ease(scorer: FakeScorer, known: list[float] = []) -> float:  # noqa: B006
+@functools.cache
+def public_ease() -> float:
     """Return what the public panel adds to a robot's strength."""
-    if not known:
-        from assistax_board.rules.catalogue import PUBLIC_SEED, panel_episodes
-        from tests.board.fakes import FakeCatalogue, noise
-
-        names = FakeCatalogue().public_panel("scratch")
-        episodes = range(panel_episodes("scratch", "public"))
-        values = [noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in episodes]
-        known.append(sum(values) / len(values))
-    return known[0]
+    episodes = range(panel_episodes("scratch", "public"))
+    names = FakeCatalogue().public_panel("scratch")
+    return statistics.mean(noise(f"{PUBLIC_SEED:x}", name, k) for name in names for k in episodes)
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
@@ -223,9 +229,7 @@ def ended(folder: Path) -> tuple[Service, str]:
     service.submit(lab, draft(2.0, "r1", season=season))
     work_off(service)
     service.submit(lab, draft(3.0, "r2", season=season))
-    for _ in range(jobs.MAX_FAILURES):
-        work = take(service)
-        service.job_failed(work.job, work.lease)
+    fail_next_job(service)
     return service, season
 
 

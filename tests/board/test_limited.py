@@ -11,7 +11,7 @@ from typing import Any
 import httpx2
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper
 
 from assistax_board.api import desk
 from assistax_board.client import Client
@@ -23,10 +23,10 @@ from assistax_board.rules.submissions import Admitted
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
 from tests.board.fakes import TASK, admit, new_service, shown
+from tests.board.onnx_files import ACT, OBS, made, value
 from tests.board.running import served, soon
 from tests.untrained import params_of
 
-OBS, ACT = 34, 7
 SIZES = {TASK: (OBS, ACT)}
 MIB = 1024 * 1024
 
@@ -100,12 +100,8 @@ def test_crash_is_distinguished_from_budget_stop() -> None:
 
 def file_of(nodes: list[Any], constants: dict[str, np.ndarray], last: str) -> bytes:
     """Return an ONNX robot of scratch with these nodes."""
-    tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
-    obs = helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["N", OBS])
-    action = helper.make_tensor_value_info(last, TensorProto.FLOAT, None)
-    graph = helper.make_graph(nodes, "g", [obs], [action], tensors)
-    opsets = [helper.make_opsetid("", 17)]
-    return helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
+    ends = {"inputs": [value("obs", ["N", OBS])], "outputs": [value(last, ["N", ACT])]}
+    return made(nodes, constants, **ends).SerializeToString()
 
 
 def many_shapes(count: int) -> bytes:

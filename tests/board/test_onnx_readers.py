@@ -92,12 +92,6 @@ def test_an_admitted_file_plays_as_onnxruntime_has_it(name: str) -> None:
         np.testing.assert_allclose(actions, np.clip(expected, -1.0, 1.0), atol=1e-5)
 
 
-def test_a_board_names_the_remedy_for_weights_apart() -> None:
-    with pytest.raises(Refusal, match="external_data=False") as refusal:
-        Admission({"scratch": (OBS, ACT)}).read(onnx_bytes("external"), "scratch")
-    assert refusal.value.code == "external_data"
-
-
 def session(data: bytes) -> Any:
     return onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
 

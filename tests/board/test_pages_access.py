@@ -1,19 +1,15 @@
 """Every page for every reader: on a telephone and a desk, with a keyboard alone, by axe's rules."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from assistax_board import pages
 from assistax_board.app import create_app
-from tests.board.board_data import make_app
-from tests.board.browser import accessibility_faults, browsing, opened, served
-from tests.board.fakes import draft, new_service, new_submitter, work_off
-from tests.board.test_organising import fail
-from tests.board.test_pages import Films
-from tests.board.test_pages_browser import still_episode, submissions
+from tests.board.browser import accessibility_faults, opened, served
+from tests.board.fakes import draft, fail_next_job, new_service, new_submitter, work_off
+from tests.board.test_pages_browser import StillFilms, submissions
 from tests.board.test_season import open_season
 from tests.system import CHROMIUM, needs
 
@@ -71,18 +67,6 @@ PLANTED = """() => {
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with served(make_app(tmp_path_factory.mktemp("access"))) as address:
-        yield address
-
-
-@pytest.fixture(scope="module")
 def season(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list[str], str]]:
     """Serve a season that has closed; yield the address, its pages, and the organiser's token."""
     folder = tmp_path_factory.mktemp("season")
@@ -97,16 +81,9 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list
     service.close_season("spring")
     work_off(service)
     failed = service.submit(new_submitter(service, "eve"), draft(3.0))
-    fail(service)
-    packed = still_episode()
-
-    def run(words: Sequence[str], folder: Path, registry: Path | None) -> None:
-        Films()(words, folder)
-        if words[0] == "watch":
-            Path(words[-1]).write_bytes(packed)
-
+    fail_next_job(service)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pages, "run_command", run)
+        patch.setattr(pages, "run_command", StillFilms())
         with served(create_app(service, films=folder / "films")) as address:
             paths = ["/seasons", f"/seasons/{id}", "/submit", f"/submissions/{failed}"]
             paths += [f"/submissions/{robots[0]}", f"/submissions/{robots[0]}/film"]

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,25 +14,13 @@ from evaluation.player.episode import Episode, episode_content
 from evaluation.player.page import pack
 from tests.board import running
 from tests.board.board_data import make_app
-from tests.board.browser import accessibility_faults, browsing, opened, served
+from tests.board.browser import accessibility_faults, opened, served
 from tests.board.fakes import draft, new_service, new_submitter, work_off
 from tests.board.test_pages import Films
 from tests.system import CHROMIUM, needs
 
 pytestmark = [pytest.mark.slow, needs("chromium", CHROMIUM)]
 expect.set_options(timeout=60_000)  # waits no longer than it must
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with served(make_app(tmp_path_factory.mktemp("browser"))) as address:
-        yield address
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as browser:
-        yield browser
 
 
 def submissions(page: Page, address: str) -> list[str]:
@@ -43,19 +31,15 @@ def submissions(page: Page, address: str) -> list[str]:
     return [scored, waiting, f"{scored}/method"]
 
 
-def from_board_to_explorer(page: Page, address: str) -> None:
-    page.goto(f"{address}/tasks/scratch")
-    page.get_by_role("link", name="ppo ego").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("ppo ego")
-    expect(page.get_by_role("status")).to_contain_text("place 1")
-    page.get_by_role("link", name="scratch", exact=True).first.click()
-    page.get_by_role("link", name="Cross-play explorer").click()
-    expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
-
-
 def test_links_lead_from_board_to_explorer(browser: Browser, address: str) -> None:
     with opened(browser) as page:
-        from_board_to_explorer(page, address)
+        page.goto(f"{address}/tasks/scratch")
+        page.get_by_role("link", name="ppo ego").click()
+        expect(page.get_by_role("heading", level=1)).to_have_text("ppo ego")
+        expect(page.get_by_role("status")).to_contain_text("place 1")
+        page.get_by_role("link", name="scratch", exact=True).first.click()
+        page.get_by_role("link", name="Cross-play explorer").click()
+        expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
         expect(page.locator("body")).to_have_attribute("data-measures", "8")
         box = page.locator("#matrix").bounding_box()
         assert box
@@ -169,16 +153,6 @@ def test_pages_are_read_without_scripts(browser: Browser, address: str) -> None:
     context.close()
 
 
-def test_unfinished_page_reloads_itself(browser: Browser, tmp_path: Path) -> None:
-    app = make_app(tmp_path)
-    with served(app) as address, opened(browser) as page:
-        waiting = submissions(page, address)[1]
-        page.goto(f"{address}{waiting}")
-        expect(page.get_by_role("status")).to_contain_text("queued")
-        finish(tmp_path, waiting.rpartition("/")[2])
-        expect(page.get_by_role("status")).to_contain_text("it has functions")
-
-
 def test_submission_page_follows_queue_to_place(browser: Browser, tmp_path: Path) -> None:
     service = new_service(tmp_path)
     with running.served(service) as server, opened(browser) as page:
@@ -238,17 +212,6 @@ def fill_in(page: Page, token: str) -> None:
     page.keyboard.press("Enter")
 
 
-def finish(folder: Path, submission: str) -> None:
-    """End a submission behind the page's back."""
-    from assistax_board.store import schema
-    from assistax_board.store.database import Database
-    from assistax_board.store.schema import SUBMISSION
-
-    with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
-        update = schema.submissions.update().where(SUBMISSION.id == submission)
-        connection.execute(update.values(state="refused", reason="subgraph"))
-
-
 def still_episode() -> bytes:
     """Return what players load of an episode in which nobody moves."""
     zero, length = np.zeros(6), 6
@@ -268,6 +231,17 @@ def still_episode() -> bytes:
     return pack(episode_content(episode))
 
 
+class StillFilms(Films):
+    """Films whose episode can be played; in place of `pages.run_command`."""
+
+    def __call__(
+        self, arguments: Sequence[str], folder: Path, registry: Path | None = None
+    ) -> None:
+        super().__call__(arguments, folder)
+        if arguments[0] == "watch":
+            Path(arguments[-1]).write_bytes(still_episode())
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
 def test_episode_plays_after_its_film(
     browser: Browser,
@@ -277,14 +251,7 @@ def test_episode_plays_after_its_film(
     scheme: str,
 ) -> None:
     """The page's policy lets the player run, and nothing of the page keeps anybody out."""
-    films, packed = Films(), still_episode()
-
-    def run(words: Sequence[str], folder: Path, registry: Path | None) -> None:
-        films(words, folder)
-        if words[0] == "watch":
-            Path(words[-1]).write_bytes(packed)
-
-    monkeypatch.setattr(pages, "run_command", run)
+    monkeypatch.setattr(pages, "run_command", StillFilms())
     with served(make_app(tmp_path)) as address, opened(browser, width, scheme) as page:
         page.goto(f"{address}/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1")
         assert page.locator("canvas").count() == 0

@@ -24,6 +24,7 @@ from tests.board.fakes import (
     FakeScorer,
     advance,
     draft,
+    fail_next_job,
     new_service,
     new_submitter,
     shown,
@@ -31,10 +32,15 @@ from tests.board.fakes import (
     work_off,
 )
 from tests.board.running import soon
-from tests.board.test_api import NUL_PATHS
 from tests.board.test_season import open_season
 from tests.board.test_submit_form import filled, send
 
+NUL_PATHS = [
+    "/api/submissions/a%00b",
+    "/submissions/%00/film",
+    "/api/boards/scratch?season=%00",
+    "/tasks/scratch?search=x%00",
+]
 WAITS = sa.text("SELECT count(*) FROM pg_locks WHERE NOT granted")
 
 
@@ -69,17 +75,6 @@ def test_migrations_lead_to_the_tables(service: Service) -> None:
         assert compare_metadata(MigrationContext.configure(connection), METADATA) == []
 
 
-def test_a_season_on_postgres(service: Service) -> None:
-    id = service.submit(new_submitter(service), draft(2.0, season=open_season(service)))
-    work_off(service)
-    assert shown(service, id).state == "scored"
-    service.close_season("spring")
-    work_off(service)
-    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A", "B"}
-    entries = service.queries.ledger()
-    assert check_chain(entries) == len(entries)
-
-
 def test_no_two_workers_get_one_job(service: Service) -> None:
     submitter = new_submitter(service)
     for number in range(4):
@@ -93,6 +88,20 @@ def test_the_last_attempt_is_taken_once(service: Service) -> None:
     season, submitter = open_season(service, budget=1), new_submitter(service)
     answers = at_once(8, lambda n: service.submit(submitter, draft(1.0, f"r{n}", season=season)))
     assert answers.count("budget_spent") == 7
+
+
+def test_retry_and_submission_cannot_share_one_attempt(service: Service) -> None:
+    season, lab = open_season(service, budget=3), new_submitter(service)
+    for number in range(3):
+        service.submit(lab, draft(2.0, f"f{number}", season=season))
+    failed = [fail_next_job(service) for _ in range(3)]
+    acts: list[Callable[[], Any]] = [lambda id=id: service.retry(id) for id in failed]
+    for number in range(3):
+        new = draft(3.0, f"n{number}", season=season)
+        acts.append(lambda new=new: service.submit(lab, new))
+    answers = at_once(6, lambda number: acts[number]())
+    [attempts] = service.queries.attempts(season)
+    assert (attempts.reserved, answers.count("budget_spent")) == (3, 3)
 
 
 def test_concurrent_equal_requests_make_one_submission(service: Service) -> None:
@@ -163,12 +172,12 @@ def test_submission_and_season_change_do_not_deadlock(
 
 
 def test_writers_of_two_processes_wait_for_each_other(service: Service, postgres_url: str) -> None:
-    other, seen = Database(postgres_url), []  # as a command has one
+    other, seen, now = Database(postgres_url), [], [1.0]  # as a command has one
     count = sa.select(sa.func.count()).select_from(schema.submitters)
 
     def look() -> None:
-        with other.write() as connection:
-            seen.append(connection.execute(count).scalar_one())
+        with other.begin(lambda: now[0]) as transaction:
+            seen.append((transaction.execute(count).scalar_one(), transaction.now))
 
     looking = threading.Thread(target=look)
     with service.database.write() as connection:
@@ -176,8 +185,9 @@ def test_writers_of_two_processes_wait_for_each_other(service: Service, postgres
         assert soon(lambda: connection.execute(WAITS).scalar())
         row = {"id": "lab", "name": "lab", "created_at": 0.0}
         connection.execute(sa.insert(schema.submitters).values(row))
+        now[0] = 2.0
     looking.join()
-    assert seen == [1]
+    assert seen == [(1, 2.0)], "the time is read after the lock is held"
     other.close()
 
 

@@ -1,7 +1,6 @@
 """What a worker sends is data of a stranger: read, or refused, and the server lives."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -9,9 +8,10 @@ import pytest
 
 from assistax_board.problems import Problem
 from assistax_board.rules.scoring import GENTLE_COLUMNS, decode_table, encode_table, table_bytes
+from assistax_board.service import Service
 from assistax_board.work import worker as working
 from assistax_board.work.worker import Worker
-from tests.board.fakes import FakeScorer, draft, new_service, new_submitter, shown
+from tests.board.fakes import FakeScorer, draft, new_submitter, shown
 from tests.board.running import served
 
 PARTNERS, EPISODES, LIKES = ("a", "b"), 2, ("p1", "p5")
@@ -77,9 +77,8 @@ def damaged_parquet(table: pl.DataFrame) -> list[bytes]:
 
 
 def test_damaged_parquet_ends_neither_server_nor_submission(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service = new_service(tmp_path)
     id, scorer = service.submit(new_submitter(service), draft()), FakeScorer()
     with served(service) as server:
         client = server.client("work")

@@ -1,33 +1,31 @@
 """What workers failed gets another try: within a lab's attempts, and on panel B of a season."""
 
 import dataclasses
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import sqlalchemy as sa
 from starlette.testclient import TestClient
 
 from assistax_board.app import create_app
 from assistax_board.problems import Problem
-from assistax_board.rules import jobs
 from assistax_board.rules.closing import WAIT_SECONDS
+from assistax_board.rules.tokens import submitter_id
 from assistax_board.service import Service
-from assistax_board.store import schema
 from assistax_board.store.notices import list_notices
 from tests.board.fakes import (
     FakeCatalogue,
     advance,
     draft,
+    fail_next_job,
     new_service,
     new_submitter,
     shown,
-    take,
+    state_of,
     work_off,
 )
-from tests.board.test_season import open_season, state_of
+from tests.board.test_season import open_season
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -36,14 +34,6 @@ def service(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Service]
     service = new_service(tmp_path, None if on_sqlite else request.getfixturevalue("postgres_url"))
     yield service
     service.database.close()
-
-
-def fail(service: Service) -> str:
-    """Let the next job fail as often as it may; return its submission."""
-    for _ in range(jobs.MAX_FAILURES):
-        work = take(service)
-        service.job_failed(work.job, work.lease)
-    return work.submission
 
 
 def kinds(service: Service) -> list[str]:
@@ -57,7 +47,10 @@ def unplayed(service: Service) -> Any:
 def test_extra_attempt_needs_the_organiser(service: Service) -> None:
     season, lab = open_season(service, budget=1), new_submitter(service)
     failed = service.submit(lab, draft(2.0, season=season))
-    fail(service)
+    fail_next_job(service)
+    service.retry(failed, extra_attempt=True)
+    assert service.queries.ledger()[-1].body == {"id": failed}, "an attempt was there"
+    fail_next_job(service)
     again = service.submit(lab, draft(2.0, "r2", season=season))  # with what was given back
     work_off(service)
     with pytest.raises(Problem, match="used all 1 attempts"):
@@ -71,42 +64,6 @@ def test_extra_attempt_needs_the_organiser(service: Service) -> None:
     assert (attempts.spent, attempts.budget, attempts.left) == (2, 1, 0)
     with pytest.raises(Problem, match="all 1 attempts"):
         service.submit(lab, draft(3.0, "r3", season=season))
-
-
-def test_retry_takes_an_available_attempt(service: Service) -> None:
-    season, lab = open_season(service, budget=1), new_submitter(service)
-    failed = service.submit(lab, draft(2.0, season=season))
-    fail(service)
-    service.retry(failed, extra_attempt=True)
-    assert service.queries.ledger()[-1].body == {"id": failed}
-
-
-def test_retry_and_submission_cannot_share_one_attempt(tmp_path: Path, postgres_url: str) -> None:
-    """On PostgreSQL writers do not wait for each other by themselves."""
-    service = new_service(tmp_path, postgres_url)
-    season, lab = open_season(service, budget=3), new_submitter(service)
-    for number in range(3):
-        service.submit(lab, draft(2.0, f"f{number}", season=season))
-    failed = [fail(service) for _ in range(3)]
-    gate = threading.Barrier(6)
-
-    def attempt(act: Any) -> None:
-        gate.wait()
-        try:
-            act()
-        except Problem as problem:
-            assert problem.code == "budget_spent"
-
-    retries = [lambda id=id: service.retry(id) for id in failed]
-    new = [lambda n=n: service.submit(lab, draft(3.0, f"n{n}", season=season)) for n in range(3)]
-    threads = [threading.Thread(target=attempt, args=(act,)) for act in (*retries, *new)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    [attempts] = service.queries.attempts(season)
-    assert attempts.reserved == 3
-    service.database.close()
 
 
 def closing(service: Service) -> tuple[str, list[str]]:
@@ -123,7 +80,7 @@ def closing(service: Service) -> tuple[str, list[str]]:
 
 def test_season_waits_for_failed_panel_b_entry(service: Service) -> None:
     season, ids = closing(service)
-    failed = fail(service)
+    failed = fail_next_job(service)
     work_off(service)
     assert state_of(service, season) == "closing", "the entry must not be dropped"
     assert kinds(service) == ["panel_b"] and shown(service, failed).state == "scored"
@@ -143,7 +100,7 @@ def test_season_waits_for_failed_panel_b_entry(service: Service) -> None:
 
 def test_season_closes_incomplete_after_a_week(service: Service) -> None:
     season, ids = closing(service)
-    failed = fail(service)
+    failed = fail_next_job(service)
     work_off(service)
     advance(service, WAIT_SECONDS + 60.0)
     assert work_off(service) == 0 and state_of(service, season) == "closed"
@@ -159,7 +116,7 @@ def test_season_closes_incomplete_after_a_week(service: Service) -> None:
 def test_failed_reference_on_panel_b_is_retried(service: Service) -> None:
     service.add_references()
     season, _ = closing(service)
-    while (failed := fail(service)) and shown(service, failed).kind != "reference":
+    while (failed := fail_next_job(service)) and shown(service, failed).kind != "reference":
         service.retry(failed)
         work_off(service, most=2)
     work_off(service)
@@ -169,43 +126,39 @@ def test_failed_reference_on_panel_b_is_retried(service: Service) -> None:
     assert shown(service, failed).state == "scored" and state_of(service, season) == "closed"
 
 
-def test_who_was_disqualified_is_not_waited_for(service: Service) -> None:
+@pytest.mark.parametrize("act", ["disqualify", "erase"])
+def test_season_does_not_wait_for_removed_lab(service: Service, act: str) -> None:
     season, _ = closing(service)
-    failed = fail(service)
+    failed = shown(service, fail_next_job(service))
     work_off(service)
-    service.disqualify("spring", shown(service, failed).submitter)
-    assert state_of(service, season) == "closed" and unplayed(service) == []
+    if act == "disqualify":
+        service.disqualify("spring", failed.submitter)
+        assert unplayed(service) == []
+    else:
+        service.erase_submitter(submitter_id(service.database, failed.submitter))
+    assert state_of(service, season) == "closed"
 
 
 def test_closing_season_waits_for_failed_submissions(service: Service) -> None:
     season, lab = open_season(service), new_submitter(service)
     early = service.submit(lab, draft(1.0, season=season))
-    fail(service)
+    fail_next_job(service)
     advance(service, 10.0)
     late = service.submit(lab, draft(2.0, "r2", season=season))
     service.close_season("spring")
     advance(service, 10.0)
-    assert fail(service) == late and state_of(service, season) == "closing"
+    assert fail_next_job(service) == late and state_of(service, season) == "closing"
     service.retry(late)
     work_off(service)
     assert state_of(service, season) == "closed"
     assert [id for id, _ in service.panel_b(season)] == [late] != [early]
+    with pytest.raises(Problem, match="plays panel B, or has"):
+        service.retry(early)
 
 
 def test_upgrade_is_refused_while_panel_b_is_retriable(tmp_path: Path, service: Service) -> None:
     closing(service)
-    fail(service)
+    fail_next_job(service)
     work_off(service)
     with pytest.raises(Problem, match="spring is closing"):
         dataclasses.replace(service, catalogue=FakeCatalogue(version=2)).adopt_version()
-
-
-def test_season_does_not_wait_for_erased_robot(service: Service) -> None:
-    season, _ = closing(service)
-    failed = fail(service)
-    work_off(service)
-    query = sa.select(schema.submissions.c.submitter).where(schema.submissions.c.id == failed)
-    with service.database.read() as connection:
-        lab = connection.execute(query).scalar_one()
-    service.erase_submitter(lab)
-    assert state_of(service, season) == "closed"

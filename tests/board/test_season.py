@@ -20,7 +20,8 @@ from assistax_board.pages.crossplays import CrossPlays
 from assistax_board.pages.routes.organising import overview
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.problems import Problem
-from assistax_board.rules import jobs, seasons
+from assistax_board.rules import closing as closing_rules
+from assistax_board.rules import seasons
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.schema import SEASON
@@ -29,9 +30,11 @@ from tests.board.fakes import (
     FakeScorer,
     advance,
     draft,
+    fail_next_job,
     new_service,
     new_submitter,
     shown,
+    state_of,
     take,
     work_off,
 )
@@ -66,10 +69,14 @@ def open_season(service: Service, budget: int = 3, closes_at: float | None = Non
     return row["id"]
 
 
-def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_season_from_its_opening_to_its_reveal(service: Service) -> None:
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(2.0, season=season))
+    works = [take(service) for _ in range(3)]
+    assert [work.panel for work in works] == ["public"] * 3
+    assert service.lease("w", FakeScorer().versions()) is None, "panel A waits"
+    for work in works:
+        service.give_back(work.job, work.lease)
     assert work_off(service) == 3 + 2
     assert (shown(service, id).state, shown(service, id).attempt) == ("scored", "spent")
     panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
@@ -78,6 +85,8 @@ def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
     with pytest.raises(Problem, match="is open"):
         seasons.revealed(service.database, season)
     service.close_season("spring")
+    with pytest.raises(Problem, match="is closing"):
+        service.withdraw(id, submitter)
     assert work_off(service) == 2
     panels = {score.panel: score.figures for score in service.queries.scores(submission=id)}
     assert panels["B"]["n"] == SIZE
@@ -85,9 +94,8 @@ def test_a_season_from_its_opening_to_its_reveal(tmp_path: Path) -> None:
     assert merkle_root(map(leaf_sha256, statement["leaves"])) == statement["root"]
 
 
-def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
+def test_nothing_hidden_is_in_any_answer(service: Service) -> None:
     """What anybody may read while a season runs has no ordinal, seed, salt or return."""
-    service = new_service(tmp_path)
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(2.0, season=season))
     hidden = hidden_words(service)
@@ -105,8 +113,7 @@ def test_nothing_hidden_is_in_any_answer(tmp_path: Path) -> None:
     assert [word for word in hidden for text in texts if word in text] == []
 
 
-def test_a_planted_leak_is_found(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_planted_leak_is_found(service: Service) -> None:
     open_season(service)
     assert any(word in json.dumps({"partner": "hidden-0007"}) for word in hidden_words(service))
 
@@ -130,123 +137,103 @@ def hidden_words(service: Service) -> list[str]:
     return words + returns
 
 
-def test_the_budget_is_counted_and_refunded(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_the_budget_is_counted_and_refunded(service: Service) -> None:
     season, submitter = open_season(service, budget=2), new_submitter(service)
-    first = service.submit(submitter, draft(1.0, "r1", season=season))
-    service.submit(submitter, draft(1.0, "r2", season=season))
+    service.submit(submitter, draft(request="r1", season=season, data=b"pickle"))
+    broken = service.submit(submitter, draft(request="r2", season=season, data=b"broken"))
+    work_off(service)
+    assert (shown(service, broken).state, shown(service, broken).attempt) == ("refused", "refunded")
+    first = service.submit(submitter, draft(1.0, "r3", season=season))
+    service.submit(submitter, draft(1.0, "r4", season=season))
     with pytest.raises(Problem, match="all 2 attempts"):
-        service.submit(submitter, draft(1.0, "r3", season=season))
+        service.submit(submitter, draft(1.0, "r5", season=season))
     service.withdraw(first, submitter)  # before it met anybody hidden
     assert shown(service, first).attempt == "refunded"
-    service.submit(submitter, draft(1.0, "r4", season=season))
+    service.submit(submitter, draft(1.0, "r6", season=season))
     work_off(service)
     [attempts] = service.queries.attempts(season)
     assert (attempts.spent, attempts.reserved, attempts.left) == (2, 0, 0)
 
 
-def test_a_refused_file_costs_no_attempt(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, submitter = open_season(service, budget=1), new_submitter(service)
-    service.submit(submitter, draft(request="r1", season=season, data=b"pickle"))
-    id = service.submit(submitter, draft(request="r2", season=season, data=b"broken"))
-    work_off(service)
-    assert (shown(service, id).state, shown(service, id).attempt) == ("refused", "refunded")
-    service.submit(submitter, draft(request="r3", season=season))
-
-
-def test_withdrawal_after_hidden_partners_spends_attempt(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+@pytest.mark.parametrize(("ends", "reason"), [("lab", "withdrawn"), ("worker", "broke_down")])
+def test_own_failure_on_hidden_partners_spends_attempt(
+    service: Service, ends: str, reason: str
+) -> None:
     season, submitter = open_season(service), new_submitter(service)
     id = service.submit(submitter, draft(season=season))
     work_off(service, most=3)  # the public half
-    assert take(service).panel == "A"
-    service.withdraw(id, submitter)
-    assert (shown(service, id).reason, shown(service, id).attempt) == ("withdrawn", "spent")
-
-
-def test_breakdown_on_hidden_partners_spends_attempt(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, submitter = open_season(service), new_submitter(service)
-    id = service.submit(submitter, draft(season=season))
-    work_off(service, most=3)
     work = take(service)
-    service.job_refused(work.job, work.lease, "not_finite")
-    assert (shown(service, id).reason, shown(service, id).attempt) == ("broke_down", "spent")
+    assert work.panel == "A"
+    if ends == "lab":
+        service.withdraw(id, submitter)
+    else:
+        service.job_refused(work.job, work.lease, "not_finite")
+    assert (shown(service, id).reason, shown(service, id).attempt) == (reason, "spent")
 
 
-def test_hidden_panel_waits_for_public_panel(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season = open_season(service)
-    service.submit(new_submitter(service), draft(season=season))
-    held = [take(service).panel for _ in range(3)]
-    assert held == ["public"] * 3
-    assert service.lease("w", FakeScorer().versions()) is None
-
-
-def test_the_ladder_is_silent_without_an_improvement(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_the_ladder_is_silent_without_an_improvement(service: Service) -> None:
+    """The submission whose score was shown last plays panel B if a lab chooses none."""
     season, submitter = open_season(service, budget=9), new_submitter(service)
-    shown_means = []
-    for number, strength in enumerate((1.0, 1.0, 0.5, 5.0)):
-        id = service.submit(submitter, draft(strength, f"r{number}", season=season))
+    ids, shown_means = [], []
+    for number, strength in enumerate((1.0, 1.0, 0.5, 5.0, 3.0)):
+        ids.append(service.submit(submitter, draft(strength, f"r{number}", season=season)))
         work_off(service)
         advance(service, 1.0)
-        scores = {s.panel: s.figures["mean"] for s in service.queries.scores(submission=id)}
+        scores = {s.panel: s.figures["mean"] for s in service.queries.scores(submission=ids[-1])}
         shown_means.append(scores.get("A"))
     assert shown_means[0] == pytest.approx(1.5, abs=0.2)
-    assert shown_means[1:3] == [None, None]
     assert shown_means[3] == pytest.approx(5.5, abs=0.2)
-
-
-def test_submissions_before_close_are_played(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season = open_season(service)
-    id = service.submit(new_submitter(service), draft(season=season))
+    assert shown_means[1:3] == [None, None] and shown_means[4] is None
     service.close_season("spring")
-    with pytest.raises(Problem, match="it must be open"):
-        service.submit(new_submitter(service), draft(request="late", season=season))
-    assert state_of(service, season) == "closing"
+    work_off(service)
+    assert {score.submission for score in service.queries.scores(panel="B")} == {ids[3]}
+
+
+@pytest.mark.parametrize("by", ["its date", "the organiser"])
+def test_submissions_before_close_are_played(service: Service, by: str) -> None:
+    season, lab = open_season(service), new_submitter(service)
+    opened = service.queries.season(season)
+    assert opened is not None
+    [entry] = [e for e in service.queries.ledger() if e.kind == "season_open"]
+    closes_at = service.clock() + seasons.OPEN_SECONDS
+    assert opened.closes_at == entry.body["closes_at"] == closes_at
+    with pytest.raises(Problem, match="within three years"):
+        service.open_season("spring", service.clock() - 1)
+    id = service.submit(lab, draft(season=season))
+    if by == "its date":
+        advance(service, seasons.OPEN_SECONDS)
+    else:
+        service.close_season("spring")
+        assert state_of(service) == "closing"
+    for late in (
+        lambda: service.submit(lab, draft(request="late", season=season)),
+        lambda: service.enter(season, lab, [id]),
+    ):
+        with pytest.raises(Problem, match=r"closing date|must be open|expected open"):
+            late()
     assert work_off(service) == 3 + 2 + 2
     assert (shown(service, id).state, shown(service, id).attempt) == ("scored", "spent")
     assert "B" in {score.panel for score in service.queries.scores(submission=id)}
-    assert state_of(service, season) == "closed"
+    assert state_of(service) == "closed"
 
 
-def test_a_season_without_a_robot_closes_at_once(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season = open_season(service)
+def test_withdrawal_closes_a_season_in_one_transaction(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill between the two would leave a season that waits for nothing, for ever."""
+    lab = new_submitter(service)
+    id = service.submit(lab, draft(season=open_season(service)))
     service.close_season("spring")
-    assert state_of(service, season) == "closed"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(closing_rules, "go_on", lambda *_: _interrupt())
+        service.withdraw(id, lab)
+    assert (shown(service, id).state, state_of(service)) == ("queued", "closing")
+    service.withdraw(id, lab)
+    assert (shown(service, id).state, state_of(service)) == ("failed", "closed")
 
 
-def test_withdrawal_of_last_submission_advances_season(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, submitter = open_season(service), new_submitter(service)
-    id = service.submit(submitter, draft(season=season))
-    service.close_season("spring")
-    service.withdraw(id, submitter)
-    assert state_of(service, season) == "closed"
-
-
-def test_a_season_closes_by_itself_at_its_date(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, submitter = open_season(service), new_submitter(service)
-    opened = service.queries.season(season)
-    assert opened is not None
-    assert opened.closes_at == service.clock() + seasons.OPEN_SECONDS
-    [entry] = [e for e in service.queries.ledger() if e.kind == "season_open"]
-    assert entry.body["closes_at"] == opened.closes_at
-    id = service.submit(submitter, draft(season=season))
-    advance(service, seasons.OPEN_SECONDS)
-    for late in (
-        lambda: service.submit(submitter, draft(request="late", season=season)),
-        lambda: service.enter(season, submitter, [id]),
-    ):
-        with pytest.raises(Problem, match="closing date"):
-            late()
-    assert work_off(service) == 3 + 2 + 2
-    assert state_of(service, season) == "closed"
+def _interrupt() -> None:
+    raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("waits_for", ["its date", "the organiser"])
@@ -264,9 +251,7 @@ def test_one_clock_jump_closes_no_season(tmp_path: Path, waits_for: str) -> None
         service.submit(new_submitter(service), draft(season=season))
         service.close_season("spring")
         passes(5.0)
-        for _ in range(jobs.MAX_FAILURES):
-            work = take(service)
-            service.job_failed(work.job, work.lease)
+        fail_next_job(service)
     before = state_of(service, season)
     for jump in (seasons.OPEN_SECONDS, -seasons.OPEN_SECONDS, seasons.OPEN_SECONDS):
         machine.wall += jump
@@ -279,8 +264,7 @@ def test_one_clock_jump_closes_no_season(tmp_path: Path, waits_for: str) -> None
     assert state_of(service, season) == "closed"
 
 
-def test_nobody_but_the_organiser_sees_a_draft(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_nobody_but_the_organiser_sees_a_draft(service: Service) -> None:
     id, token = open_season(service), service.create_token(("submit",), submitter="lab")
     with service.database.write() as connection:
         connection.execute(sa.update(schema.seasons).values(state="draft"))
@@ -307,14 +291,7 @@ def test_a_season_says_how_long_it_is_open(tmp_path: Path) -> None:
     assert ", in 3 days 5 hours" in " ".join(http.get(f"/seasons/{season}").text.split())
 
 
-def test_a_closing_date_is_ahead(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    with pytest.raises(Problem, match="within three years"):
-        service.open_season("spring", service.clock() - 1)
-
-
-def test_two_entries_average_their_seeds(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_two_entries_average_their_seeds(service: Service) -> None:
     season, lab = open_season(service, budget=9), new_submitter(service)
     ids = []
     for number, (method, strength) in enumerate(
@@ -344,21 +321,7 @@ def test_two_entries_average_their_seeds(tmp_path: Path) -> None:
     assert rows[1][0].m_test.mean == pytest.approx(2.5, abs=0.2)  # of 1.5 and 3.5
 
 
-def test_last_shown_submission_is_default_entry(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, lab = open_season(service, budget=9), new_submitter(service)
-    ids = []
-    for number, strength in enumerate((1.0, 5.0, 3.0)):
-        ids.append(service.submit(lab, draft(strength, f"r{number}", season=season)))
-        work_off(service)
-        advance(service, 1.0)
-    service.close_season("spring")
-    work_off(service)
-    assert {score.submission for score in service.queries.scores(panel="B")} == {ids[1]}
-
-
-def test_season_page_shows_places_and_references(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_season_page_shows_places_and_references(service: Service, tmp_path: Path) -> None:
     season = open_season(service)
     service.add_references()
     for lab, strength in (("ada", 2.0), ("bob", 6.0)):
@@ -381,10 +344,15 @@ def test_season_page_shows_places_and_references(tmp_path: Path) -> None:
         ("reference", None),
     ]
     assert all(row.normalised is not None for row, _ in rows)
+    # The season's references stay off the public board, and are not played anew.
+    assert len(service.queries.submissions(season=season)) == 2 + 2
+    assert new_service(tmp_path, version=2).adopt_version() == 2 + 2
+    board = Boards(service.queries, CrossPlays(tmp_path)).of(TASK)
+    assert board is not None
+    assert [len(played.submissions) for _, played in board.rows] == [1, 1, 1, 1]
 
 
-def test_a_scored_submission_can_be_taken_back(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_scored_submission_can_be_taken_back(service: Service) -> None:
     season, lab = open_season(service), new_submitter(service)
     id = service.submit(lab, draft(season=season))
     work_off(service)
@@ -405,51 +373,8 @@ def test_a_scored_submission_can_be_taken_back(tmp_path: Path) -> None:
     assert state_of(service, season) == "closed"
 
 
-def test_nobody_leaves_while_panel_b_is_played(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season, lab = open_season(service), new_submitter(service)
-    id = service.submit(lab, draft(season=season))
-    work_off(service)
-    service.close_season("spring")
-    with pytest.raises(Problem, match="is closing"):
-        service.withdraw(id, lab)
-
-
-def state_of(service: Service, season: str) -> str:
-    season_row = service.queries.season(season)
-    assert season_row is not None
-    return season_row.state
-
-
-def test_another_root_proves_nothing(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season = open_season(service)
-    service.close_season("spring")
-    statement = seasons.revealed(service.database, season)
-    statement["leaves"][3]["panel"] = "B"
-    with pytest.raises(ValueError, match="not those whose root"):
-        seasons.verify_season(statement, b"", statement["root"], tmp_path)
-
-
-def closing(folder: Path) -> tuple[Service, str]:
-    """Return a service whose season is closing: panel B waits."""
-    service = new_service(folder)
-    season = open_season(service)
-    id = service.submit(new_submitter(service), draft(2.0, season=season))
-    work_off(service)
-    service.close_season("spring")
-    return service, id
-
-
-def state_of_season(service: Service) -> str:
-    season = service.queries.season("spring")
-    assert season is not None
-    return season.state
-
-
 @pytest.mark.parametrize("played", [1, 5], ids=["while panel A is played", "before the close"])
-def test_erasure_does_not_block_season_end(tmp_path: Path, played: int) -> None:
-    service = new_service(tmp_path)
+def test_erasure_does_not_block_season_end(service: Service, played: int) -> None:
     season, lab = open_season(service), new_submitter(service)
     id = service.submit(lab, draft(2.0, season=season))
     work_off(service, most=played)
@@ -460,11 +385,10 @@ def test_erasure_does_not_block_season_end(tmp_path: Path, played: int) -> None:
         assert shown(service, id).state == "scored"
         service.erase_submitter(lab)
         service.close_season("spring")
-    assert state_of_season(service) == "closed"
+    assert state_of(service) == "closed"
 
 
-def test_file_shared_with_erased_lab_plays_on(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_file_shared_with_erased_lab_plays_on(service: Service) -> None:
     erased, lab = new_submitter(service, "gone"), new_submitter(service)
     service.submit(erased, draft(2.0, "r1"))
     work_off(service)
@@ -479,36 +403,23 @@ def test_file_shared_with_erased_lab_plays_on(tmp_path: Path) -> None:
     assert [score.submission for score in service.queries.scores(panel="B")] == [id]
 
 
-def test_a_closing_season_keeps_its_version(tmp_path: Path) -> None:
-    service, id = closing(tmp_path)
+@pytest.mark.parametrize("played", [3, 5], ids=["panel A waits", "panel B waits"])
+def test_a_closing_season_keeps_its_version(service: Service, tmp_path: Path, played: int) -> None:
+    id = service.submit(new_submitter(service), draft(2.0, season=open_season(service)))
+    work_off(service, most=played)
+    service.close_season("spring")
     upgraded = new_service(tmp_path, version=2)
     with pytest.raises(Problem, match=r"spring is closing.*version': '1'.*now.*'2'.*start the"):
         upgraded.adopt_version()
     assert work_off(upgraded, version=2) == 0
     assert service.adopt_version() == 0
-    assert work_off(service) == 2
-    assert "B" in {score.panel for score in service.queries.scores(submission=id)}
-    assert state_of_season(service) == "closed"
+    assert work_off(service) == 7 - played
+    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A", "B"}
+    assert state_of(service) == "closed"
     assert upgraded.adopt_version() == 1
 
 
-def test_closing_season_keeps_version_during_panel_a(tmp_path: Path) -> None:
-    """What was handed in in time would lose panel A, which no closing season plans anew."""
-    service = new_service(tmp_path)
-    season = open_season(service)
-    id = service.submit(new_submitter(service), draft(2.0, season=season))
-    work_off(service, most=3)  # its public half: panel A waits
-    service.close_season("spring")
-    upgraded = new_service(tmp_path, version=2)
-    with pytest.raises(Problem, match="spring is closing"):
-        upgraded.adopt_version()
-    work_off(service)
-    assert {score.panel for score in service.queries.scores(submission=id)} == {"public", "A", "B"}
-    assert state_of_season(service) == "closed"
-
-
-def test_season_closing_after_upgrade_uses_new_version(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_season_closing_after_upgrade_uses_new_version(service: Service, tmp_path: Path) -> None:
     season = open_season(service)
     id = service.submit(new_submitter(service), draft(2.0, season=season))
     work_off(service)
@@ -518,38 +429,29 @@ def test_season_closing_after_upgrade_uses_new_version(tmp_path: Path) -> None:
     upgraded.close_season("spring")
     work_off(upgraded, version=2)
     assert "B" in {score.panel for score in upgraded.queries.scores(submission=id)}
-    assert state_of_season(upgraded) == "closed"
+    assert state_of(upgraded) == "closed"
 
 
 def test_opened_release_cannot_enter_another_season(tmp_path: Path) -> None:
     """Its partners are revealed, or will be."""
-    service = new_service(tmp_path)
-    season = open_season(service)
-    with service.database.write() as connection:
-        row = connection.execute(sa.select(schema.seasons)).mappings().one()
-        again = {"id": "season2", "name": "summer", "state": "draft", "root": None}
-        connection.execute(sa.insert(schema.seasons).values({**row, **again}))
-    for _ in range(2):
-        with pytest.raises(Problem, match=r"were in season spring.*new seeds"):
-            service.open_season("summer")
-        service.close_season("spring") if state_of_season(service) == "open" else None
-    assert seasons.revealed(service.database, season)["root"]
-
-
-def test_season_of_used_release_is_refused(tmp_path: Path) -> None:
     service = new_service(tmp_path / "board")
     private = published(teams_of(3), tmp_path / "private").parent
     public: Any = SimpleNamespace(policies=())
-    plan = seasons.Plan("spring", TASK, small=True)
-    service.create_season(plan, private, public)
-    service.create_season(dataclasses.replace(plan, name="a draft is none"), private, public)
+    plans = [seasons.Plan(name, TASK, small=True) for name in ("spring", "summer", "autumn")]
+    for plan in plans[:2]:
+        service.create_season(plan, private, public)
     service.open_season("spring")
     with pytest.raises(Problem, match="were in season spring"):
-        service.create_season(dataclasses.replace(plan, name="summer"), private, public)
+        service.create_season(plans[2], private, public)
+    for state in ("open", "closed"):
+        assert state_of(service) == state
+        with pytest.raises(Problem, match=r"were in season spring.*new seeds"):
+            service.open_season("summer")
+        if state == "open":
+            service.close_season("spring")
 
 
-def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_entries_are_chosen_over_the_network(service: Service) -> None:
     season = open_season(service)
     with served(service) as server:
         client = server.client("submit")
@@ -562,19 +464,3 @@ def test_entries_are_chosen_over_the_network(tmp_path: Path) -> None:
         other = server.client("submit", "another lab")
         with pytest.raises(Problem, match="you have no submission"):
             other.enter(season, [id])
-
-
-def test_season_references_stay_off_public_board(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    season = open_season(service)
-    service.add_references()
-    service.submit(new_submitter(service), draft(2.0, season=season))
-    work_off(service)
-    service.close_season("spring")
-    work_off(service)
-    assert len(service.queries.submissions(season=season)) == 1 + 2
-    assert new_service(tmp_path, version=2).adopt_version() == 1 + 2  # the file, public references
-    boards = Boards(service.queries, CrossPlays(tmp_path))
-    board = boards.of(TASK)
-    assert board is not None
-    assert [len(played.submissions) for _, played in board.rows] == [1, 1, 1]

@@ -35,7 +35,7 @@ from evaluation.figures.normalised import SELF_PLAY
 from evaluation.play.how import PlaySettings
 from evaluation.record.record import Record
 from tests.board.fakes import TASK as OTHER_TASK
-from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.board.fakes import draft, new_submitter, work_off
 from tests.board.test_zoo_scorer import short_episodes  # noqa: F401  # of all tests here
 from tests.studies import evaluate_policies
 from tests.untrained import gentle_specs, params_of, published, teams_of
@@ -108,8 +108,7 @@ def test_persons_refuse_partners_of_another_version(
         add_persons(tmp_path, TASK, 6)
 
 
-def test_revealed_secret_redraws_committed_persons(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_revealed_secret_redraws_committed_persons(service: Service, tmp_path: Path) -> None:
     row = season_of(service, tmp_path / "private")
     leaves = row["secret"]["leaves"]
     assert row["panel_sizes"] == {"A": 4, "B": 4}
@@ -130,8 +129,7 @@ def test_revealed_secret_redraws_committed_persons(tmp_path: Path) -> None:
     np.testing.assert_allclose(numbers, rows[3], rtol=1e-3)
 
 
-def test_another_secret_proves_nothing(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_another_secret_proves_nothing(service: Service, tmp_path: Path) -> None:
     row = season_of(service, tmp_path / "private")
     statement = {"task": TASK, "leaves": row["secret"]["leaves"]}
     add_persons(tmp_path / "another", TASK, 8)
@@ -148,8 +146,7 @@ def test_another_secret_proves_nothing(tmp_path: Path) -> None:
         seasons.verify_season(forged, pack(tmp_path / "private"), root, tmp_path / "once more")
 
 
-def test_nothing_of_the_secret_is_in_any_answer(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_nothing_of_the_secret_is_in_any_answer(service: Service, tmp_path: Path) -> None:
     secret_season = season_of(service, tmp_path / "private")
     http = TestClient(app := create_app(service), raise_server_exceptions=False)
     paths = [path for path, methods in app.openapi()["paths"].items() if "get" in methods]
@@ -164,9 +161,8 @@ def test_nothing_of_the_secret_is_in_any_answer(tmp_path: Path) -> None:
 
 
 def test_season_of_persons_requires_one_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service = new_service(tmp_path)
     season_of(service, tmp_path / "private")
     add_persons(tmp_path / "summer", TASK, 8)
     plan = seasons.Plan("summer", TASK, small=True)
@@ -181,9 +177,8 @@ def test_season_of_persons_requires_one_program(
     assert "persons" not in ZooCatalogue(load_registry(), "native").identity("scratch")
 
 
-def test_persons_have_no_robot_of_their_own(tmp_path: Path) -> None:
+def test_persons_have_no_robot_of_their_own(service: Service, tmp_path: Path) -> None:
     """Panel B is measured by the other references."""
-    service = new_service(tmp_path)
     season = season_of(service, tmp_path / "private")["id"]
     with service.database.write() as connection:
         connection.execute(sa.update(schema.seasons).values(task=OTHER_TASK))  # the fakes' own

@@ -100,16 +100,14 @@ def test_smaller_plan_has_fewer_seeds(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "every group needs a seed, which is 16 teams" in capsys.readouterr().err
 
 
-def test_one_task_in_a_release_of_another_name(tmp_path: Path) -> None:
-    path = make(tmp_path / "plan.json", "--task", "gentle_bath", "--release", "v7")
+def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
+    words = ("--task", "gentle_bath", "--release", "v7")
+    path = make(tmp_path / "private" / "plan.json", *words)
+    assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
     private, public = read_plan(path), read_plan(V3)
     expected = [group.name for group in public.groups if group.task == "gentle_bath"]
     assert private.release == "v7" and [group.name for group in private.groups] == expected
-
-
-def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
-    path = make(tmp_path / "private" / "plan.json", "--task", "scratch", plan=PLANS / "v1.json")
-    assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
+    path = make(tmp_path / "minimal.json", "--task", "scratch", plan=PLANS / "v1.json")
     group = json.loads(path.read_text())["groups"][0]
     assert group.keys() == {
         *("name", "task", "algorithm", "disabilities", "seeds", "steps"),
@@ -117,33 +115,22 @@ def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
     }
 
 
-def test_a_plan_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = make(tmp_path / "plan.json")
-    before = path.read_bytes()
-    assert run(["season", "plan", str(V3), "--out", str(path)]) == 1
-    assert f"{path} exists" in capsys.readouterr().err and path.read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (
-            ["--task", "swim"],
-            "error: task is 'swim'; the plan has gentle_scratch, gentle_lift, gentle_bath: give "
-            "one, or omit it for all\n",
-        ),
-        (
-            ["--release", "spring"],
-            "error: release is 'spring'; String should match pattern '^v(0|[1-9][0-9]*)$'\n",
-        ),
+        (["--task", "swim"], "task is 'swim'; the plan has gentle_scratch, "),
+        (["--release", "spring"], "release is 'spring'"),
+        (["--out", str(V3)], "v3.json exists"),
     ],
 )
 def test_invalid_plan_gets_one_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
 ) -> None:
-    path = tmp_path / "new" / "plan.json"
+    path, before = tmp_path / "new" / "plan.json", V3.read_bytes()
     assert run(["season", "plan", str(V3), "--out", str(path), *more]) == 1
-    assert capsys.readouterr().err == message and not path.parent.exists()
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not path.parent.exists() and V3.read_bytes() == before
 
 
 @pytest.mark.slow

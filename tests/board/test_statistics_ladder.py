@@ -127,11 +127,6 @@ def test_a_board_that_shows_every_score_is_climbed() -> None:
     assert leak.gain_b > 2 * leak.half_width
 
 
-def test_the_same_robot_again_is_not_better() -> None:
-    assert ladder_release(BASE, BASE.copy(), attempt=2) is None
-    assert ladder_release(BASE, BASE - 1.0, attempt=2) is None
-
-
 def test_digits_below_the_error_are_not_shown() -> None:
     noise = np.random.default_rng(2).normal(0, 10, 60)
     shown = {

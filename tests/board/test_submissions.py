@@ -12,6 +12,7 @@ from assistax_board.app import create_app
 from assistax_board.problems import Problem
 from assistax_board.rules import jobs
 from assistax_board.rules.scoring import encode_table
+from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.receipts import verify_receipt
 from assistax_board.store.schema import JOB, METADATA
@@ -30,8 +31,7 @@ from tests.board.fakes import (
 from tests.board.running import soon
 
 
-def test_a_submission_is_scored(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_submission_is_scored(service: Service) -> None:
     id = service.submit(new_submitter(service), draft(2.0))
     waiting = shown(service, id)
     assert (waiting.state, waiting.place, waiting.jobs) == ("queued", 1, 3)
@@ -47,8 +47,7 @@ def test_a_submission_is_scored(tmp_path: Path) -> None:
     assert len(service.queries.partner_scores([id])) == 60
 
 
-def test_changed_receipt_is_invalid(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_changed_receipt_is_invalid(service: Service) -> None:
     id = service.submit(new_submitter(service), draft())
     work_off(service)
     receipt = service.queries.receipt(id)
@@ -63,26 +62,19 @@ def test_changed_receipt_is_invalid(tmp_path: Path) -> None:
         verify_receipt(receipt, service.signer.public_key)
 
 
-def test_refused_file_ends_with_its_reason(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft(data=b"\x80pickle"))
-    submission = shown(service, id)
-    assert (submission.state, submission.reason, submission.artefact) == (
-        "refused",
-        "unknown_format",
-        None,
-    )
-
-
-def test_a_worker_may_refuse_too(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft(data=b"broken"))
+def test_refused_file_ends_with_its_reason(service: Service) -> None:
+    lab = new_submitter(service)
+    ids = [
+        service.submit(lab, draft(request=f"{data}", data=data)) for data in (b"\x80", b"broken")
+    ]
     assert work_off(service) == 0
-    assert shown(service, id).reason == "not_finite"
+    ended = [
+        (row.state, row.reason, row.artefact is None) for row in map(shown, 2 * [service], ids)
+    ]
+    assert ended == [("refused", "unknown_format", True), ("refused", "not_finite", False)]
 
 
-def test_references_are_queued_once_and_last(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_references_are_queued_once_and_last(service: Service, tmp_path: Path) -> None:
     for _ in range(2):
         service.add_references()
     id = service.submit(new_submitter(service), draft(2.0))
@@ -98,15 +90,7 @@ def test_references_are_queued_once_and_last(tmp_path: Path) -> None:
     assert again.adopt_version() == 3
 
 
-def test_a_repeated_request_adds_nothing(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    submitter = new_submitter(service)
-    assert service.submit(submitter, draft()) == service.submit(submitter, draft())
-    assert len(service.queries.submissions()) == 1
-
-
-def test_a_job_done_twice_counts_once(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_job_done_twice_counts_once(service: Service) -> None:
     service.submit(new_submitter(service), draft())
     scorer = FakeScorer()
     work = take(service)
@@ -117,8 +101,7 @@ def test_a_job_done_twice_counts_once(tmp_path: Path) -> None:
     assert service.queries.submissions()[0].state == "scored"
 
 
-def test_expired_lease_passes_to_another_worker(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_expired_lease_passes_to_another_worker(service: Service) -> None:
     id = service.submit(new_submitter(service), draft())
     lost = take(service)
     advance(service, jobs.LEASE_SECONDS + 1)
@@ -130,8 +113,7 @@ def test_expired_lease_passes_to_another_worker(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("jump", [-1e6, 1e6])
-def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
-    service = new_service(tmp_path)
+def test_a_clock_that_jumps_stops_nothing(service: Service, jump: float) -> None:
     id = service.submit(new_submitter(service), draft())
     take(service)
     advance(service, jump)
@@ -139,9 +121,7 @@ def test_a_clock_that_jumps_stops_nothing(tmp_path: Path, jump: float) -> None:
     assert shown(service, id).state == "scored"
 
 
-def test_lease_of_slightly_fast_clock_stands(tmp_path: Path) -> None:
-    """Of a request that waited for the database with the time it had."""
-    service = new_service(tmp_path)
+def test_lease_of_slightly_fast_clock_stands(service: Service) -> None:
     service.submit(new_submitter(service), draft())
     advance(service, 5.0)
     work = take(service)
@@ -152,18 +132,7 @@ def test_lease_of_slightly_fast_clock_stands(tmp_path: Path) -> None:
     assert service.beat(work.job, work.lease)
 
 
-def test_repeated_job_failure_ends_its_submission(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft())
-    for _ in range(jobs.MAX_FAILURES):
-        work = take(service)
-        service.job_failed(work.job, work.lease)
-    assert shown(service, id).reason == "worker_errors"
-    assert work_off(service) == 0
-
-
-def test_a_job_given_back_is_no_failure(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_job_given_back_is_no_failure(service: Service) -> None:
     id = service.submit(new_submitter(service), draft())
     for _ in range(jobs.MAX_FAILURES + 1):
         work = take(service)
@@ -172,8 +141,7 @@ def test_a_job_given_back_is_no_failure(tmp_path: Path) -> None:
     assert shown(service, id).state == "scored"
 
 
-def test_one_lab_cannot_keep_the_others_out(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_one_lab_cannot_keep_the_others_out(service: Service) -> None:
     many, single = new_submitter(service, "many"), new_submitter(service, "one")
     for number in range(3):
         service.submit(many, draft(request=f"r{number}"))
@@ -182,8 +150,7 @@ def test_one_lab_cannot_keep_the_others_out(tmp_path: Path) -> None:
     assert shown(service, id).place == 2
 
 
-def test_a_withdrawn_submission_is_never_scored(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_withdrawn_submission_is_never_scored(service: Service) -> None:
     submitter = new_submitter(service)
     id = service.submit(submitter, draft())
     work = take(service)
@@ -195,8 +162,7 @@ def test_a_withdrawn_submission_is_never_scored(tmp_path: Path) -> None:
         service.withdraw(id, submitter)
 
 
-def test_a_result_of_other_episodes_is_not_taken(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_result_of_other_episodes_is_not_taken(service: Service) -> None:
     service.submit(new_submitter(service), draft())
     scorer = FakeScorer()
     work = take(service)
@@ -206,43 +172,22 @@ def test_a_result_of_other_episodes_is_not_taken(tmp_path: Path) -> None:
             service.result(work.job, work.lease, encode_table(wrong), 1.0)
 
 
-def test_ledger_change_breaks_the_chain(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    service.submit(new_submitter(service), draft())
+def test_new_version_rescores_and_keeps_old_scores(service: Service, tmp_path: Path) -> None:
+    lab = new_submitter(service)
+    id = service.submit(lab, draft())
     work_off(service)
-    entries = service.queries.ledger()
-    assert check_chain(entries) == len(entries) == 3
-    entries[1].body["released"]["public"]["mean"] += 1.0
-    with pytest.raises(ValueError, match="entry 2"):
-        check_chain(entries)
-    with pytest.raises(ValueError, match="entry 3"):
-        check_chain([entries[0], entries[2]])
-
-
-def test_new_version_rescores_and_keeps_old_scores(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft())
-    work_off(service)
-    upgraded = new_service(tmp_path, version=2)
-    assert (upgraded.adopt_version(), upgraded.adopt_version()) == (1, 0)
-    assert work_off(upgraded, version=1) == 0  # a worker that was not upgraded gets nothing
-    assert work_off(upgraded, version=2) == 3
-    assert len({score.version for score in upgraded.queries.scores(submission=id)}) == 2
-
-
-def test_an_upgrade_with_running_jobs_loses_nothing(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    id = service.submit(new_submitter(service), draft())
+    running = service.submit(lab, draft(request="r2"))
     work_off(service, most=1)
     take(service)
     upgraded = new_service(tmp_path, version=2)
-    upgraded.adopt_version()
-    work_off(upgraded, version=2)
-    assert shown(upgraded, id).state == "scored"
+    assert (upgraded.adopt_version(), upgraded.adopt_version()) == (2, 0)
+    assert work_off(upgraded, version=1) == 0  # a worker that was not upgraded gets nothing
+    assert work_off(upgraded, version=2) == 6
+    assert len({score.version for score in upgraded.queries.scores(submission=id)}) == 2
+    assert shown(upgraded, running).state == "scored"
 
 
-def test_upgrade_skips_erased_files(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_upgrade_skips_erased_files(service: Service, tmp_path: Path) -> None:
     gone, lab = new_submitter(service, "gone"), new_submitter(service)
     service.submit(gone, draft(2.0))
     id = service.submit(lab, draft(3.0))
@@ -254,30 +199,17 @@ def test_upgrade_skips_erased_files(tmp_path: Path) -> None:
     assert len(upgraded.queries.scores(submission=id)) == 2
 
 
-def test_erasing_a_person_leaves_the_chain_whole(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    submitter = new_submitter(service, "Ada Lovelace")
-    id = service.submit(submitter, draft())
-    work_off(service)
-    sha256 = shown(service, id).artefact
-    service.erase_submitter(submitter)
-    check_chain(service.queries.ledger())
-    submission = shown(service, id)
-    assert (submission.submitter, submission.method) == (f"erased-{submitter}", "erased")
-    with pytest.raises(Problem, match="no artefact"):
-        service.artefacts.get(sha256)
-    assert "Lovelace" not in repr(service.queries.ledger())
-
-
-def test_erasure_removes_method_name_everywhere(tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    submitter = new_submitter(service, "lab")
+def test_erasure_removes_method_name_everywhere(service: Service) -> None:
+    submitter = new_submitter(service, "Lovelace and sons")
     names = {"request": "Lovelace-1", "method": "Lovelace's robot"}
     id = service.submit(submitter, dataclasses.replace(draft(), **names))
+    service.submit(new_submitter(service), draft(2.0))
     work_off(service)
+    sha256 = str(shown(service, id).artefact)
     http = TestClient(create_app(service))
     paths = [f"/api/submissions/{id}", "/api/submissions", f"/api/boards/{TASK}"]
     paths += [f"/api/submissions/{id}/receipt", f"/submissions/{id}", f"/tasks/{TASK}"]
+    paths += [f"/submissions/{id}/method", f"/tasks/{TASK}/heatmap", f"/tasks/{TASK}.csv"]
     before = [http.get(path).text for path in paths]
     assert all("Lovelace" in text for text in before)
     service.erase_submitter(submitter)
@@ -289,25 +221,16 @@ def test_erasure_removes_method_name_everywhere(tmp_path: Path) -> None:
     with service.database.read() as connection:
         tables = [connection.execute(table.select()).all() for table in METADATA.sorted_tables]
     assert "Lovelace" not in repr(tables)
+    with pytest.raises(Problem, match="no artefact"):
+        service.artefacts.get(sha256)
+    assert (shown(service, id).submitter, shown(service, id).method) == (
+        f"erased-{submitter}",
+        "erased",
+    )
     receipt = service.queries.receipt(id)
     assert receipt is not None
     content = verify_receipt(receipt, service.signer.public_key)
-    entry = service.queries.ledger()[content["ledger"]["seq"] - 1]
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries)
+    entry = entries[content["ledger"]["seq"] - 1]
     assert (content["method"], content["ledger"]["hash"]) == ("erased", entry.hash)
-
-
-def test_a_full_disk_refuses_and_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
-    service = new_service(tmp_path)
-    submitter = new_submitter(service)
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr("assistax_board.store.artefacts.atomic_write", full)
-        with pytest.raises(Problem, match="try later"):
-            service.submit(submitter, draft())
-    assert service.queries.submissions() == []
-    service.submit(submitter, draft())
-    work_off(service)
-    assert service.queries.submissions()[0].state == "scored"

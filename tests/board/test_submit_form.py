@@ -3,7 +3,6 @@
 import contextlib
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,13 +13,7 @@ from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
 from assistax_board.service import Service
-from tests.board.fakes import new_service
 from tests.board.test_season import open_season
-
-
-@pytest.fixture
-def service(tmp_path: Path) -> Service:
-    return new_service(tmp_path)
 
 
 @pytest.fixture
@@ -55,32 +48,33 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
 
 
 @pytest.mark.parametrize(
-    ("changed", "status", "message"),
+    ("changed", "data", "status", "message"),
     [
-        ({"account_token": "azt_wrong"}, 401, "this token is not valid"),
-        ({"account_token": ""}, 401, "send a token"),
-        ({"task": "dance"}, 422, "allowed are scratch"),
-        ({"licence": "mine alone"}, 422, "allowed are Apache-2.0"),
-        ({"method": " "}, 422, "method has 1 to 80"),
-        ({"season": "never"}, 404, "no season"),
-        ({"request_id": ""}, 422, "request has 1 to 64"),
+        ({"account_token": "azt_wrong"}, b"robot 1.0", 401, "this token is not valid"),
+        ({"account_token": ""}, b"robot 1.0", 401, "send a token"),
+        ({"task": "dance"}, b"robot 1.0", 422, "allowed are scratch"),
+        ({"licence": "mine alone"}, b"robot 1.0", 422, "allowed are Apache-2.0"),
+        ({"method": " "}, b"robot 1.0", 422, "method has 1 to 80"),
+        ({"season": "never"}, b"robot 1.0", 404, "no season"),
+        ({"request_id": ""}, b"robot 1.0", 422, "request has 1 to 64"),
+        ({}, b"", 422, "not empty"),
     ],
 )
 def test_invalid_form_returns_with_reason(
-    service: Service, reader: TestClient, changed: dict[str, str], status: int, message: str
+    service: Service,
+    reader: TestClient,
+    changed: dict[str, str],
+    data: bytes,
+    status: int,
+    message: str,
 ) -> None:
     token = service.create_token(("submit",), submitter="lab")
-    answer = send(reader, filled(reader, token) | changed)
+    answer = send(reader, filled(reader, token) | changed, data)
     assert answer.status_code == status and message in answer.text
     assert token not in answer.text and "azt_wrong" not in answer.text
+    worker = service.create_token(("work",))
+    assert send(reader, filled(reader, worker)).status_code == 403
     assert service.queries.submissions() == []
-
-
-def test_wrong_token_and_empty_file_are_reported(service: Service, reader: TestClient) -> None:
-    work = service.create_token(("work",))
-    assert send(reader, filled(reader, work)).status_code == 403
-    token = service.create_token(("submit",), submitter="lab")
-    assert "not empty" in send(reader, filled(reader, token), b"").text
 
 
 def test_foreign_form_is_refused(service: Service, reader: TestClient) -> None:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ from assistax_board.work.webhook import (
     watched,
 )
 from assistax_zoo.shell.main import run
-from tests.board.fakes import advance, draft, new_service, new_submitter, work_off
-from tests.board.test_retry import fail
+from tests.board.fakes import advance, draft, fail_next_job, new_submitter, work_off
+from tests.board.running import soon
 
 
 class Receiver(ThreadingHTTPServer):
@@ -74,20 +74,8 @@ def receiver() -> Iterator[Receiver]:
     server.server_close()
 
 
-@pytest.fixture
-def service(tmp_path: Path) -> Service:
-    return new_service(tmp_path)
-
-
 def post(hook: Webhook, service: Service) -> None:
     hook.post_new(list_notices(service.database), service.clock())
-
-
-def until(condition: Callable[[], Any]) -> None:
-    end = time.monotonic() + 300
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_a_message_is_signed_as_the_standard_says() -> None:
@@ -105,7 +93,7 @@ def test_notice_is_posted_with_a_valid_signature(
     tmp_path: Path, service: Service, receiver: Receiver
 ) -> None:
     id = service.submit(new_submitter(service), draft(2.0))
-    fail(service)
+    fail_next_job(service)
     hook = Webhook(receiver.address, tmp_path)
     post(hook, service)
     [(path, headers, body)] = receiver.posts
@@ -133,7 +121,7 @@ def test_refused_post_is_repeated_with_same_id(
     service.note("too_full", "files")
     receiver.statuses = [500, 503, 429]
     with watched(service, tmp_path, receiver.address):
-        until(lambda: len(receiver.posts) == 5)
+        assert soon(lambda: len(receiver.posts) == 5, 300.0)
         time.sleep(0.2)
     kinds = [json.loads(body)["data"]["kind"] for _, _, body in receiver.posts]
     assert kinds == ["season_closed"] * 4 + ["too_full"]
@@ -228,14 +216,6 @@ def test_no_request_posts_or_waits(
     answer.set()
 
 
-def check(post: tuple[str, dict[str, str], bytes], secret: str) -> dict[str, Any]:
-    """Return a message whose signature is right, as its receiver checks it."""
-    _, headers, body = post
-    at = int(headers["webhook-timestamp"])
-    assert headers["webhook-signature"] == signature(secret, headers["webhook-id"], at, body)
-    return json.loads(body)
-
-
 @pytest.mark.slow
 def test_a_served_folder_posts_its_notices(tmp_path: Path, receiver: Receiver) -> None:
     data = tmp_path / "board"
@@ -247,7 +227,7 @@ def test_a_served_folder_posts_its_notices(tmp_path: Path, receiver: Receiver) -
         stderr=subprocess.DEVNULL,
     )
     try:
-        until(lambda: len(receiver.posts) == 1)
+        assert soon(lambda: len(receiver.posts) == 1, 300.0)
     finally:
         process.terminate()
         assert process.wait(60) == 0

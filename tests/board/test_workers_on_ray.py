@@ -1,15 +1,15 @@
 """Workers on a real Ray of two CPUs on this machine: each takes jobs of its own."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from assistax_base import cluster as ray_blocks
 from assistax_base.cluster import RayCluster
+from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.work.working_process import run_workers_on_ray
-from tests.board.fakes import FakeScorer, draft, new_service, new_submitter
+from tests.board.fakes import FakeScorer, draft, new_submitter
 from tests.board.running import served
 
 
@@ -24,8 +24,7 @@ def two_cpus() -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_a_cluster_of_workers_empties_the_queue(two_cpus: None, tmp_path: Path) -> None:
-    service = new_service(tmp_path)
+def test_a_cluster_of_workers_empties_the_queue(service: Service, two_cpus: None) -> None:
     submitter = new_submitter(service)
     for number in range(20):
         service.submit(submitter, draft(request=f"r{number}"))

@@ -39,7 +39,15 @@ from population.networks.spec import PolicySpec
 from population.runs.trained import TrainedTeam
 from tests.board.fakes import draft, new_service, new_submitter
 from tests.studies import evaluate_policies
-from tests.untrained import HUMAN, ROBOT, params_of, published, untrained_team
+from tests.untrained import (
+    HUMAN,
+    ROBOT,
+    gentle_specs,
+    params_of,
+    published,
+    teams_of,
+    untrained_team,
+)
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry, load_registry
 
@@ -48,19 +56,16 @@ TASK = "scratch"
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    return _registry(tmp_path_factory.mktemp("public"), first=0)
+    return load_registry(published(teams_from(0), tmp_path_factory.mktemp("public")))
 
 
-def _registry(folder: Path, first: int) -> Registry:
-    return load_registry(published(_teams(first), folder))
-
-
-def _teams(first: int) -> list[TrainedTeam]:
+def teams_from(first: int, count: int = 3) -> list[TrainedTeam]:
+    """Return untrained teams of d1 with these seeds."""
     return [
         untrained_team(
             "d1", seed, robot=(ROBOT, params_of(ROBOT, seed)), human=(HUMAN, params_of(HUMAN, seed))
         )
-        for seed in range(first, first + 3)
+        for seed in range(first, first + count)
     ]
 
 
@@ -149,20 +154,17 @@ def _at_a_server(
     return pl.concat(tables).sort("partner", "episode"), score.figures
 
 
-def test_a_score_names_the_engine_that_made_it(registry: Registry) -> None:
-    def found(backend: str) -> dict[str, str]:
-        return ZooCatalogue(registry, backend).identity(TASK)["engine"]
+def test_a_score_names_its_engine_and_episodes(registry: Registry) -> None:
+    def found(backend: str) -> dict[str, Any]:
+        return ZooCatalogue(registry, backend).identity(TASK)
 
-    assert found("fused") == {"name": "fused", "version": str(FUSED_VERSION)}
-    assert found("native") == {"name": "native", "version": version("mujoco")}
-    assert "preferences" not in ZooCatalogue(registry, "native").identity(TASK)
+    assert found("fused")["engine"] == {"name": "fused", "version": str(FUSED_VERSION)}
+    assert found("native")["engine"] == {"name": "native", "version": version("mujoco")}
+    assert "preferences" not in found("native")
     with pytest.raises(ValueError, match="backend is 'auto'; allowed"):
         found("auto")
-
-
-def test_a_score_names_its_episodes_and_their_starts(registry: Registry) -> None:
-    identity = ZooCatalogue(registry, "native").identity(TASK)
-    assert (identity["episodes"], identity["hidden_episodes"], identity["starts"]) == (8, 16, "own")
+    names = ("episodes", "hidden_episodes", "starts")
+    assert [found("native")[name] for name in names] == [8, 16, "own"]
     gentle = [panel_episodes("gentle_scratch", panel) for panel in ("public", "A", "B")]
     assert gentle == [18, 18, 18], "each wish as often, of nine and of three"
 
@@ -192,15 +194,20 @@ def test_version_covers_all_inputs_of_a_table(registry: Registry) -> None:
 
 
 @pytest.mark.slow
-def test_a_private_release_is_played_under_ordinals(
-    registry: Registry, files: dict[str, bytes], tmp_path: Path
+@pytest.mark.parametrize("reference", [None, ZERO, SELF_PLAY])
+def test_private_release_is_played_under_ordinals(
+    registry: Registry, files: dict[str, bytes], tmp_path: Path, reference: str | None
 ) -> None:
-    private = _registry(tmp_path, first=100)
-    packed = pack(private.path.parent)
-    humans = hidden_partners(private, TASK)
-    hidden = scorer_of(registry).play(work((ordinal(1),)), files["safetensors"], packed)
+    """References measure panel B; self-play is with the release's own robots."""
+    private = load_registry(published(teams_from(100), tmp_path))
+    packed, robot = pack(private.path.parent), files["safetensors"]
+    asked = work((ordinal(1),))
+    if reference is not None:
+        asked = dataclasses.replace(asked, kind="reference", format=reference)
+    hidden = scorer_of(registry).play(asked, None if reference else robot, packed)
     assert hidden["partner"].unique().to_list() == ["hidden-0001"]
-    shown = scorer_of(private).play(work((humans[1].id,)), files["safetensors"], None)
+    known = dataclasses.replace(asked, partners=(hidden_partners(private, TASK)[1].id,))
+    shown = scorer_of(private).play(known, None if reference else robot, None)
     assert hidden["return"].equals(shown["return"])
     assert pack(private.path.parent) == packed
 
@@ -208,21 +215,13 @@ def test_a_private_release_is_played_under_ordinals(
 @pytest.mark.slow
 def test_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
     task = "gentle_scratch"
-    env = assistax_envs.make(task, backend="native")
-    specs = {
-        role: PolicySpec(role, env.observation_size[role], env.action_size[role], hidden=(8,))
-        for role in ("robot", "human")
-    }
-    teams = []
-    for seed in (0, 1):
-        pairs = {role: (spec, params_of(spec, seed)) for role, spec in specs.items()}
-        teams.append(untrained_team("d1", seed, task, **pairs))
-    registry = load_registry(published(teams, tmp_path))
+    robot, human = gentle_specs(task)
+    registry = load_registry(published(teams_of(1, robot, human, task), tmp_path))
     identity = ZooCatalogue(registry, "native").identity(task)
     assert identity["preferences"] == list(PREFERENCES)
     assert version_id(identity) != version_id(identity | {"preferences": ["p1"]})
-    [partner, _] = (entry.id for entry in registry.select(task=task, role="human"))
-    write_policy_file(tmp_path / "robot.safetensors", specs["robot"], params_of(specs["robot"], 7))
+    partner = registry.select(task=task, role="human")[0].id
+    write_policy_file(tmp_path / "robot.safetensors", robot, params_of(robot, 7))
     work_item = dataclasses.replace(_try_work(task, "safetensors", (partner,)), episodes=9)
     table = scorer_of(registry).play(work_item, (tmp_path / "robot.safetensors").read_bytes(), None)
     assert sorted(table["preference"]) == list(PREFERENCES), "each once in nine episodes"
@@ -256,25 +255,13 @@ def test_reference_rows_are_what_evaluate_plays(registry: Registry, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_references_play_a_private_release_too(registry: Registry, tmp_path: Path) -> None:
-    """A season's panel B is measured by them; self-play is with the release's own robots."""
-    private = _registry(tmp_path, first=100)
-    humans = hidden_partners(private, TASK)
-    for name in (ZERO, SELF_PLAY):
-        work_item = dataclasses.replace(work((ordinal(1),)), kind="reference", format=name)
-        hidden = scorer_of(registry).play(work_item, None, pack(private.path.parent))
-        open_ = dataclasses.replace(work_item, partners=(humans[1].id,))
-        assert hidden["return"].equals(scorer_of(private).play(open_, None, None)["return"])
-
-
-@pytest.mark.slow
 def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Path) -> None:
     rows = {ZERO: ZERO, RANDOM: RANDOM, SCRIPT: SCRIPT, SELF_PLAY: SELF_PLAY}
     assert ZooCatalogue(registry, "native").references(TASK) == rows
     team = untrained_team("mixed", 5, robot=(ROBOT, params_of(ROBOT, 5)))
     against = {"split": "scratch/half-s0-v0-01234567", "sha256": "0" * 64}
     ego = dataclasses.replace(team, algorithm="ppo", trained_against=against)
-    teams = [*_teams(first=0), ego]
+    teams = [*teams_from(0), ego]
     wider = load_registry(published(teams, tmp_path))
     assert ZooCatalogue(wider, "native").references(TASK) == rows | {"ppo-ego-s5-v0": "ppo ego"}
     partners = (next(entry.id for entry in wider.select(task=TASK, role="human")),)
@@ -286,12 +273,6 @@ def test_published_egos_are_rows_to_measure_by(registry: Registry, tmp_path: Pat
         for work_item, robot in ((reference, None), (work(partners), handed_in))
     ]
     assert table_bytes(tables[0]) == table_bytes(tables[1])
-
-
-@pytest.mark.slow
-def test_admission_reads_both_formats(registry: Registry, files: dict[str, bytes]) -> None:
-    admission = Admission(robot_sizes(registry))
-    assert [admission(files[name], TASK).format for name in files] == ["safetensors", "onnx"]
 
 
 @pytest.mark.parametrize(
