@@ -137,11 +137,11 @@ def test_fetch_measures_whole_commands(
 @pytest.mark.slow
 def test_pages_reads_every_kind_of_page(tmp_path: Path):
     from tests.board.board_data import make_app
-    from tests.board.browser import served
+    from tests.board.running import serving
 
     # In a process of their own: the server's logs hold the output of this one, which `capfd`
     # closes.
-    with served(make_app(tmp_path)) as address:
+    with serving(make_app(tmp_path)) as address:
         words = ["pages", "--url", address, "--readers", "30", "--seconds", "8", "--json"]
         command = [sys.executable, "-m", "benchmarks", *words]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300)

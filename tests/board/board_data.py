@@ -79,15 +79,9 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
     with database.write() as connection:
         write = Writer(connection)
         write.season()
-        connection.execute(
-            schema.versions.insert(),
-            {
-                "id": VERSION,
-                "task": "scratch",
-                "identity": {"engine": {"name": "native", "version": "3.17"}, "env_version": 1},
-                "created_at": START,
-            },
-        )
+        identity = {"engine": {"name": "native", "version": "3.17"}, "env_version": 1}
+        about = {"task": "scratch", "identity": identity, "created_at": START}
+        write.add(schema.versions, id=VERSION, **about)
         for robot in robots:
             for seed in range(robot.seeds):
                 noise = rng.normal(0, robot.spread, (len(partners), EPISODES))
@@ -105,6 +99,9 @@ class Writer:
         self._count = 0
         self._submitters: dict[str, str] = {}
 
+    def add(self, table: sa.Table, **row: Any) -> None:
+        self._connection.execute(table.insert(), row)
+
     def id(self) -> str:
         """Return the next id."""
         self._count += 1
@@ -114,93 +111,51 @@ class Writer:
         """Return a submitter's id, writing it the first time."""
         if name not in self._submitters:
             self._submitters[name] = self.id()
-            row = {"id": self._submitters[name], "name": name, "created_at": START}
-            self._connection.execute(schema.submitters.insert(), row)
+            self.add(schema.submitters, id=self._submitters[name], name=name, created_at=START)
         return self._submitters[name]
 
     def submission(
         self, submitter: str, method: str, state: str, *, reason: str | None = None
     ) -> str:
         """Write a submission and return its id."""
-        row = {
-            "id": self.id(),
-            "submitter": self.submitter(submitter),
-            "request": self.id(),
-            "task": "scratch",
-            "method": method,
-            "kind": "file",
-            "licence": "Apache-2.0",
-            "season": None,
-            "state": state,
-            "reason": reason,
-            "attempt": "free",
-            "turn": 0,
-            "created_at": START + self._count,
-            "finished_at": None if state == "queued" else START + self._count + 60,
-        }
-        self._connection.execute(schema.submissions.insert(), row)
-        return row["id"]
+        id, owner, request = self.id(), self.submitter(submitter), self.id()
+        about = {"task": "scratch", "method": method, "kind": "file", "licence": "Apache-2.0"}
+        about |= {"season": None, "state": state, "reason": reason, "attempt": "free", "turn": 0}
+        created = START + self._count
+        times = {"created_at": created, "finished_at": None if state == "queued" else created + 60}
+        self.add(schema.submissions, id=id, submitter=owner, request=request, **about, **times)
+        return id
 
     def scored(self, robot: Robot, seed: int, partners: list[Any], returns: np.ndarray) -> str:
         """Write a scored submission with its returns [P, K]."""
         id = self.submission(robot.submitter, robot.method, "scored")
-        rows = [
-            {
-                "submission": id,
-                "version": VERSION,
-                "partner": entry.id,
-                "algorithm": entry.algorithm,
-                "disability": entry.disability,
-                "returns": row.tolist(),
-                "successes": int((row > 100).sum()),
-            }
-            for entry, row in zip(partners, returns, strict=True)
-        ]
-        self._connection.execute(schema.partner_scores.insert(), rows)
+        its = {"submission": id, "version": VERSION}
+        for entry, row in zip(partners, returns, strict=True):
+            self.add(
+                schema.partner_scores,
+                **its,
+                partner=entry.id,
+                algorithm=entry.algorithm,
+                disability=entry.disability,
+                returns=row.tolist(),
+                successes=int((row > 100).sum()),
+            )
         mean = float(returns.mean())
         figures = {"mean": mean, "mean_ci": [mean - 1, mean + 1], "n": returns.size}
-        row = {
-            "submission": id,
-            "version": VERSION,
-            "panel": "public",
-            "figures": figures,
-            "released": figures,
-            "created_at": START + self._count,
-        }
-        self._connection.execute(schema.scores.insert(), row)
+        shown = {"panel": "public", "figures": figures, "released": figures}
+        self.add(schema.scores, **its, **shown, created_at=START + self._count)
         content = {"submission": id, "method": robot.method, "mean": mean, "seed": seed}
-        receipt = {
-            "submission": id,
-            "version": VERSION,
-            "content": content,
-            "signature": "0" * 128,
-            "created_at": START,
-        }
-        self._connection.execute(schema.receipts.insert(), receipt)
+        signed = {"content": content, "signature": "0" * 128, "created_at": START}
+        self.add(schema.receipts, **its, **signed)
         return id
 
     def season(self) -> None:
         """Write an open season and its entry in the ledger."""
-        season = {
-            "id": "5ea5011",
-            "name": "Spring & <b>sun</b>",
-            "task": "scratch",
-            "state": "open",
-            "budget": 20,
-            "rules": "Be fair.\nNo <i>sockpuppets</i>.",
-            "root": "ab" * 32,
-            "secret": {"seed": "hidden-4711"},
-            "panel_sizes": {"A": 30, "B": 60},
-            "created_at": START,
-            "opened_at": START,
-        }
-        self._connection.execute(schema.seasons.insert(), season)
-        entry = {
-            "seq": 1,
-            "at": START,
-            "kind": "season_opened",
-            "body": {"season": season["name"], "root": season["root"]},
-            "previous": "0" * 64,
-            "hash": "c" * 64,
-        }
-        self._connection.execute(schema.ledger.insert(), entry)
+        name, root = "Spring & <b>sun</b>", "ab" * 32
+        about = {"task": "scratch", "state": "open", "budget": 20, "root": root}
+        about |= {"rules": "Be fair.\nNo <i>sockpuppets</i>.", "secret": {"seed": "hidden-4711"}}
+        about |= {"panel_sizes": {"A": 30, "B": 60}, "created_at": START, "opened_at": START}
+        self.add(schema.seasons, id="5ea5011", name=name, **about)
+        body = {"season": name, "root": root}
+        entry = {"kind": "season_opened", "body": body, "previous": "0" * 64, "hash": "c" * 64}
+        self.add(schema.ledger, seq=1, at=START, **entry)

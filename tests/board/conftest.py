@@ -50,9 +50,9 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Serve these pages on loopback."""
     from tests.board.board_data import make_app
-    from tests.board.browser import served
+    from tests.board.running import serving
 
-    with served(make_app(tmp_path_factory.mktemp("browser"))) as address:
+    with serving(make_app(tmp_path_factory.mktemp("browser"))) as address:
         yield address
 
 

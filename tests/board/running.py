@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 import uvicorn
+from fastapi import FastAPI
 
 from assistax_board.app import create_app
 from assistax_board.client import Client
@@ -58,29 +59,38 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(
-    service: Service,
+def serving(
+    app: FastAPI,
     port: int = 0,
     proxy: str | None = None,
     kind: Callable[[uvicorn.Config], uvicorn.Server] = uvicorn.Server,
     host: str = "127.0.0.1",
-) -> Generator[Served]:
-    """Serve until the block ends."""
-    config = config_of(create_app(service), proxy)
+) -> Generator[str]:
+    """Serve an application until the block ends, and yield its address."""
+    config = config_of(app, proxy)
     config.lifespan, config.log_level = "off", "error"
     server = kind(config)
     with listen(host, port) as (port, listeners):
-        running = Served(service, f"http://127.0.0.1:{port}")
         thread = threading.Thread(target=server.run, args=(listeners,))
         thread.start()
         while not server.started:
             assert thread.is_alive(), "it has not started"
             time.sleep(0.01)
         try:
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            server.should_exit = True
+            server.force_exit = True
+            thread.join()
+
+
+@contextlib.contextmanager
+def served(service: Service, **options: Any) -> Generator[Served]:
+    """Serve a service until the block ends; see `serving`."""
+    with serving(create_app(service), **options) as address:
+        running = Served(service, address)
+        try:
             yield running
         finally:
             for client in running.clients:
                 client.close()
-            server.should_exit = True
-            server.force_exit = True
-            thread.join()

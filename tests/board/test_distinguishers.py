@@ -14,7 +14,7 @@ import json
 import logging
 import re
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,9 @@ def new_season(folder: Path, number: int) -> Season:
 
 
 @pytest.fixture
-def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Season, Season]:
+def two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> tuple[Season, Season]:
     """Two seasons whose ids and times are the same."""
     counts: dict[str, Iterator[int]] = {}
 
@@ -101,15 +103,16 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Season, Season
         current[0] = str(number)
         counts[current[0]] = itertools.count()
         seasons.append(new_season(tmp_path / str(number), number))
-        live_through(seasons[-1])
+        live_through(seasons[-1], caplog)
     return seasons[0], seasons[1]
 
 
-def live_through(season: Season) -> None:
-    """Let two robots be scored, and look at everything now and then."""
+def live_through(season: Season, caplog: pytest.LogCaptureFixture) -> None:
+    """Let two robots be scored, look at everything now and then, and keep the log."""
     service = season.service
     lab = new_submitter(service)
-    with looked_at(season):
+    caplog.clear()
+    with caplog.at_level(logging.INFO, logger="assistax_board"):
         for number, strength in enumerate((1.0, 1.01)):
             service.submit(lab, draft(strength, f"r{number}", season="season1"))
             while work := service.lease("w", season.scorer.versions()):
@@ -120,6 +123,10 @@ def live_through(season: Season) -> None:
                 table = encode_table(season.scorer.play(work, robot, None))
                 service.result(work.job, work.lease, table, 1.0)
         look(season)
+    for record in caplog.records:
+        if record.name.startswith("assistax_board"):
+            line = f"{record.getMessage()} {json.dumps(vars(record).get('fields'))}"
+            season.seen.append(COMMITMENTS.sub("#", line))
 
 
 def addresses(season: Season) -> list[str]:
@@ -158,27 +165,6 @@ def look(season: Season) -> None:
                     "#", f"{address} {answer.status_code} {headers} {count} {shown_text}"
                 )
             )
-
-
-@contextlib.contextmanager
-def looked_at(season: Season) -> Generator[None]:
-    """Keep the log beside what is asked for."""
-    records: list[logging.LogRecord] = []
-    handler = logging.Handler()
-    handler.emit = records.append  # ty: ignore[invalid-assignment]
-    log = logging.getLogger("assistax_board")
-    level = log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(level)
-    lines = [
-        f"{record.getMessage()} {json.dumps(vars(record).get('fields'))}" for record in records
-    ]
-    season.seen += [COMMITMENTS.sub("#", line) for line in lines]
 
 
 def differences(seasons: tuple[Season, Season]) -> list[tuple[str, str]]:

@@ -7,7 +7,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from assistax_board import pages
 from assistax_board.app import create_app
-from tests.board.browser import accessibility_faults, opened, served
+from tests.board import running
+from tests.board.browser import accessibility_faults, opened
 from tests.board.fakes import draft, fail_next_job, new_service, new_submitter, work_off
 from tests.board.test_pages_browser import StillFilms, submissions
 from tests.board.test_season import open_season
@@ -84,7 +85,7 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list
     fail_next_job(service)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pages, "run_command", StillFilms())
-        with served(create_app(service, films=folder / "films")) as address:
+        with running.serving(create_app(service, films=folder / "films")) as address:
             paths = ["/seasons", f"/seasons/{id}", "/submit", f"/submissions/{failed}"]
             paths += [f"/submissions/{robots[0]}", f"/submissions/{robots[0]}/film"]
             yield address, paths, service.create_token(("organise",))

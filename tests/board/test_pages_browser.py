@@ -14,7 +14,7 @@ from evaluation.player.episode import Episode, episode_content
 from evaluation.player.page import pack
 from tests.board import running
 from tests.board.board_data import make_app
-from tests.board.browser import accessibility_faults, opened, served
+from tests.board.browser import accessibility_faults, opened
 from tests.board.fakes import draft, new_service, new_submitter, work_off
 from tests.board.test_pages import Films
 from tests.system import CHROMIUM, needs
@@ -252,7 +252,7 @@ def test_episode_plays_after_its_film(
 ) -> None:
     """The page's policy lets the player run, and nothing of the page keeps anybody out."""
     monkeypatch.setattr(pages, "run_command", StillFilms())
-    with served(make_app(tmp_path)) as address, opened(browser, width, scheme) as page:
+    with running.serving(make_app(tmp_path)) as address, opened(browser, width, scheme) as page:
         page.goto(f"{address}/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1")
         assert page.locator("canvas").count() == 0
         page.get_by_role("button", name="Film this pair").click()

@@ -159,7 +159,7 @@ def test_home_page_shows_leaders(client: TestClient) -> None:
     page = client.get("/").text
     leaders = re.findall(r'<span class="rank">(\d).*?<a href="/submissions/\w+">([^<]+)</a>', page)
     assert [place for place, _ in leaders] == ["1", "1", "3"]
-    assert [name for name, _ in leaders[:2]] == ["ppo ego", "sac ego"]
+    assert [name for _, name in leaders[:2]] == ["ppo ego", "sac ego"]
     assert page.count("No method was scored yet") == 4
     assert "<figure>" not in page, "no film was made"
 
