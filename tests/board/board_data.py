@@ -119,7 +119,12 @@ class Writer:
     ) -> str:
         """Write a submission and return its id."""
         id, owner, request = self.id(), self.submitter(submitter), self.id()
-        about = {"task": "scratch", "method": method, "kind": "file", "licence": "Apache-2.0"}
+        about: dict[str, Any] = {
+            "task": "scratch",
+            "method": method,
+            "kind": "file",
+            "licence": "Apache-2.0",
+        }
         about |= {"season": None, "state": state, "reason": reason, "attempt": "free", "turn": 0}
         created = START + self._count
         times = {"created_at": created, "finished_at": None if state == "queued" else created + 60}
@@ -152,7 +157,7 @@ class Writer:
     def season(self) -> None:
         """Write an open season and its entry in the ledger."""
         name, root = "Spring & <b>sun</b>", "ab" * 32
-        about = {"task": "scratch", "state": "open", "budget": 20, "root": root}
+        about: dict[str, Any] = {"task": "scratch", "state": "open", "budget": 20, "root": root}
         about |= {"rules": "Be fair.\nNo <i>sockpuppets</i>.", "secret": {"seed": "hidden-4711"}}
         about |= {"panel_sizes": {"A": 30, "B": 60}, "created_at": START, "opened_at": START}
         self.add(schema.seasons, id="5ea5011", name=name, **about)

@@ -116,21 +116,22 @@ def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "message"),
+    ("out", "more", "message"),
     [
-        (["--task", "swim"], "task is 'swim'; the plan has gentle_scratch, "),
-        (["--release", "spring"], "release is 'spring'"),
-        (["--out", str(V3)], "v3.json exists"),
+        ("new/plan.json", ["--task", "swim"], "task is 'swim'; the plan has gentle_scratch, "),
+        ("new/plan.json", ["--release", "spring"], "release is 'spring'"),
+        ("old.json", [], "old.json exists"),
     ],
 )
 def test_invalid_plan_gets_one_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, more: list[str], message: str
 ) -> None:
-    path, before = tmp_path / "new" / "plan.json", V3.read_bytes()
-    assert run(["season", "plan", str(V3), "--out", str(path), *more]) == 1
+    (tmp_path / "old.json").write_text("{}")
+    assert run(["season", "plan", str(V3), "--out", str(tmp_path / out), *more]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
-    assert not path.parent.exists() and V3.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
+    assert (tmp_path / "old.json").read_text() == "{}"
 
 
 @pytest.mark.slow
