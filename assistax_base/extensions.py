@@ -1,0 +1,106 @@
+"""What other installed packages add: tasks, partner kinds, methods, metrics and figures.
+
+A package names each addition in an entry point of its `pyproject.toml`, in one of these groups.
+Reading a group imports nothing. An addition is imported when it is used.
+"""
+
+import dataclasses
+import functools
+import importlib
+import re
+from collections.abc import Collection, Mapping
+from importlib import metadata
+from typing import Any
+
+from assistax_base.errors import ZooError, printable
+
+TASKS, PARTNERS = "assistax_zoo.tasks", "assistax_zoo.partners"
+METHODS, METRICS = "assistax_zoo.methods", "assistax_zoo.metrics"
+# Groups, and what one of their entries is called in an error.
+GROUPS = {TASKS: "task", PARTNERS: "partner kind", METHODS: "method", METRICS: "metric"}
+NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # of an addition, as a part of ids has it
+OURS = "assistax-zoo"
+
+
+class ExtensionError(
+    ZooError,
+    done="nothing was loaded",
+    next_step="uninstall the package, or ask its author for a corrected version",
+):
+    """An entry point of an installed package that cannot be used."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Extension:
+    """An entry point of an installed package."""
+
+    group: str
+    name: str
+    value: str  # "MODULE:ATTRIBUTE"
+    package: str  # its distribution's name
+    version: str
+
+    def load(self) -> Any:
+        """Return the object that the entry point names, importing its module.
+
+        Raises:
+            ExtensionError: The module cannot be imported, or lacks the attribute.
+        """
+        module, _, attribute = self.value.partition(":")
+        try:
+            found: Any = importlib.import_module(module)
+            for part in filter(None, attribute.split(".")):
+                found = getattr(found, part)
+        except Exception as error:
+            raise self.error("MODULE:ATTRIBUTE that can be imported", _described(error)) from error
+        return found
+
+    def error(self, expected: str, found: str) -> ExtensionError:
+        """Return an error of this entry point, which names its package."""
+        return ExtensionError(
+            f"the {GROUPS[self.group]} {self.name!r} of the package {self.package} {self.version} "
+            f"({self.value})",
+            expected,
+            found,
+        )
+
+
+def extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extension]:
+    """Return the entry points of a group by name, in the order of their names.
+
+    Args:
+        group: `TASKS`, `PARTNERS`, `METHODS` or `METRICS`.
+        taken: Names of assistax-zoo's own that no package may take.
+
+    Raises:
+        ExtensionError: A name is malformed, taken, or that of two packages.
+    """
+    found: dict[str, Extension] = {}
+    for extension in _read(group):
+        name = extension.name
+        if not NAME.fullmatch(name):
+            raise extension.error("a name of lower-case letters, digits and underscores", name)
+        if name in taken or name in found:
+            other = f"{found[name].package} {found[name].version}" if name in found else OURS
+            raise extension.error("a name of its own", f"that of a {GROUPS[group]} of {other}")
+        found[name] = extension
+    return found
+
+
+@functools.cache
+def _read(group: str) -> tuple[Extension, ...]:
+    """Return a group's entry points, read once in a process."""
+    return tuple(
+        sorted(
+            (
+                Extension(group, point.name, point.value, point.dist.name, point.dist.version)
+                for point in metadata.entry_points(group=group)
+                if point.dist is not None
+            ),
+            key=lambda extension: (extension.name, extension.package),
+        )
+    )
+
+
+def _described(error: Exception) -> str:
+    return printable(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}")[:300]
