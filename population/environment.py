@@ -1,6 +1,7 @@
 """What trainers and rollouts need of an environment, and those whose observations hold more."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import jax
@@ -27,9 +28,15 @@ class Environment(Protocol):
     def joint_positions(self, state: EnvState, /) -> dict[str, jax.Array]: ...  # rad, by role
 
 
-def environment_facts(env: Environment) -> dict[str, Any]:
-    """Return the facts, JSON-ready, of an environment that a run which goes on must share."""
-    return {
+def environment_facts(env: Environment, packages: Mapping[str, str]) -> dict[str, Any]:
+    """Return the facts, JSON-ready, that a run which goes on must share.
+
+    Args:
+        env: The environment.
+        packages: Versions of the installed packages that the trainer uses, by package.
+    """
+    facts = {"packages": dict(packages)} if packages else {}
+    return facts | {
         "version": env.version,
         "backend": env.backend,
         "engine": getattr(env, "engine", {}),

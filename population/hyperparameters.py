@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from assistax_base import extensions
 from assistax_base.validated import Share, Widths, validated
 
 LogStd = Annotated[float, Field(ge=-5, le=1)]
@@ -33,6 +34,11 @@ class Hyperparameters:
     def batch_steps(self) -> int:
         """Environment steps of one member in one update."""
         return self.num_envs * self.rollout_steps
+
+    @property
+    def packages(self) -> dict[str, str]:
+        """Versions of the installed packages that the trainer's method is of, by package."""
+        return {}
 
 
 @validated
@@ -75,7 +81,7 @@ class PPOConfig(Hyperparameters):
     # Log standard deviation: one vector, or a head on the torso.
     std: Literal["parameter", "state"] = "parameter"
     shared: bool = False  # whether one network acts for both roles, and one critic values for both
-    method: str = ""  # addition to a robot's training: one of METHODS; "" adds nothing
+    method: str = ""  # addition to a robot's training: one of `methods`; "" adds nothing
     aux_coef: NonNegativeFloat = 1.0  # weight of the method's own loss
     # Width of the latent that a memory infers from observations and actions, an input of the
     # policy; 0 turns the memory off.
@@ -85,10 +91,18 @@ class PPOConfig(Hyperparameters):
     series: PositiveInt = 1
     student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 
+    @property
+    def packages(self) -> dict[str, str]:
+        """Versions of the installed packages that the trainer's method is of, by package."""
+        if not self.method or self.method in METHODS:
+            return {}
+        extension = extensions.extensions(extensions.METHODS, METHODS)[self.method]
+        return {extension.package: extension.version}
+
     def __post_init__(self) -> None:
-        if self.method not in ("", *METHODS):
+        if self.method not in ("", *METHODS) and self.method not in (names := methods()):
             raise ValueError(
-                f"method is {self.method!r}; allowed are {', '.join(METHODS)}, and those that "
+                f"method is {self.method!r}; allowed are {', '.join(names)}, and those that "
                 "`population.methods.method.register` was given in this process"
             )
         if self.latent and (self.torso == "gru" or not self.method):
@@ -216,7 +230,7 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
 
 # Methods that a robot's training with partners adds to PPO: the place of the class ("" if there is
 # none), and the hyperparameters that differ from PPO's. `population.methods.method.register` adds
-# a row.
+# a row; `methods` has those of installed packages too.
 METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "gru": ("", {"torso": "gru"}),
     "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
@@ -229,6 +243,41 @@ METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     "rl2": ("", {"torso": "gru", "series": 5}),
     "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }
+
+
+def methods() -> tuple[str, ...]:
+    """Return the names of all methods: those of `METHODS`, then those of installed packages.
+
+    Raises:
+        assistax_base.extensions.ExtensionError: A package takes a name that there is already.
+    """
+    return (*METHODS, *extensions.extensions(extensions.METHODS, METHODS))
+
+
+def find_method(name: str) -> tuple[str | type, Mapping[str, Any]]:
+    """Return a method's class, or its place, and the differences of its preset from PPO's.
+
+    The class of an installed package is imported here, and has the differences as `preset`.
+
+    Args:
+        name: One of `methods`.
+
+    Raises:
+        assistax_base.extensions.ExtensionError: The package's class cannot be loaded, or has no
+            such preset.
+    """
+    if name in METHODS:
+        return METHODS[name]
+    extension = extensions.extensions(extensions.METHODS, METHODS)[name]
+    kind = extension.load()
+    differences = getattr(kind, "preset", None)
+    if not isinstance(kind, type) or not isinstance(differences, Mapping):
+        raise extension.error("a subclass of `population.methods.method.Method`", repr(kind))
+    try:
+        _changed(name, "ppo", {"method": name}, differences)
+    except ValueError as error:
+        raise extension.error("a preset of PPO's hyperparameters", str(error)) from None
+    return kind, differences
 
 
 def preset(algorithm: str, **changes: Any) -> TrainerConfig:
@@ -251,10 +300,9 @@ def robot_preset(algorithm: str, **changes: Any) -> TrainerConfig:
     alone = {"ppo": "ippo", "sac": "isac"}  # the presets of teams, for one seat
     if algorithm in alone:
         return _changed(algorithm, *PRESETS[alone[algorithm]], changes)
-    if algorithm not in METHODS:
-        allowed = ", ".join((*alone, *METHODS))
-        raise ValueError(f"algorithm is {algorithm!r}; allowed are {allowed}")
-    home, differences = METHODS[algorithm]
+    if algorithm not in (names := methods()):
+        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join((*alone, *names))}")
+    home, differences = find_method(algorithm)
     return _changed(algorithm, "ppo", {"method": algorithm if home else "", **differences}, changes)
 
 

@@ -125,6 +125,27 @@ def pytest_pycollect_makeitem(collector: pytest.Collector, name: str) -> Generat
     return made
 
 
+@pytest.fixture
+def install_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that installs, for one test, a package of one entry point.
+
+    Modules of the package may be written into `tmp_path`.
+    """
+    from assistax_base import extensions
+
+    # A process reads the entry points once, and this one did.
+    monkeypatch.setattr(extensions, "_read", extensions._read.__wrapped__)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def install(group: str, name: str, value: str, package: str = "outside") -> None:
+        about = tmp_path / f"{package}-0.3.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 0.3\n")
+        (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
+
+    return install
+
+
 @pytest.fixture(scope="module")
 def optimised() -> Iterator[None]:
     """Compile as users do, here and in processes that a test starts: bits are compared.

@@ -7,6 +7,7 @@ written.
 """
 
 import importlib
+import types
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from population.environment import Environment
-from population.hyperparameters import METHODS, PPOConfig
+from population.hyperparameters import METHODS, PPOConfig, find_method, methods
 from population.methods.ppo_loss import Hyper, Metrics, Samples
 from population.networks.policy import Critic, CriticSpec, Policy
 from population.networks.seat import Carry, Params
@@ -33,6 +34,8 @@ class Method:
         partners: Partners in the other seat.
     """
 
+    # Hyperparameters that differ from PPO's, of a method that an installed package adds.
+    preset: Mapping[str, Any] = types.MappingProxyType({})
     # Observations in a rollout beside those of role and critic, see `methods.hidden`.
     sees: tuple[str, ...] = ()
     critic_sees: tuple[str, ...] = ()  # those of `sees` that critics read, not normalised
@@ -99,7 +102,7 @@ class Method:
 
 def method_class(name: str) -> type[Method]:
     """Return the class of a method's name; for "" and methods without a class, `Method`."""
-    place: Any = (METHODS[name][0] if name else "") or Method
+    place: Any = (find_method(name)[0] if name else "") or Method
     if isinstance(place, str):
         module, _, class_name = place.partition(":")
         place = getattr(importlib.import_module(module), class_name)
@@ -117,6 +120,6 @@ def register(name: str, method: type[Method], **hyperparameters: Any) -> None:
     Raises:
         ValueError: Another method has the name.
     """
-    if METHODS.get(name, (method,))[0] is not method:
+    if name in methods() and METHODS.get(name, (None,))[0] is not method:
         raise ValueError(f"there is a method {name!r} already; choose another name")
     METHODS[name] = method, hyperparameters

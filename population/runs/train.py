@@ -3,11 +3,11 @@
 import contextlib
 import dataclasses
 import datetime
-import importlib.metadata
 import shutil
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ def train(
     """
     _check(config, env, partners)
     trainer, run = make_trainer(config, env, partners), RunFolder(folder)
-    run.open(config, environment_facts(env), resume)
+    run.open(config, environment_facts(env, config.trainer.packages), resume)
     if run.finished(config):
         return run.folder
 
@@ -340,7 +340,7 @@ def _provenance(
             "device": shares.devices[0].device_kind,
             "devices": len(shares),
             "seconds": round(seconds, 1),
-            "versions": {name: importlib.metadata.version(name) for name in _LIBRARIES},
+            "versions": {name: version(name) for name in (*_LIBRARIES, *config.trainer.packages)},
             "hyperparameters": {
                 **dataclasses.asdict(config.trainer),
                 "hidden": list(config.trainer.hidden),

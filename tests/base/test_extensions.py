@@ -7,31 +7,16 @@ from assistax_base import extensions
 from assistax_base.extensions import METHODS, ExtensionError
 
 
-@pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Return a function that installs a package of one entry point for this test alone."""
-    monkeypatch.setattr(extensions, "_read", extensions._read.__wrapped__)  # it reads but once
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def install(name: str, value: str, package: str = "outside", group: str = METHODS) -> None:
-        about = tmp_path / f"{package}-0.3.dist-info"
-        about.mkdir()
-        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 0.3\n")
-        (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
-
-    return install
-
-
-def test_an_entry_point_is_found_and_loaded(install: Callable[..., None]) -> None:
-    install("mean", "statistics:fmean")
+def test_an_entry_point_is_found_and_loaded(install_package: Callable[..., None]) -> None:
+    install_package(METHODS, "mean", "statistics:fmean")
     found = extensions.extensions(METHODS, taken=["gru"])["mean"]
     assert (found.value, found.package, found.version) == ("statistics:fmean", "outside", "0.3")
     assert found.load()([1.0, 3.0]) == 2.0
     assert "mean" not in extensions.extensions(extensions.TASKS)
 
 
-def test_reading_imports_nothing(install: Callable[..., None]) -> None:
-    install("absent", "no_such_module:Thing")
+def test_reading_imports_nothing(install_package: Callable[..., None]) -> None:
+    install_package(METHODS, "absent", "no_such_module:Thing")
     assert extensions.extensions(METHODS)["absent"].value == "no_such_module:Thing"
 
 
@@ -44,9 +29,9 @@ def test_reading_imports_nothing(install: Callable[..., None]) -> None:
     ],
 )
 def test_a_broken_entry_names_its_package(
-    install: Callable[..., None], tmp_path: Path, value: str, problem: str
+    install_package: Callable[..., None], tmp_path: Path, value: str, problem: str
 ) -> None:
-    install("thing", value)
+    install_package(METHODS, "thing", value)
     (tmp_path / "broken_outside.py").write_text("1 / 0\n")
     with pytest.raises(ExtensionError) as caught:
         extensions.extensions(METHODS)["thing"].load()
@@ -55,21 +40,21 @@ def test_a_broken_entry_names_its_package(
     assert problem in message and "uninstall the package" in message
 
 
-def test_two_packages_cannot_share_a_name(install: Callable[..., None]) -> None:
-    install("mean", "statistics:fmean")
-    install("mean", "statistics:mean", package="second")
+def test_two_packages_cannot_share_a_name(install_package: Callable[..., None]) -> None:
+    install_package(METHODS, "mean", "statistics:fmean")
+    install_package(METHODS, "mean", "statistics:mean", package="second")
     with pytest.raises(ExtensionError, match=r"package second 0\.3 .* of a method of outside 0\.3"):
         extensions.extensions(METHODS)
 
 
-def test_a_package_cannot_take_our_name(install: Callable[..., None]) -> None:
-    install("gru", "statistics:fmean")
+def test_a_package_cannot_take_our_name(install_package: Callable[..., None]) -> None:
+    install_package(METHODS, "gru", "statistics:fmean")
     with pytest.raises(ExtensionError, match=r"package outside 0\.3 .* method of assistax-zoo"):
         extensions.extensions(METHODS, taken=["gru"])
 
 
 @pytest.mark.parametrize("name", ["Mean", "the-mean", "_mean", "mean_", "1mean", "a.b"])
-def test_a_malformed_name_is_refused(install: Callable[..., None], name: str) -> None:
-    install(name, "statistics:fmean")
+def test_a_malformed_name_is_refused(install_package: Callable[..., None], name: str) -> None:
+    install_package(METHODS, name, "statistics:fmean")
     with pytest.raises(ExtensionError, match="a name of lower-case letters, digits and underscore"):
         extensions.extensions(METHODS)
