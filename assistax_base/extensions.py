@@ -1,4 +1,4 @@
-"""What other installed packages add: tasks, partner kinds, methods, metrics and figures.
+"""What other installed packages add: tasks, partner kinds, methods, metrics and commands.
 
 A package names each addition in an entry point of its `pyproject.toml`, in one of these groups.
 Reading a group imports nothing. An addition is imported when it is used.
@@ -16,9 +16,14 @@ from assistax_base.errors import ZooError, printable
 
 TASKS, PARTNERS = "assistax_zoo.tasks", "assistax_zoo.partners"
 METHODS, METRICS = "assistax_zoo.methods", "assistax_zoo.metrics"
+COMMANDS, HEADS = "assistax_zoo.commands", "assistax_zoo.groups"
 # Groups, and what one of their entries is called in an error.
-GROUPS = {TASKS: "task", PARTNERS: "partner kind", METHODS: "method", METRICS: "metric"}
+GROUPS = {
+    **{TASKS: "task", PARTNERS: "partner kind", METHODS: "method", METRICS: "metric"},
+    **{COMMANDS: "command", HEADS: "group of commands"},
+}
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # of an addition, as a part of ids has it
+WORDS = re.compile(r"[a-z][a-z0-9-]*(\.[a-z][a-z0-9-]*)?")  # of a command: "plot.forces"
 OURS = "assistax-zoo"
 
 
@@ -40,16 +45,20 @@ class Extension:
     package: str  # its distribution's name
     version: str
 
+    @property
+    def module(self) -> str:
+        """The module that the entry point names."""
+        return self.value.partition(":")[0]
+
     def load(self) -> Any:
         """Return the object that the entry point names, importing its module.
 
         Raises:
             ExtensionError: The module cannot be imported, or lacks the attribute.
         """
-        module, _, attribute = self.value.partition(":")
         try:
-            found: Any = importlib.import_module(module)
-            for part in filter(None, attribute.split(".")):
+            found: Any = importlib.import_module(self.module)
+            for part in filter(None, self.value.partition(":")[2].split(".")):
                 found = getattr(found, part)
         except Exception as error:
             raise self.error("MODULE:ATTRIBUTE that can be imported", _described(error)) from error
@@ -69,7 +78,7 @@ def extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extensio
     """Return the entry points of a group by name, in the order of their names.
 
     Args:
-        group: `TASKS`, `PARTNERS`, `METHODS` or `METRICS`.
+        group: One of `GROUPS`.
         taken: Names of assistax-zoo's own that no package may take.
 
     Raises:
@@ -78,8 +87,9 @@ def extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extensio
     found: dict[str, Extension] = {}
     for extension in _read(group):
         name = extension.name
-        if not NAME.fullmatch(name):
-            raise extension.error("a name of lower-case letters, digits and underscores", name)
+        pattern, joint = (WORDS, "hyphens") if group in (COMMANDS, HEADS) else (NAME, "underscores")
+        if not pattern.fullmatch(name):
+            raise extension.error(f"a name of lower-case letters, digits and {joint}", name)
         if name in taken or name in found:
             other = f"{found[name].package} {found[name].version}" if name in found else OURS
             raise extension.error("a name of its own", f"that of a {GROUPS[group]} of {other}")

@@ -5,11 +5,12 @@ command and "token.create" one of a group or below another command, and `assista
 "token" is the text that help shows beside the group.
 """
 
-import functools
-from collections.abc import Sequence
-from importlib import metadata, util
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from importlib import util
 
-COMMANDS, GROUPS = "assistax_zoo.commands", "assistax_zoo.groups"
+from assistax_base.extensions import COMMANDS, HEADS, Extension, extensions
+
 # First words of commands that stand in a distribution that may be missing.
 ELSEWHERE = {
     "assistax-zoo-board": (
@@ -36,25 +37,40 @@ INSTALL = {
 }
 
 
-def installed_commands() -> dict[str, str]:
-    """Return the import path of each command that another distribution brings."""
-    return {point.name: point.value for point in _points(COMMANDS)}
+def installed_commands(taken: Collection[str] = ()) -> dict[str, str]:
+    """Return the import path of each command that another distribution brings.
+
+    Raises:
+        assistax_base.extensions.ExtensionError: A command has a `taken` name, or that of another
+            distribution's.
+    """
+    return {name: extension.value for name, extension in _extensions(COMMANDS, taken).items()}
 
 
-def installed_groups() -> dict[str, str]:
-    """Return the text of each group of commands that another distribution brings."""
-    return {point.name: point.load() for point in _points(GROUPS)}
+def installed_groups(taken: Collection[str] = ()) -> dict[str, str]:
+    """Return the text of each group of commands that another distribution brings.
+
+    Raises:
+        assistax_base.extensions.ExtensionError: As for commands, or a text cannot be loaded.
+    """
+    return {name: extension.load() for name, extension in _extensions(HEADS, taken).items()}
 
 
 def check_installed(words: Sequence[str]) -> None:
-    """Refuse a command whose distribution, or its package, is missing.
+    """Refuse a command whose distribution, or its package, is missing or cannot be imported.
 
     Args:
         words: Words of the command line after the program's name.
 
     Raises:
         ValueError: It says what to install.
+        assistax_base.extensions.ExtensionError: It names the package that cannot be imported.
     """
+    named = list(itertools.takewhile(lambda word: not word.startswith("-"), words[:2]))
+    for name, extension in _extensions(COMMANDS).items():
+        parts = name.split(".")
+        if named[: len(parts)] == parts or (len(named) < 2 and parts[: len(named)] == named):
+            extension.load()  # the command itself, or one that the help of its group lists
     have = {*installed_commands(), *installed_groups()}
     for distribution, commands in ELSEWHERE.items():
         for command in commands:
@@ -66,11 +82,12 @@ def check_installed(words: Sequence[str]) -> None:
                 )
 
 
-@functools.cache
-def _points(group: str) -> tuple[metadata.EntryPoint, ...]:
-    """Return a group's entry points, but for those whose package is missing."""
-    return tuple(
-        point
-        for point in metadata.entry_points(group=group)
-        if util.find_spec(point.module.partition(".")[0])
-    )
+def _extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extension]:
+    """Return a group's entry points by name, but for those whose package is missing."""
+    found = extensions(group, taken)
+    there = {
+        package
+        for package in {e.module.partition(".")[0] for e in found.values()}
+        if util.find_spec(package)
+    }
+    return {name: e for name, e in found.items() if e.module.partition(".")[0] in there}

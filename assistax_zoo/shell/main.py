@@ -125,10 +125,10 @@ def _run(arguments: Sequence[str]) -> int:
     try:
         _check_stdout()
         app = build_app()
+        check_installed(arguments)
         _add_subcommands(app, arguments)
         _complete_help(app, arguments)
         remember_command(arguments)
-        check_installed(arguments)
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
@@ -152,12 +152,12 @@ def _run(arguments: Sequence[str]) -> int:
 
 def all_commands() -> dict[str, str]:
     """Return the import path of each command: "list", "split.create", "train.population"."""
-    return {**COMMANDS, **installed_commands()}
+    return {**COMMANDS, **installed_commands(COMMANDS)}
 
 
 def all_groups() -> dict[str, str]:
     """Return the text of each word that is no command alone."""
-    return {**GROUPS, **installed_groups()}
+    return {**GROUPS, **installed_groups(GROUPS)}
 
 
 def build_app() -> App:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assistax_base import extensions
 from assistax_base.errors import ZooError
 from assistax_zoo.shell import console, installed, main
 
@@ -222,7 +223,7 @@ def test_a_distribution_without_its_package_fails_its_own_commands_alone(
     )
     monkeypatch.syspath_prepend(tmp_path)
     # Every process reads the entry points once, and this one did.
-    monkeypatch.setattr(installed, "_points", installed._points.__wrapped__)
+    monkeypatch.setattr(extensions, "_read", extensions._read.__wrapped__)
     fake(lambda: print("done"))
     assert main.run(["fake"]) == 0
     assert capsys.readouterr() == ("done\n", "")
@@ -231,6 +232,39 @@ def test_a_distribution_without_its_package_fails_its_own_commands_alone(
         [line] = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: `{words[0]}` belongs to assistax-zoo-board, which is not ")
         assert line.endswith(installed.INSTALL["assistax-zoo-board"])
+
+
+@pytest.mark.parametrize("name", ["evaluate", "plot.zsc", "plot"])
+def test_a_package_cannot_replace_a_command(
+    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    group = extensions.HEADS if name in main.GROUPS else extensions.COMMANDS
+    install_package(group, name, "textwrap:dedent")
+    assert main.run(["list"]) == 1
+    message = capsys.readouterr().err
+    assert f"'{name}' of the package outside 0.3 (textwrap:dedent): expected a name of" in message
+
+
+def test_a_broken_command_names_its_package(
+    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "outside_commands.py").write_text("import no_such_module\n")
+    install_package(extensions.COMMANDS, "plot.forces", "outside_commands:forces")
+    for words in (["plot", "forces", "--help"], ["plot", "--help"], ["plot"]):
+        assert main.run(words) == 1
+        message = capsys.readouterr().err
+        assert message.startswith("error: the command 'plot.forces' of the package outside 0.3 ")
+        assert "No module named 'no_such_module'" in message
+    assert main.run(["plot", "zsc", "--help"]) == 0
+
+
+def test_a_package_adds_a_figure_command(
+    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "outside_figures.py").write_text("def forces(): print('drawn')\n")
+    install_package(extensions.COMMANDS, "plot.forces", "outside_figures:forces")
+    assert main.run(["plot", "forces"]) == 0
+    assert capsys.readouterr().out == "drawn\n"
 
 
 def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
