@@ -43,6 +43,7 @@ def evaluate(
     max_envs: int | None = None,
     preferences: str | Sequence[str] | None = None,
     series: int = 1,
+    metrics: str | Sequence[str] | None = None,
     include_own: bool = False,
     trained_with: str | Sequence[str] | None = None,
     references: bool = True,
@@ -88,6 +89,8 @@ def evaluate(
         series: Episodes that a robot plays with a partner before it forgets. Its recurrent state is
             kept through a series, and the partner's preference stays. The result then says how the
             return grows within a series.
+        metrics: Metrics that installed packages add, such as a,b. The figures have them under
+            "more", and episodes have the columns that the metrics need.
         include_own: Count partners that were trained with one of the robots. Without this they play
             and stand in the tables, and figures leave them out.
         trained_with: Training partners of the robots, if neither the zoo nor the robots' files name
@@ -126,7 +129,8 @@ def evaluate(
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
     names = _text(preferences)
-    how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, names, series)
+    played = episodes, seed, backend, stochastic, max_envs, names, series, _text(metrics)
+    how = PlaySettings(task, *played)
     opened = _locked(open_zoo(zoo), lock, task, split)
     chosen = choose_partners(opened.registry, task, split, partners or None, persons)
     needed = _needed(opened.registry, robots, chosen[1], references)
@@ -171,6 +175,7 @@ def cross_play(
     stochastic: bool = False,
     max_envs: int | None = None,
     preferences: str | Sequence[str] | None = None,
+    metrics: str | Sequence[str] | None = None,
     zoo: "str | Path | Zoo | None" = None,
     lock: Path | str | None = None,
     out: Path | str | None = None,
@@ -197,6 +202,8 @@ def cross_play(
         preferences: Preferences of a gentle task's humans, such as p1,p5. Each partner takes turns
             in them from episode to episode. Default: those of the partner's side of the split, or
             all if the split holds none out.
+        metrics: Metrics that installed packages add, such as a,b. The figures have them under
+            "more", and episodes have the columns that the metrics need.
         zoo: Source of the policies, as in `open_zoo`.
         lock: Lock file of a paper. Bytes other than the pinned ones are refused.
         out: As in `evaluate`.
@@ -214,7 +221,8 @@ def cross_play(
         >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
         1
     """
-    how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, _text(preferences))
+    names: dict[str, Any] = {"preferences": _text(preferences), "metrics": _text(metrics)}
+    how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, **names)
     opened = open_zoo(zoo)  # a zoo that is refused makes no folder
     folder, keep = _folder(out)
     cast = _population(egos, partners, task, release, opened, lock, persons)
@@ -283,13 +291,9 @@ def _needed(
     return [entry for entry in registry.policies if entry.id in ids]
 
 
-def _text(preferences: str | Sequence[str] | None) -> str | None:
-    """Return preferences as they are typed: "p1,p5"."""
-    return (
-        preferences
-        if preferences is None or isinstance(preferences, str)
-        else ",".join(preferences)
-    )
+def _text(names: str | Sequence[str] | None) -> str | None:
+    """Return names, such as those of preferences, as they are typed: "p1,p5"."""
+    return names if names is None or isinstance(names, str) else ",".join(names)
 
 
 def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> Zoo:

@@ -95,7 +95,7 @@ def cross_play(
     releases = ", ".join(cast.releases)
     context = context_of(job, result, split=cast.split, release=releases, lock=cast.lock)
     with locked_if_current(job, folder):
-        summary = save_crossplay(Record(result.table, folder), context, cast.met)
+        summary = save_crossplay(Record(result.table, folder), context, cast.met, job.metrics)
         _draw(folder, summary)
         seal(folder, cast)
     return summary

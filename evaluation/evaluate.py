@@ -118,7 +118,7 @@ def evaluate(
     context = context_of(job, result, split=split, release=split.release, lock=cast.lock)
     about = describe_robots(folder, cast.robots, env.observation_size["robot"])
     saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
-    saving["notes"] = robot_notes(about, cast.robots)
+    saving |= {"notes": robot_notes(about, cast.robots), "metrics": job.metrics}
     with locked_if_current(job, folder):
         record = Record(result.table, folder)
         summary = save_evaluation(record, context, met=cast.met, **saving)

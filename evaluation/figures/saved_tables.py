@@ -1,7 +1,7 @@
 """Tables made from an episode table and saved beside it: partners, profile, matrix and order."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from evaluation.cast.met_partners import (
     met_notes,
 )
 from evaluation.figures.bootstrap import estimate, profile_band
+from evaluation.figures.metrics.installed import InstalledMetric
 from evaluation.figures.normalised import summarise_references
 from evaluation.figures.summary import (
     Context,
@@ -106,6 +107,7 @@ def save_evaluation(
     references: tuple[pl.DataFrame, pl.DataFrame] | None = None,
     met: MetPartners = NOTHING_KNOWN,
     notes: Sequence[str] = (),
+    metrics: Mapping[str, InstalledMetric] | None = None,
 ) -> EvaluationSummary:
     """Write every table made from an evaluation's episodes, and its summary, into its folder.
 
@@ -116,6 +118,7 @@ def save_evaluation(
         references: Episodes of the reference egos and the table of bounds, if they played.
         met: The egos' training partners.
         notes: More notes for readers.
+        metrics: Metrics of installed packages, by name.
 
     Raises:
         ValueError: The egos met all partners, or all of the test side.
@@ -125,7 +128,7 @@ def save_evaluation(
     check_new(dict(table.select("partner", "side").unique().rows()), left, include_own)
     uncounted = [] if include_own else left
     counted = record.without(uncounted)
-    summary = summarise_evaluation(counted, context)
+    summary = summarise_evaluation(counted, context, metrics)
     all_notes = (*summary.notes, *met_notes(table, met, include_own), *notes)
     summary = dataclasses.replace(summary, notes=all_notes, met=met.summary(uncounted))
     tables.write_parquet(partner_table(record), folder / tables.PARTNERS_FILE)
@@ -144,12 +147,15 @@ def save_evaluation(
 
 
 def save_crossplay(
-    record: Record, context: Context, met: MetPartners = NOTHING_KNOWN
+    record: Record,
+    context: Context,
+    met: MetPartners = NOTHING_KNOWN,
+    metrics: Mapping[str, InstalledMetric] | None = None,
 ) -> CrossPlaySummary:
     """Write pairs, their clustered order, the partners' strategies, and the summary."""
     from evaluation.figures.strategies import summarise_strategies
 
-    folder, summary = record.folder, summarise_crossplay(record, context)
+    folder, summary = record.folder, summarise_crossplay(record, context, metrics)
     summary = dataclasses.replace(summary, notes=(*summary.notes, *crossplay_notes(met)))
     written = [tables.PAIRS_FILE, tables.ORDER_FILE, tables.SUMMARY_FILE]
     pairs, order = crossplay_matrix(record)

@@ -1,6 +1,7 @@
 """Figures of a study from its episode table, as dataclasses that `tables.to_json` converts."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +27,7 @@ from evaluation.figures.metrics import (
     worst_partner,
     zero_shot,
 )
+from evaluation.figures.metrics.installed import InstalledMetric, MetricFigure, metric_figures
 from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative
 from evaluation.figures.notes import (
@@ -91,7 +93,16 @@ class NamedWorst:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SideFigures:
+class MoreFigures:
+    """Figures that installed packages add, by name; none unless they were asked for."""
+
+    more: dict[str, MetricFigure] = dataclasses.field(
+        default_factory=dict, metadata={tables.OPTIONAL: True}
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SideFigures(MoreFigures):
     """Figures of the partners of `side`: of those that played, test, validation or training."""
 
     side: Literal["train", "validation", "test"]
@@ -131,7 +142,7 @@ class BestEgo:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MatrixFigures:
+class MatrixFigures(MoreFigures):
     """Figures of the robots of a matrix."""
 
     best_ego: BestEgo
@@ -169,8 +180,15 @@ def read_summary(folder: Path) -> EvaluationSummary | CrossPlaySummary:
         ) from None
 
 
-def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
+def summarise_evaluation(
+    record: Record, context: Context, metrics: Mapping[str, InstalledMetric] | None = None
+) -> EvaluationSummary:
     """Return the summary of an evaluation, whose egos are all seeds of one method.
+
+    Args:
+        record: The counted episodes.
+        context: What they do not say of themselves.
+        metrics: Metrics of installed packages by name.
 
     Raises:
         ValueError: The table is malformed or incomplete, or no partner is on a side of the split.
@@ -200,6 +218,7 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
         touch={name: estimate(values, **starts) for name, values in side.touch.items()},
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
+        more=metric_figures(metrics or {}, side),
         egos=tuple(returns.egos["ego"]),
         partners={side: sides.count(side) for side in SIDES if side in {*sides, "train", "test"}},
         notes=(
@@ -213,8 +232,10 @@ def summarise_evaluation(record: Record, context: Context) -> EvaluationSummary:
     )
 
 
-def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
-    """Return the summary of a matrix of egos by partners."""
+def summarise_crossplay(
+    record: Record, context: Context, metrics: Mapping[str, InstalledMetric] | None = None
+) -> CrossPlaySummary:
+    """Return the summary of a matrix of egos by partners, with metrics of installed packages."""
     returns = record.returns
     rows, columns = _traits(returns.egos, "ego"), _traits(returns.partners, "partner")
     figures = cross_play(returns.values, rows, columns, common_starts=returns.common_starts)
@@ -226,6 +247,7 @@ def summarise_crossplay(record: Record, context: Context) -> CrossPlaySummary:
         variance=variance_components(returns.values, ~same_teams(rows, columns)),
         best_ego=BestEgo(returns.egos["ego"][int(means.argmax())], float(means.max())),
         rank_stability=rank_stability(returns.scores) if ranked else None,
+        more=metric_figures(metrics or {}, returns),
         egos=returns.egos.height,
         partners=returns.partners.height,
         notes=(*team_notes(returns), *episode_notes(returns)),

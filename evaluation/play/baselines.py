@@ -42,8 +42,9 @@ def reference_jobs(env: Any, job: Job, own: tuple[Roster, Roster] | None) -> lis
     """Return the jobs of all references to `job`, of which some exist only with a script or `own`.
 
     They are zero, random and scripted robots with the job's partners; `own` self-play pairs; and
-    the script and the job's robots with the passive human.
+    the script and the job's robots with the passive human. None has columns of installed packages.
     """
+    job = dataclasses.replace(job, metrics={})
     sizes = _sizes(env, "robot")
     scripts = [_script(job, sizes)] if job.task in SCRIPTS else []
     robots = joined(reference_roster(*sizes), *scripts)

@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
+from assistax_base.extensions import METRICS, extensions
 from assistax_envs.preferences import check_preferences, preferences_of
 from assistax_envs.versions import TASKS
 
@@ -26,6 +28,8 @@ class PlaySettings:
         series: Episodes that a robot plays with a partner before it forgets. Its recurrent state is
             kept through a series, and the partner's preference stays. The result then says how the
             return grows within a series.
+        metrics: Metrics that installed packages add, such as a,b. The figures have them under
+            "more", and episodes have the columns that the metrics need.
 
     Raises:
         ValueError: A value is not allowed. The error says which values are.
@@ -39,6 +43,7 @@ class PlaySettings:
     max_envs: int | None = None
     preferences: str | None = None
     series: int = 1
+    metrics: str | None = None
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:
@@ -48,6 +53,7 @@ class PlaySettings:
             raise ValueError(f"max_envs is {self.max_envs}; allowed is 1 or more")
         if self.preferences is not None:
             check_preferences(self.task, self.turns)
+        check_metrics(self.metric_names)
 
     @property
     def turns(self) -> tuple[str, ...]:
@@ -55,6 +61,11 @@ class PlaySettings:
         if self.preferences is None:
             return preferences_of(self.task)
         return tuple(self.preferences.split(",")) if self.preferences else ()
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """The names of the metrics that installed packages add."""
+        return tuple(self.metrics.split(",")) if self.metrics else ()
 
     @property
     def episodes_of_pair(self) -> int:
@@ -87,3 +98,16 @@ def check_numbers(episodes: int | None, seed: int, series: int) -> None:
             f"series is {series}{of}; give 1 or more, and a multiple of it as episodes, such as a "
             "series of 5 and 10 episodes"
         )
+
+
+def check_metrics(names: Sequence[str]) -> None:
+    """Refuse names of metrics that no installed package has; nothing is imported.
+
+    Raises:
+        ValueError: Says which name, and what is allowed.
+    """
+    known = extensions(METRICS) if names else {}
+    for name in names:
+        if name not in known:
+            allowed = f"allowed are {', '.join(known)}" if known else "no installed package has one"
+            raise ValueError(f"metric is {name!r}; {allowed}")

@@ -4,15 +4,20 @@ import dataclasses
 import hashlib
 import importlib.metadata
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Int, Shaped
 
 from evaluation.cast.roster import Member, Roster
+from evaluation.figures.metrics.installed import InstalledMetric
 from evaluation.play.how import check_numbers
+from evaluation.record.alike import COLUMNS
 from evaluation.record.manifest import identity_digest
 from population.views import View
+
+if TYPE_CHECKING:
+    from population.play.tally import Column
 
 # Raise it if the same job would give other tables. 2: columns of behaviour. 3: tiles, which change
 # the last bit of values. 4: disability settings by value, and the engine. 5: policies of several
@@ -45,6 +50,8 @@ class Job:
     preferences: tuple[str, ...] = ()
     # Side -> preferences of its partners, if the sides differ.
     side_preferences: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    # Of installed packages, whose columns the episodes have.
+    metrics: Mapping[str, InstalledMetric] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_numbers(self.episodes, self.seed, self.series)
@@ -80,6 +87,12 @@ class Job:
         return egos * len(self.partners.ids) * self.episodes
 
     @property
+    def columns(self) -> "dict[str, Column]":
+        """The columns that metrics of installed packages add, by the metric's name."""
+        metrics = {name: installed.metric for name, installed in self.metrics.items()}
+        return {name: metric.column for name, metric in metrics.items() if metric.column}
+
+    @property
     def reusable(self) -> bool:
         """Whether the identity covers all that the table depends on."""
         return all(self.egos.members[name].reusable for name in self.egos.ids)
@@ -96,6 +109,7 @@ class Job:
             },
             "series": self.series if self.series > 1 else None,
             "scene": self.scene,
+            COLUMNS: {name: self.metrics[name].source for name in self.columns},
         }
         return {name: value for name, value in optional.items() if value} | {
             "evaluator_version": EVALUATOR_VERSION,

@@ -11,7 +11,7 @@ from evaluation.cast.egos import Clipping
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import Job
 from evaluation.play.tiles import StackSlice, Tile
-from evaluation.record.columns import SCHEMA, TERM_PREFIX
+from evaluation.record.columns import METRIC_PREFIX, SCHEMA, TERM_PREFIX
 from population.play.tally import Tally
 
 
@@ -73,6 +73,10 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
         **clipped,
+        **{
+            METRIC_PREFIX + name: column.end(tally.columns[name], tally.steps)
+            for name, column in job.columns.items()
+        },
     }
     return _with(planned_rows(job, tile), measured)
 

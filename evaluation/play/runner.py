@@ -189,6 +189,7 @@ class Runner:
                     "paired": self._job.paired,
                     "length": self._length,
                     "series": self._job.series,
+                    "columns": self._job.columns,
                 }
                 seats = ([spec.player() for spec in seat] for seat in key)
                 self._rollouts[key] = Rollout(self._env, *seats, **options)

@@ -12,6 +12,7 @@ import polars as pl
 from assistax_base.locks import locked
 from evaluation.cast.cast import Cast
 from evaluation.cast.roster import Roster
+from evaluation.figures.metrics.installed import find_metrics
 from evaluation.figures.summary import Context, SplitName
 from evaluation.play.evaluator import Evaluation
 from evaluation.play.how import PlaySettings
@@ -65,6 +66,7 @@ def make_job(
         own_episodes=True,
         sides=sides or {},
         preferences=turns,
+        metrics=find_metrics(how.metric_names),
     )
     return env, job
 

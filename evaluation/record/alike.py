@@ -13,6 +13,7 @@ from assistax_base.errors import printable, shorten
 from evaluation.record.manifest import MANIFEST_FILE, identity_digest, read_manifest
 
 SOFTWARE = "software"
+COLUMNS = "columns"  # that packages added: they tell more, and change no episode
 # The columns of an identity's rows of policies, after the id.
 SEATS = {"egos": ("digest",), "partners": ("disability", "side", "digest", "setting")}
 ADVICE = "play both alike"
@@ -39,8 +40,9 @@ def read_identity(folder: Path) -> dict[str, Any] | None:
 
 
 def conditions(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the conditions of a job: all fields of its identity but policies and software."""
-    return {name: value for name, value in identity.items() if name not in (*SEATS, SOFTWARE)}
+    """Return the conditions of a job: its identity without policies, software and columns."""
+    apart = *SEATS, SOFTWARE, COLUMNS
+    return {name: value for name, value in identity.items() if name not in apart}
 
 
 def check_alike(

@@ -10,6 +10,7 @@ import polars as pl
 
 SIDES = ("train", "validation", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
+METRIC_PREFIX = "metric_"  # of the columns of installed packages (`metric_<name>`, Float32)
 
 # Tables that have a column: with behaviour (all since manifest format 2), of gentle tasks, of tasks
 # whose version measures contact with people, of series of episodes, of robots from outside.
@@ -90,6 +91,11 @@ def term_columns(table: pl.DataFrame) -> tuple[str, ...]:
     return tuple(name for name in table.columns if name.startswith(TERM_PREFIX))
 
 
+def metric_columns(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the names of the columns that packages added, in the table's order."""
+    return tuple(name for name in table.columns if name.startswith(METRIC_PREFIX))
+
+
 def with_safety(table: pl.DataFrame) -> pl.DataFrame:
     """Return a table with `safe_success`, success without violation, if it has `violated`."""
     if "violated" not in table.columns:
@@ -99,7 +105,8 @@ def with_safety(table: pl.DataFrame) -> pl.DataFrame:
 
 def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
     """Return the table's columns of outcomes other than the return, such as success and force."""
-    return tuple(name for name in _OUTCOMES if name in table.columns)
+    known = (name for name in _OUTCOMES if name in table.columns)
+    return (*known, *metric_columns(table))
 
 
 def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
@@ -115,13 +122,14 @@ def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
             f"the episode table lacks the columns {', '.join(missing)}; it needs all of "
             f"{', '.join(needed)}"
         )
+    prefixes = TERM_PREFIX, METRIC_PREFIX
     unknown = [
-        name for name in table.columns if name not in COLUMNS and not name.startswith(TERM_PREFIX)
+        name for name in table.columns if name not in COLUMNS and not name.startswith(prefixes)
     ]
     if unknown:
         raise ValueError(
             f"the episode table has unknown columns {', '.join(unknown)}; reward terms begin with "
-            "term_"
+            "term_, columns of packages with metric_"
         )
     if table.is_empty():
         raise ValueError("the episode table has no rows; at least one episode is needed")

@@ -32,6 +32,8 @@ class Returns:
     egos: pl.DataFrame  # E rows of EGO_COLUMNS, in the order of the first axis
     partners: pl.DataFrame  # P rows of PARTNER_COLUMNS, in the order of the second axis
     episodes: Int[np.ndarray, " K"]  # episode numbers
+    table: pl.DataFrame = dataclasses.field(repr=False)  # one row an episode
+    rows: Int[np.ndarray, "E P K"]  # row of the table of each episode
     # Only for a gentle task: each episode's preference, success without a violation of the force
     # limit, and violation.
     preferences: Shaped[np.ndarray, "E P K"] | None = None
@@ -39,6 +41,17 @@ class Returns:
     violated: Bool[np.ndarray, "E P K"] | None = None
     # Measures of contact with the person, by column of the table; empty if not measured.
     touch: Mapping[str, Float[np.ndarray, "E P K"]] = dataclasses.field(default_factory=dict)
+
+    def column(self, name: str) -> Float[np.ndarray, "E P K"]:
+        """Return a column of numbers or flags of the table, laid out like `values`.
+
+        Raises:
+            ValueError: The table lacks the column, or it holds text.
+        """
+        if name not in self.table.columns or not _is_number(self.table.schema[name]):
+            known = [name for name, kind in self.table.schema.items() if _is_number(kind)]
+            raise ValueError(f"column is {name!r}; columns of numbers are {', '.join(known)}")
+        return self.table[name].cast(pl.Float64).to_numpy()[self.rows]
 
     @functools.cached_property
     def keys(self) -> Int[np.ndarray, "P K"] | None:
@@ -148,6 +161,8 @@ def lay_out(table: pl.DataFrame) -> Returns:
         values[cells] = table[name].to_numpy()
         return values.reshape(shape)
 
+    rows = np.empty(np.prod(shape), np.int64)
+    rows[cells] = np.arange(table.height)
     gentle = {"preferences": "preference", "safe": "safe_success", "violated": "violated"}
     return Returns(
         values=dense("return", float),
@@ -156,6 +171,8 @@ def lay_out(table: pl.DataFrame) -> Returns:
         egos=egos,
         partners=partners,
         episodes=episodes,
+        table=table,
+        rows=rows.reshape(shape),
         touch={name: dense(name, float) for name in TOUCH if name in table.columns},
         **{
             field: dense(name, object if table[name].dtype == pl.String else bool)
@@ -163,6 +180,10 @@ def lay_out(table: pl.DataFrame) -> Returns:
             if name in table.columns
         },
     )
+
+
+def _is_number(kind: pl.DataType) -> bool:
+    return kind.is_numeric() or kind == pl.Boolean
 
 
 def _described(table: pl.DataFrame, columns: tuple[str, ...]) -> pl.DataFrame:

@@ -13,7 +13,12 @@ import polars as pl
 from assistax_base import parquet
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
-from evaluation.record.columns import SCHEMA, term_columns, validate_episodes
+from evaluation.record.columns import (
+    SCHEMA,
+    metric_columns,
+    term_columns,
+    validate_episodes,
+)
 
 # Names of the files in the folder that an evaluation or a cross-play fills.
 EPISODES_FILE = "episodes.parquet"  # one row an episode
@@ -34,13 +39,15 @@ FILES = (
 # Made from the episodes by the last command, with its options.
 DERIVED_FILES = tuple(name for name in FILES if name not in (EPISODES_FILE, RUN_FILE))
 
+OPTIONAL = "left out if empty"  # of a dataclass's field, see `to_json`
 LARGEST_JSON = 1 << 26  # bytes of a readable file, 30 times those of a matrix of all teams
 
 
 def write_episodes(table: pl.DataFrame, path: Path) -> None:
     """Validate a table, cast it to the types of `SCHEMA` and write it atomically."""
     validate_episodes(table)
-    types = {**SCHEMA, **{name: pl.Float32() for name in term_columns(table)}}
+    numbers = *term_columns(table), *metric_columns(table)
+    types = {**SCHEMA, **dict.fromkeys(numbers, pl.Float32())}
     write_parquet(table.select(pl.col(name).cast(types[name]) for name in table.columns), path)
 
 
@@ -91,10 +98,15 @@ def remove_derived(folder: Path, but: Collection[str] = ()) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """Return a value that `json.dumps` accepts: dataclasses become objects, tuples lists."""
+    """Return a value that `json.dumps` accepts: dataclasses become objects, tuples lists.
+
+    A field whose metadata has `OPTIONAL` is left out if it is empty.
+    """
     if dataclasses.is_dataclass(value):
         return {
-            field.name: to_json(getattr(value, field.name)) for field in dataclasses.fields(value)
+            field.name: to_json(getattr(value, field.name))
+            for field in dataclasses.fields(value)
+            if getattr(value, field.name) or not field.metadata.get(OPTIONAL)
         }
     if isinstance(value, Mapping):
         return {name: to_json(item) for name, item in value.items()}

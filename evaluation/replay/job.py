@@ -20,9 +20,11 @@ from evaluation.play.evaluator import MAX_ENVS, Evaluation
 from evaluation.play.jobs import Job
 from evaluation.play.study import context_of
 from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
+from evaluation.record.alike import COLUMNS
 from evaluation.record.manifest import describe_sources
 from evaluation.record.record import Record
 from evaluation.replay.headline import Headline, headline_of
+from evaluation.replay.metrics import ReceivedMetrics, received_metrics
 from evaluation.replay.received import received_robots
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -43,6 +45,7 @@ class RebuiltJob:
     headline: Headline
     tile_envs: int
     unchecked: tuple[str, ...]
+    metrics: ReceivedMetrics
 
 
 def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -> RebuiltJob:
@@ -67,6 +70,8 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     env = make(task, backend=identity["backend"], version=version)
     humans = registry_roster(registry, partners)
     job = _job_of(identity, env, egos, humans, sides_of(partners, split))
+    metrics = received_metrics(identity, summary)
+    job = dataclasses.replace(job, metrics=metrics.installed)
     _check_identity(identity, job)
     partners = registry.known(entry.id for entry in partners)
     result = Evaluation(record.table, summary.env_steps_per_second, 0.0)
@@ -88,7 +93,9 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
         (
             *_parts(summary, registry, job, split, partners),
             *[DECLARED] * bool(declared),
+            *metrics.notes,
         ),
+        metrics,
     )
 
 
@@ -180,6 +187,8 @@ def _check_identity(identity: Mapping[str, Any], job: Job) -> None:
     if set(engine) == set(job.engine) and engine.get("name") == job.engine.get("name"):
         here["engine"] = engine
     here["software"] = identity["software"]
+    if COLUMNS in identity:  # held against the episodes, and of packages that may be absent here
+        here[COLUMNS] = identity[COLUMNS]
     texts = [{name: json.dumps(value) for name, value in part.items()} for part in (here, identity)]
     if differing := sorted(name for name, _ in texts[0].items() ^ texts[1].items()):
         raise ValueError(

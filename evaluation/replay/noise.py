@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from evaluation.figures.normalised import RANDOM
+from evaluation.record.columns import METRIC_PREFIX
 
 QUANTILES = (0.5, 0.75, 0.9, 0.97)  # of the absolute differences of a robot's episodes
 MARGIN = 2.0  # factor on the measured differences of single episodes, for more variable robots
@@ -59,6 +60,7 @@ def measured_columns(table: pl.DataFrame) -> list[str]:
         if (kind.is_numeric() or kind == pl.Boolean)
         and not name.endswith("_seed")
         and name not in planned
+        and not name.startswith(METRIC_PREFIX)  # of packages: `ReceivedMetrics.noise_notes`
     ]
 
 

@@ -24,6 +24,7 @@ from evaluation.play.tiles import Tile
 from evaluation.record import tables
 from evaluation.record.columns import validate_episodes
 from evaluation.record.record import Record
+from evaluation.replay.metrics import ReceivedMetrics
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 LOOSE = 1e-3  # for strategies: a determinant depends on the smallest eigenvalue
@@ -56,6 +57,7 @@ def derived_problems(
     references: pl.DataFrame | None,
     crossplay: pl.DataFrame | None,
     notes: Sequence[str] = (),
+    metrics: ReceivedMetrics,
 ) -> list[str]:
     """Return problems of files that differ from those computed from the folder's episodes.
 
@@ -67,24 +69,26 @@ def derived_problems(
         references: The reference egos' episodes, if the folder has them.
         crossplay: Pairs of the cross-play whose robots may be best responses.
         notes: The summary's notes on robots from outside.
+        metrics: Metrics of packages that the folder names.
     """
     with tempfile.TemporaryDirectory() as name:
         fresh = dataclasses.replace(record, folder=Path(name))
         if is_crossplay:
-            save_crossplay(fresh, context, met)
-            return list(_file_problems(record.folder, fresh.folder))
+            save_crossplay(fresh, context, met, metrics.installed)
+            return list(_file_problems(record.folder, fresh.folder, metrics))
         drawn = None if references is None else (references, bounds_table(references, crossplay))
         problems: list[str] = []
         # Either choice may have been made.
         for include_own in (False, True):
             options = {"include_own": include_own, "references": drawn, "met": met, "notes": notes}
+            options["metrics"] = metrics.installed
             try:
                 save_evaluation(fresh, context, **options)
             except ValueError as error:
                 # All partners are the robots' own.
                 problems = problems or [str(error)]
                 continue
-            differing = list(_file_problems(record.folder, fresh.folder))
+            differing = list(_file_problems(record.folder, fresh.folder, metrics))
             if not differing:
                 return []
             problems = problems or differing
@@ -122,7 +126,7 @@ def read_references(folder: Path) -> pl.DataFrame | None:
     return table
 
 
-def _file_problems(folder: Path, fresh: Path) -> Iterator[str]:
+def _file_problems(folder: Path, fresh: Path, metrics: ReceivedMetrics) -> Iterator[str]:
     """Yield a problem for each file that is missing, unexpected or different in the folder."""
     drawn = {path.name for path in fresh.iterdir()}
     apart = {tables.EPISODES_FILE, tables.RUN_FILE, tables.MATRIX_FIGURE}
@@ -133,6 +137,7 @@ def _file_problems(folder: Path, fresh: Path) -> Iterator[str]:
         loose = LOOSE if name == tables.STRATEGIES_FILE else RELATIVE
         read = _read_table if name.endswith(".parquet") else tables.read_json
         old, new = read(folder / name), read(fresh / name)
+        old = metrics.without_figures(old) if name == tables.SUMMARY_FILE else old
         if place := next(_differences(old, new, loose), None):
             yield f"{folder / name} is not what its episodes give: {place}"
 

@@ -214,6 +214,7 @@ def _written_problems(
             references=references,
             crossplay=pairs,
             notes=robot_notes(record.manifest.get("robots"), rebuilt.job.egos),
+            metrics=rebuilt.metrics,
         )
     picture = [f"{tables.MATRIX_FIGURE}, a picture"] * is_crossplay
     unsaid = _missing_notes(record.manifest, rebuilt)
@@ -256,7 +257,7 @@ def _judge(
 ) -> ReplayReport:
     """Return the report with problems and verdict, from the replayed and the folder's episodes."""
     kept = [
-        part.kept.join(again, on=KEYS, how="semi").sort(KEYS)
+        rebuilt.metrics.without_absent(part.kept).join(again, on=KEYS, how="semi").sort(KEYS)
         for part, again in zip(parts, played, strict=True)
     ]
     pairs = list(zip(kept, played, strict=True))
@@ -269,6 +270,7 @@ def _judge(
     same_machine, why = _same_machine(manifest, rebuilt.job)
     exact, task = differing == 0 or same_machine, rebuilt.job.task
     problems: list[str] = []
+    unmeasured = () if exact else rebuilt.metrics.noise_notes(parts[0].kept)
     if exact and differing:
         problems = [f"{differing} episodes played again have other values"]
     elif differing:
@@ -283,6 +285,7 @@ def _judge(
         why=why if differing or same_machine else f"the same bits, though {why}",
         differing=differing,
         problems=tuple(problems),
+        unchecked=(*report.unchecked, *unmeasured),
         ok=not problems,
     )
     return _with_verdict(report, rebuilt.headline, parts[0].kept, pairs[0], task)

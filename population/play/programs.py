@@ -8,7 +8,7 @@ show at all, callers keep to one shape.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -20,7 +20,7 @@ from population.environment import Environment, EnvState
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
 from population.play.seats import act_all, initial_carries, noise_keys, widths
-from population.play.tally import Tally, accumulate, begin, begin_window
+from population.play.tally import Column, Tally, accumulate, begin, begin_window
 
 
 @jax.tree_util.register_dataclass
@@ -59,6 +59,8 @@ class Programs:
     paired: bool
     stochastic: bool
     forgets: bool  # whether robots reset their memory when an episode begins
+    # Columns that installed packages add to the tally, by name.
+    columns: Mapping[str, Column] = dataclasses.field(default_factory=dict)
 
     def layout(self, block: Block) -> Layout:
         """Return the layout of a block on the flat axis."""
@@ -75,7 +77,7 @@ class Programs:
             state=state,
             robot=initial_carries(self.robots, layout.egos, k if self.paired else p * k),
             human=initial_carries(self.humans, layout.partners, e * k),
-            tally=begin(state, self.env.joint_positions(state)),
+            tally=begin(state, self.env.joint_positions(state), self.columns),
             window=begin_window(state),
             time=jnp.zeros((), jnp.int32),
         )
@@ -114,7 +116,8 @@ class Programs:
         window = loop.window
         if window is not None:
             window = window.at[loop.time % len(window)].set(state.measures.force)
-        tally = accumulate(loop.tally, loop.state, state, travel, window, loop.time)
+        played = loop.tally, loop.state, state, travel, window, loop.time
+        tally = accumulate(*played, self.columns)
         return Loop(state, robot_carry, human_carry, tally, window, loop.time + 1)
 
 

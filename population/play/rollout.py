@@ -10,7 +10,7 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -21,7 +21,7 @@ from assistax_envs.own_settings import key_of, own_settings
 from population.environment import Environment
 from population.networks.seat import Params
 from population.play.programs import Block, Loop, Programs, trip_count
-from population.play.tally import Tally
+from population.play.tally import Column, Tally
 
 # Most environment steps in one call. Progress is reported and Ctrl-C handled between calls.
 SEGMENT = 100
@@ -47,6 +47,7 @@ class Rollout:
         paired: bool = False,
         length: int | None = None,
         series: int = 1,
+        columns: Mapping[str, Column] | None = None,
     ) -> None:
         """Set the policies and rules of the blocks.
 
@@ -61,11 +62,14 @@ class Rollout:
             length: steps to play, if fewer than the episode's: for measuring speed.
             series: consecutive episodes that a robot plays with a partner before its recurrent
                 state is reset; the human's is reset in each.
+            columns: columns that installed packages add to the tally, by name.
         """
         self.compile_seconds: dict[jax.Device, float] = collections.defaultdict(float)
         self._series, self._length = series, length or env.episode_length
         steps = segment_length(self._length) if robots else 1
-        self._programs = Programs(env, robots, humans, steps, paired, stochastic, series == 1)
+        forgets, columns = series == 1, columns or {}
+        played = env, robots, humans, steps, paired, stochastic, forgets, columns
+        self._programs = Programs(*played)
         self._start = jax.jit(self._programs.start)
         self._advance = jax.jit(self._programs.advance)
         self._compiled: dict[Any, tuple[Callable[..., Loop], ...]] = {}

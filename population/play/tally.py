@@ -1,15 +1,50 @@
 """Tally of an episode's rewards and measures, added up step by step."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from population.environment import EnvState
 
 GAMMA = 0.99  # of the discounted return
+
+
+class Column:
+    """A quantity of an episode that a package adds, computed from its steps.
+
+    A value is an array [N], or a tree of such arrays, one entry an episode. `begin` and `add` are
+    compiled with the rollout. What `add` returns for an episode that has ended, or whose physics
+    became non-finite, is not used.
+    """
+
+    def begin(self, state: EnvState) -> Any:
+        """Return the value at the start of episodes; zeros unless a subclass says otherwise."""
+        return jnp.zeros(state.reward.shape)
+
+    def add(self, value: Any, before: EnvState, state: EnvState, time: jax.Array) -> Any:
+        """Return the value after a step.
+
+        Args:
+            value: The value before the step.
+            before: The environment's state before the step.
+            state: The state after the step.
+            time: Number of the step in the episode [], from 0.
+        """
+        raise NotImplementedError
+
+    def end(self, value: Any, steps: Int[np.ndarray, "*N"]) -> Any:
+        """Return the column's numbers [N] of finished episodes, from NumPy values.
+
+        Args:
+            value: The value after the last step.
+            steps: Steps that each episode had.
+        """
+        return value
 
 
 @jax.tree_util.register_dataclass
@@ -33,6 +68,8 @@ class Tally:
     violated: Any = None  # [N] bool, a contact was above the hard limit; None likewise
     # Measures of touch by name, see `TOUCH`, each [N]; empty if touch is not measured.
     touch: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
+    # Values of the columns that installed packages add, by name.
+    columns: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 # Measures of touch. `end_steps`: steps touched with a joint of the arm at its limit. `touch_speed`:
@@ -43,7 +80,9 @@ TOUCH = ("end_steps", "touch_speed", "face_least", "together_peak", "sustained_f
 SECOND = 50  # steps
 
 
-def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
+def begin(
+    state: EnvState, joints: dict[str, jax.Array], columns: Mapping[str, Column] | None = None
+) -> Tally:
     """Return the tally of episodes at their start, with joint positions by role."""
     zero = jnp.zeros(state.reward.shape)
     false, count = jnp.zeros(zero.shape, bool), jnp.zeros(zero.shape, jnp.int32)
@@ -63,6 +102,7 @@ def begin(state: EnvState, joints: dict[str, jax.Array]) -> Tally:
         contact_peak=None if state.measures.contact is None else zero,
         violated=None if state.measures.violated is None else false,
         touch=_untouched(state) if _measured(state) else {},
+        columns={name: column.begin(state) for name, column in (columns or {}).items()},
     )
 
 
@@ -78,6 +118,7 @@ def accumulate(
     travel: dict[str, jax.Array],
     window: Float[Array, "S N"] | None,
     time: jax.Array,
+    columns: Mapping[str, Column] | None = None,
 ) -> Tally:
     """Return the tally with the step from `before` to `state`, number `time`, of running episodes.
 
@@ -111,6 +152,14 @@ def accumulate(
         success=tally.success | (earning & measures.success),
         nonfinite=tally.nonfinite | (running & state.nonfinite),
         touch=_touched(tally, before, state, earning, window),
+        columns={
+            name: jax.tree.map(
+                lambda old, new: jnp.where(earning, new, old).astype(old.dtype),
+                tally.columns[name],
+                column.add(tally.columns[name], before, state, time),
+            )
+            for name, column in (columns or {}).items()
+        },
         **touches,
     )
 

@@ -195,6 +195,7 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
 
         rows = [(TOUCHES[name], figure) for name, figure in touch.items()]
         _print_figures("how people were touched", rows, "mean over episodes", digits=3)
+    _print_more(summary)
     if summary["references"]:
         _print_references(summary["references"], summary["relative"])
     _print_variance(summary["variance"])
@@ -241,10 +242,19 @@ def _print_crossplay(summary: dict[str, Any]) -> None:
     )
     shape = f"{counted(summary['egos'], 'robot')} x {counted(summary['partners'], 'human')}"
     _print_figures(f"{summary['task']}, {shape}", [(name, summary[key]) for name, key in names])
+    _print_more(summary)
     _print_variance(summary["variance"])
     best = summary["best_ego"]
     print(f"best robot: {best['ego']}, mean return {best['mean']:.1f}")
     _print_origin(summary)
+
+
+def _print_more(summary: dict[str, Any]) -> None:
+    """Print the metrics of installed packages that were asked for."""
+    if more := summary.get("more"):
+        rows = [(figure["title"], figure) for figure in more.values()]
+        packages = ", ".join(dict.fromkeys(f["package"] for f in more.values()))
+        _print_figures(f"more, by {packages}", rows, "mean over episodes", digits=3)
 
 
 def _print_variance(variance: dict[str, Any] | None) -> None:
