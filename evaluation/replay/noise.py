@@ -64,6 +64,12 @@ def measured_columns(table: pl.DataFrame) -> list[str]:
     ]
 
 
+def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
+    """Return a mask [N] of the episodes with a value that differs between the two tables."""
+    same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
+    return ~np.all(same, axis=0)
+
+
 def noise_problems(
     task: str, kept: pl.DataFrame, played: pl.DataFrame, figure: pl.Expr | None = None
 ) -> list[str]:

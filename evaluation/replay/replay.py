@@ -36,7 +36,7 @@ from evaluation.record.verification import verify_folder
 from evaluation.replay import rederive
 from evaluation.replay.headline import Headline, Reach, Verdict, hidden_share, verdict_of
 from evaluation.replay.job import RebuiltJob, rebuild_job, source_problems
-from evaluation.replay.noise import hidden_bias, noise_problems
+from evaluation.replay.noise import differing_rows, hidden_bias, noise_problems
 from zoo.lock import apply_lock, read_lock
 from zoo.registry import Registry
 
@@ -323,12 +323,6 @@ def _with_verdict(
         hidden_flags={name: bias for name, bias in biases.items() if bias is not None},
         found=reach.found,
     )
-
-
-def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
-    """Return a mask [N] of the episodes with a value that differs between the two tables."""
-    same = [kept[name].eq_missing(played[name]).to_numpy() for name in kept.columns]
-    return ~np.all(same, axis=0)
 
 
 def _same_machine(manifest: Mapping[str, Any], job: Job) -> tuple[bool, str]:

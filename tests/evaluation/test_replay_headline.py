@@ -15,8 +15,9 @@ from evaluation.play.tiles import GPU_TILE_ENVS, TILE_ENVS
 from evaluation.record.manifest import file_sha256
 from evaluation.replay.headline import Headline, Reach, hidden_share, verdict_of
 from evaluation.replay.job import tile_envs_of
+from evaluation.replay.noise import differing_rows
 from evaluation.replay.received import received_robots
-from evaluation.replay.replay import ReplayReport, differing_rows
+from evaluation.replay.replay import ReplayReport
 from zoo.registry import load_registry
 
 FIGURE = Headline("M_test", -200.0, pl.lit(value=True))
