@@ -1,0 +1,1 @@
+"""What a package outside assistax-zoo adds to it."""
