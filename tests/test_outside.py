@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -102,6 +103,15 @@ def test_entry_points_name_what_can_be_loaded(
     assert isinstance(find_metrics(["unsteadiness"])["unsteadiness"].metric, Metric)
     assert callable(extensions(COMMANDS)["plot.forces"].load())
     assert [*extensions(METHODS), *extensions(METRICS)] == ["careful", "unsteadiness"]
+
+
+def test_guide_shows_the_package() -> None:
+    guide = (OUTSIDE.parents[1] / "docs" / "extend.md").read_text()
+    files = [path.read_text() for path in OUTSIDE.rglob("*") if path.suffix in (".py", ".toml")]
+    blocks = re.findall(r"```(?:python|toml)\n(.*?)```", guide, re.DOTALL)
+    assert len(blocks) == 4
+    for block in blocks:
+        assert any(block in text for text in files), block
 
 
 @pytest.mark.slow

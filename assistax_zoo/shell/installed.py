@@ -66,6 +66,8 @@ def check_installed(words: Sequence[str]) -> None:
         ValueError: It says what to install.
         assistax_base.extensions.ExtensionError: It names the package that cannot be imported.
     """
+    if words and words[0].startswith("-") and words[0] not in ("--help", "-h"):
+        return  # such as --version, which lists no commands
     named = list(itertools.takewhile(lambda word: not word.startswith("-"), words[:2]))
     for name, extension in _extensions(COMMANDS).items():
         parts = name.split(".")

@@ -255,7 +255,8 @@ def test_a_broken_command_names_its_package(
         message = capsys.readouterr().err
         assert message.startswith("error: the command 'plot.forces' of the package outside 0.3 ")
         assert "No module named 'no_such_module'" in message
-    assert main.run(["plot", "zsc", "--help"]) == 0
+    for words in (["plot", "zsc", "--help"], ["--version"]):
+        assert main.run(words) == 0
 
 
 def test_a_package_adds_a_figure_command(
