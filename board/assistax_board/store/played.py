@@ -15,8 +15,8 @@ NOT_PEOPLE = (
     "They are not validated models of people: a place on this board says nothing about safety or "
     "benefit for a person."
 )
-TRAINED_IN_WORDS = "trained policies"
-PERSONS_IN_WORDS = "persons made of numbers, who were trained with no robot"
+TRAINED = "trained policies"
+MADE = "persons made of numbers, who were trained with no robot"
 
 
 def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) -> dict[str, Any]:
@@ -64,11 +64,11 @@ def statement_of(hidden: Mapping[str, Any] | None) -> str:
     if not hidden:
         who = "Partners are simulated."
     elif hidden["teams"] and hidden["persons"]:
-        who = f"Public partners are {TRAINED_IN_WORDS} in simulation, hidden ones {TRAINED_IN_WORDS} and {PERSONS_IN_WORDS}."
+        who = f"Public partners are {TRAINED} in simulation, hidden ones {TRAINED} and {MADE}."
     elif hidden["persons"]:
-        who = f"All partners are simulated; hidden ones are {PERSONS_IN_WORDS}."
+        who = f"All partners are simulated; hidden ones are {MADE}."
     else:
-        who = f"The partners are {TRAINED_IN_WORDS} in simulation."
+        who = f"The partners are {TRAINED} in simulation."
     return f"{who} {NOT_PEOPLE}"
 
 
