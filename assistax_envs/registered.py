@@ -5,11 +5,11 @@ Another package adds a task by an entry point of the group `assistax_zoo.tasks`,
 Imports no JAX or MuJoCo.
 """
 
-import functools
 import importlib
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from assistax_base.extensions import TASKS, Extension, extensions
 
 if TYPE_CHECKING:
     from assistax_envs.tasks.kind import TaskKind
@@ -20,7 +20,6 @@ OURS = (
     *("scratch", "bed_bath", "arm_assist"),
     *("gentle_scratch", "gentle_bath", "gentle_lift", "gentle_feeding", "gentle_brushing"),
 )
-GROUP = "assistax_zoo.tasks"
 
 
 def load(place: str) -> Any:
@@ -34,7 +33,7 @@ class Kinds(Mapping[str, "TaskKind"]):
 
     Iterating gives the names alone: our own in a fixed order, then those of other packages in
     alphabetical order. A name that is taken twice, or an entry point that gives no kind of its
-    name, raises a `ValueError` that names the package.
+    name, raises an `ExtensionError` that names the package.
     """
 
     def __init__(self) -> None:
@@ -57,19 +56,9 @@ class Kinds(Mapping[str, "TaskKind"]):
     def __len__(self) -> int:
         return len(OURS) + len(self._entries)
 
-    @functools.cached_property
-    def _entries(self) -> dict[str, EntryPoint]:
-        found: dict[str, EntryPoint] = {}
-        for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-            if entry.name in OURS or entry.name in found:
-                owner = "assistax-zoo" if entry.name in OURS else _package(found[entry.name])
-                raise ValueError(
-                    f"the package {_package(entry)} adds a task {entry.name!r}, which {owner} has "
-                    f"too; rename the task's entry point in the group {GROUP}, or uninstall "
-                    f"{_package(entry)}"
-                )
-            found[entry.name] = entry
-        return found
+    @property
+    def _entries(self) -> Mapping[str, Extension]:
+        return extensions(TASKS, OURS)
 
 
 REGISTERED = Kinds()
@@ -107,24 +96,10 @@ class ByTask(Mapping[str, T], Generic[T]):
 TASK_CLASSES: Mapping[str, Any] = ByTask(lambda kind: load(kind.make))
 
 
-def _kind(entry: EntryPoint) -> "TaskKind":
+def _kind(extension: Extension) -> "TaskKind":
     """Return the kind that an entry point names."""
-    task_kind = load("assistax_envs.tasks.kind:TaskKind")
-    try:
-        kind = entry.load()
-    except Exception as error:
-        raise ValueError(
-            f"task {entry.name!r} of the package {_package(entry)} cannot be loaded "
-            f"({type(error).__name__}: {error}); repair or uninstall {_package(entry)}"
-        ) from error
-    if not isinstance(kind, task_kind) or kind.name != entry.name:
+    task_kind, kind = load("assistax_envs.tasks.kind:TaskKind"), extension.load()
+    if not isinstance(kind, task_kind) or kind.name != extension.name:
         found = f"a task {kind.name!r}" if isinstance(kind, task_kind) else type(kind).__name__
-        raise ValueError(
-            f"the entry point {entry.name!r} of the package {_package(entry)} gives {found}; it "
-            f"must give a TaskKind of that name: correct it, or uninstall {_package(entry)}"
-        )
+        raise extension.error(f"a TaskKind named {extension.name!r}", found)
     return kind
-
-
-def _package(entry: EntryPoint) -> str:
-    return entry.dist.name if entry.dist else entry.value

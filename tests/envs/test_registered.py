@@ -5,17 +5,20 @@ import dataclasses
 import json
 import subprocess
 import sys
-from importlib import metadata, resources
+from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs import make, registered
+from assistax_base.extensions import TASKS as GROUP
+from assistax_base.extensions import ExtensionError
+from assistax_envs import make
 from assistax_envs.models.build import scene_sha256
 from assistax_envs.preferences import PREFERRED, VALUES
-from assistax_envs.registered import GROUP, OURS, REGISTERED, TASK_CLASSES, Kinds
+from assistax_envs.registered import OURS, REGISTERED, TASK_CLASSES
 from assistax_envs.tasks.chain import SCRIPTS, script_of
 from assistax_envs.tasks.kind import Scene
 from assistax_envs.tasks.scratch import TASK as SCRATCH
@@ -37,18 +40,13 @@ MINE = dataclasses.replace(
 
 
 @pytest.fixture
-def outside(monkeypatch: pytest.MonkeyPatch):
-    """Give the entry points of installed packages: names and places."""
+def outside(install_package: Callable[..., None], monkeypatch: pytest.MonkeyPatch):
+    """Return a function that installs packages of one task each: names and places."""
 
     def give(*places: tuple[str, str]) -> None:
-        found = metadata.EntryPoints(
-            metadata.EntryPoint(name, place, GROUP) for name, place in places
-        )
-        kinds = Kinds()
-        monkeypatch.setattr(registered, "entry_points", lambda group: found.select(group=group))
-        monkeypatch.setitem(REGISTERED.__dict__, "_kinds", {})
-        # A process finds its entry points once: the test puts others in their place.
-        monkeypatch.setitem(REGISTERED.__dict__, "_entries", kinds._entries)
+        monkeypatch.setattr(REGISTERED, "_kinds", {})
+        for number, (name, place) in enumerate(places):
+            install_package(GROUP, name, place, package=f"lab{number}")
 
     return give
 
@@ -88,24 +86,15 @@ def test_outside_task_plays_with_scene_and_script(outside) -> None:
 @pytest.mark.parametrize(
     ("places", "message"),
     [
-        (
-            [("scratch", "lab.tasks:TASK")],
-            "package lab.tasks:TASK adds a task 'scratch', which",
-        ),
-        ([("a", "one:TASK"), ("a", "two:TASK")], "a task 'a', which one:TASK has too; rename"),
-        ([("mine", "no_such_module:TASK")], r"'mine' .* cannot be loaded \(ModuleNotFoundError: "),
-        (
-            [("mine", f"{__name__}:TEXT")],
-            "point 'mine' .* gives str; it must give a TaskKind",
-        ),
-        (
-            [("other", f"{__name__}:MINE")],
-            "'other' .* gives a task 'mine'; it must give a",
-        ),
+        ([("scratch", "lab.tasks:TASK")], "name of its own, found that of a task of assistax-zoo"),
+        ([("a", "one:TASK"), ("a", "two:TASK")], "package lab1 .* that of a task of lab0"),
+        ([("mine", "no_such_module:TASK")], "package lab0 .* found ModuleNotFoundError: "),
+        ([("mine", f"{__name__}:TEXT")], "'mine' of the package lab0 .* TaskKind .*, found str"),
+        ([("other", f"{__name__}:MINE")], "'other' of the package lab0 .* found a task 'mine'"),
     ],
 )
 def test_bad_entry_names_its_package(outside, places, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ExtensionError, match=message):
         outside(*places)
         [REGISTERED[name] for name in REGISTERED]
 
