@@ -382,3 +382,17 @@ def test_a_malformed_run_folder_is_refused(tmp_path: Path, teams, change, words:
 def test_a_folder_without_teams_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"teams\.json"):
         read_run(tmp_path)
+
+
+def test_persons_join_a_release_without_teams(tmp_path: Path) -> None:
+    path = tmp_path / "registry.json"
+    made = publish([], path, "v0", persons=["gentle_scratch"], date="2027-01-01")
+    assert made.data.releases["v0"].environments == {"gentle_scratch": 3}
+    assert made.split("gentle_scratch").rule == "persons" and verify(made).ok
+    before = path.read_bytes()
+    publish([], path, "v0", persons=["gentle_scratch"])
+    assert path.read_bytes() == before
+    with pytest.raises(ValueError, match="task is 'nowhere'; allowed are"):
+        publish([], path, "v0", persons=["nowhere"])
+    with pytest.raises(PublishError, match="at least one team"):
+        publish([], path, "v0")

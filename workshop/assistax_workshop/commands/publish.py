@@ -57,6 +57,7 @@ class Card:
 def publish(
     *runs: Path,
     release: str,
+    persons: tuple[str, ...] = (),
     to: str | None = None,
     registry: Path | None = None,
     date: str | None = None,
@@ -74,6 +75,8 @@ def publish(
     Args:
         runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
         release: Release that the teams join, such as v0; it is made if it does not exist.
+        persons: Task whose persons join the release, such as a task of your own; repeat it for
+            more.
         to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
         registry: Registry to publish to instead, without a card.
         date: ISO date of a new release; default today.
@@ -89,7 +92,7 @@ def publish(
     from assistax_workshop.press.hub_publish import publish_to
     from assistax_workshop.press.trained_runs import read_run
 
-    if not runs:
+    if not runs and not persons:
         raise ValueError("no run folder given; name at least one, for example runs/scratch-ippo-d1")
     if to and registry:
         raise ValueError(
@@ -98,8 +101,10 @@ def publish(
     teams = [team for run in runs for team in read_run(run)]
     place = to or writable_registry(registry) or own_registry()
     about: dict[str, Any] = {"date": date, "description": description, "citation": cited.given()}
+    about["persons"] = persons
     done = publish_to(teams, str(place), release, **about, **vars(card), key=key)
     new = counted(len(done.added), "new policy")
+    new += "".join(f" and the persons of {task}" for task in persons)
     published = f"published {new} in release {release} of {done.registry}"
     lines = [f"{published}; it holds {done.policies}"]
     if place == own_registry():

@@ -20,12 +20,14 @@ from population.runs.trained import TrainedTeam
 from zoo.ids import check_name, same_team
 from zoo.locations import shard_root
 from zoo.parameters.encoding import check_params, encode_shard
+from zoo.persons.registered import described
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry, writable_registry
 from zoo.schema import (
     SCHEMA_VERSION,
     Citation,
     Ego,
+    Persons,
     PolicyRow,
     RegistryFile,
     Release,
@@ -41,6 +43,7 @@ def publish(
     registry_path: Path | str,
     release: str,
     *,
+    persons: Sequence[str] = (),
     environments: Mapping[str, int] | None = None,
     date: str | None = None,
     description: str = "",
@@ -61,6 +64,7 @@ def publish(
         registry_path: The registry; it is created if it does not exist. Shards go to `zoo/shards`
             beside it.
         release: Release that they join, such as "v0"; it is created if it does not exist.
+        persons: Tasks whose persons join the release too.
         environments: Environment version of each task; those of the installed `assistax_envs` if
             not given.
         date: ISO date of a new release; today if not given.
@@ -75,20 +79,24 @@ def publish(
         ImmutableError: An id, a figure or an environment version that is already published would
             change.
         PublishError: A team lacks provenance, occurs twice, or has the parameters of another; or
-            the registry is official.
+            the registry is official, or there is nothing to publish.
+        ValueError: A task of `persons` has no persons.
     """
     path = Path(registry_path)
     writable_registry(path)
     check_name("release", release)
     created = Release(date=_day(date), description=description, environments={}, citation=citation)
     candidates = [make_candidate(team, release, check) for team in teams]
+    if not candidates and not persons:
+        raise PublishError("publication", "at least one team", "none")
+    tables = {task: described(task) for task in persons}
     with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
         fresh = _fresh(base, candidates)
-        if old and not fresh and not key and not citation:
+        if old and not fresh and not key and not citation and not tables:
             return old
-        data = _with_release(base, release, created, fresh, environments or VERSIONS)
+        data = _with_release(base, release, created, fresh, tables, environments or VERSIONS)
         if old and not fresh and not key and data == old.data:
             return old
         _check_sizes(data, release, fresh)
@@ -122,8 +130,6 @@ def _empty(release: str, created: Release) -> RegistryFile:
 
 def _fresh(data: RegistryFile, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the unpublished candidates, in order; refuse changes of published ones."""
-    if not candidates:
-        raise PublishError("publication", "at least one team", "none")
     owners = {
         (role, row.sha256): team
         for team, entry in data.members.items()
@@ -169,9 +175,10 @@ def _with_release(
     release: str,
     created: Release,
     fresh: Sequence[Candidate],
+    persons: Mapping[str, Persons],
     environments: Mapping[str, int],
 ) -> RegistryFile:
-    """Return the registry with the release and its new tasks' environment versions."""
+    """Return the registry with the release, its persons and new tasks' environment versions."""
     if data.disability_settings != installed_settings():
         installed = f"{installed_settings()} in the installed environments"
         raise ImmutableError(
@@ -179,8 +186,8 @@ def _with_release(
         )
     entry = data.releases.get(release, created)
     versions = dict(entry.environments)
-    for candidate in fresh:
-        task, trained = candidate.team.task, candidate.training.env_version
+    members = [(c.team.task, str(c.team), c.training.env_version) for c in fresh]
+    for task, member, trained in (*members, *((task, "", None) for task in persons)):
         if task not in environments:
             raise PublishError(
                 f"task {task}",
@@ -190,14 +197,15 @@ def _with_release(
         if environments[task] != versions.setdefault(task, environments[task]):
             expected = f"version {versions[task]} of {task}, as release {release} has it"
             raise ImmutableError(f"release {release}", expected, f"version {environments[task]}")
-        if trained != versions[task]:
+        if trained not in (None, versions[task]):
             raise PublishError(
-                f"team {candidate.team}",
+                f"team {member}",
                 f"training on {task} version {versions[task]}",
                 f"on {trained}",
             )
     now = {
         "environments": dict(sorted(versions.items())),
+        "persons": {**entry.persons, **persons},
         "citation": created.citation or entry.citation,
     }
     releases = {**data.releases, release: entry.model_copy(update=now)}
