@@ -43,9 +43,14 @@ def select(
     if pattern is None:
         return chosen or refuse_empty()
     patterns = [pattern] if isinstance(pattern, str) else list(pattern)
+    # Thousands of whole ids are looked up, so that they are not matched one by one.
+    named: dict[str, set[str]] = {}
+    for entry in chosen:
+        for name in (entry.id, entry.team):
+            named.setdefault(name, set()).add(entry.id)
     keep: set[str] = set()
-    for glob in patterns:
-        keep |= _matching(glob, chosen, entries)
+    for glob in dict.fromkeys(patterns):
+        keep |= named.get(glob) or _matching(glob, chosen, entries)
     return [entry for entry in chosen if entry.id in keep]
 
 
