@@ -134,7 +134,8 @@ def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
 @pytest.mark.slow
 def test_outside_teams_are_cross_played(shell: Shell) -> None:
     folder = shell.folder / "crossplay"
-    options = ["--episodes", "1", "--preferences", "p1", "--backend", "native"]
+    options = ["--partners", f"{TASK}/ippo-*/human", "--egos", f"{TASK}/ippo-*/robot"]
+    options += ["--episodes", "1", "--preferences", "p1", "--backend", "native"]
     options += ["--registry", shell.registry, "--out", folder, "--json"]
     summary = json.loads(shell("crossplay", "--task", TASK, *options))
     assert (summary["egos"], summary["partners"]) == (2, 2)

@@ -39,7 +39,7 @@ def parse(words: list[str]) -> None:
 def test_every_command_of_the_page_parses(page: Path) -> None:
     wrong = []
     text = page.read_text(encoding="utf-8")
-    # The package of docs/extend.md is not installed here: `tests/test_outside.py` runs its commands.
+    # `tests/test_outside.py` runs the commands of the package of docs/extend.md.
     text = text.replace("gentle_wave", "gentle_scratch").replace("--metrics unsteadiness ", "")
     for words in printed_commands(text):
         if words == ["--install-completion"]:

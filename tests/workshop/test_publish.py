@@ -392,7 +392,7 @@ def test_persons_join_a_release_without_teams(tmp_path: Path) -> None:
     before = path.read_bytes()
     publish([], path, "v0", persons=["gentle_scratch"])
     assert path.read_bytes() == before
-    with pytest.raises(ValueError, match="task is 'nowhere'; allowed are"):
+    with pytest.raises(PublishError, match="task nowhere: expected one of scratch"):
         publish([], path, "v0", persons=["nowhere"])
     with pytest.raises(PublishError, match="at least one team"):
         publish([], path, "v0")

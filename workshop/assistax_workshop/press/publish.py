@@ -28,7 +28,6 @@ from zoo.schema import (
     SCHEMA_VERSION,
     Citation,
     Ego,
-    Persons,
     PolicyRow,
     RegistryFile,
     Release,
@@ -66,14 +65,12 @@ def publish(
             beside it.
         release: Release that they join, such as "v0"; it is created if it does not exist.
         persons: Tasks whose persons join the release too.
-        environments: Environment version of each task; those of the installed `assistax_envs` if
-            not given.
+        environments: Environment version of each task; default the installed ones.
         date: ISO date of a new release; today if not given.
         description: Description of a new release, in one sentence.
         citation: Citation of the release; a later one replaces an earlier one.
         complete: Whether the release is complete with these teams.
-        check: Called with spec, leaves and policy id; raises if the parameters are not those of the
-            spec.
+        check: Called with spec, leaves and policy id; raises if the parameters do not fit the spec.
         key: Ed25519 private key, PEM, by which the release is signed.
 
     Raises:
@@ -88,16 +85,13 @@ def publish(
     check_name("release", release)
     created = Release(date=_day(date), description=description, environments={}, citation=citation)
     candidates = [make_candidate(team, release, check) for team in teams]
-    if not candidates and not persons:
-        raise PublishError("publication", "at least one team", "none")
-    tables = {task: described(task) for task in persons}
     with exclusive(path):
         old = load_registry(path) if path.exists() else None
         base = old.data if old else _empty(release, created)
-        fresh = _fresh(base, candidates)
-        if old and not fresh and not key and not citation and not tables:
+        fresh = _fresh(base, candidates) if candidates or not persons else []
+        if old and not fresh and not key and not citation and not persons:
             return old
-        data = _with_release(base, release, created, fresh, tables, environments or VERSIONS)
+        data = _with_release(base, release, created, fresh, persons, environments or VERSIONS)
         if old and not fresh and not key and data == old.data:
             return old
         _check_sizes(data, release, fresh)
@@ -131,6 +125,8 @@ def _empty(release: str, created: Release) -> RegistryFile:
 
 def _fresh(data: RegistryFile, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the unpublished candidates, in order; refuse changes of published ones."""
+    if not candidates:
+        raise PublishError("publication", "at least one team", "none")
     owners = {
         (role, row.sha256): team
         for team, entry in data.members.items()
@@ -176,7 +172,7 @@ def _with_release(
     release: str,
     created: Release,
     fresh: Sequence[Candidate],
-    persons: Mapping[str, Persons],
+    persons: Sequence[str],
     environments: Mapping[str, int],
 ) -> RegistryFile:
     """Return the registry with the release, its persons and new tasks' environment versions."""
@@ -206,7 +202,7 @@ def _with_release(
             )
     now = {
         "environments": dict(sorted(versions.items())),
-        "persons": {**entry.persons, **persons},
+        "persons": {**entry.persons, **{task: described(task) for task in persons}},
         "citation": created.citation or entry.citation,
     }
     releases = {**data.releases, release: entry.model_copy(update=now)}
