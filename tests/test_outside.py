@@ -119,7 +119,15 @@ def test_an_uninstalled_package_adds_nothing() -> None:
 @pytest.mark.slow
 def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
     folder = shell.folder / "evaluation"
-    options = ["--partners", "persons", "--persons", "2", "--episodes", "1", "--no-references"]
+    options: list[Any] = [
+        "--partners",
+        "persons",
+        "--persons",
+        "2",
+        "--episodes",
+        "1",
+        "--no-references",
+    ]
     options += ["--registry", shell.registry, "--metrics", "unsteadiness", "--backend", "native"]
     text = shell("evaluate", "--task", TASK, "--policy", robot, *options, "--out", folder, "--json")
     figure = json.loads(text)["more"]["unsteadiness"]
@@ -134,7 +142,7 @@ def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
 @pytest.mark.slow
 def test_outside_teams_are_cross_played(shell: Shell) -> None:
     folder = shell.folder / "crossplay"
-    options = ["--partners", f"{TASK}/ippo-*/human", "--egos", f"{TASK}/ippo-*/robot"]
+    options: list[Any] = ["--partners", f"{TASK}/ippo-*/human", "--egos", f"{TASK}/ippo-*/robot"]
     options += ["--episodes", "1", "--preferences", "p1", "--backend", "native"]
     options += ["--registry", shell.registry, "--out", folder, "--json"]
     summary = json.loads(shell("crossplay", "--task", TASK, *options))

@@ -91,6 +91,7 @@ def problems(root: Path = ROOT) -> Iterator[str]:
         yield from floors(modules, package)[1]
     for circle in circles(modules):
         yield f"modules import each other: {', '.join(circle)}"
+    yield from kind_questions(modules, root)
 
 
 def dependencies(root: Path = ROOT) -> int:

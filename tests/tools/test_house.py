@@ -55,6 +55,11 @@ def test_a_house_that_keeps_its_bars(root: Path) -> None:
             "def merkle_root(leaves): ...\n",
             "zoo/twice.py: has a second copy of what stands in assistax_base/digest.py",
         ),
+        (
+            "zoo/asking.py",
+            "def wants(split): return split.rule == PERSONS\n",
+            "zoo/asking.py:1: refers to PERSONS",
+        ),
     ],
 )
 def test_what_misses_a_bar_is_found(root: Path, name: str, text: str, problem: str) -> None:

@@ -9,8 +9,6 @@ import datetime
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from zoo.persons.registered import described
-
 from assistax_base.digest import sha256
 from assistax_base.errors import ImmutableError, PublishError, listing
 from assistax_base.files import atomic_write, exclusive
@@ -22,6 +20,7 @@ from population.runs.trained import TrainedTeam
 from zoo.ids import check_name, same_team
 from zoo.locations import shard_root
 from zoo.parameters.encoding import check_params, encode_shard
+from zoo.partners.person_tables import described
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry, writable_registry
 from zoo.schema import (
