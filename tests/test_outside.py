@@ -88,7 +88,7 @@ def test_additions_are_found_by_name(site: Path) -> None:
     found = json.loads(Shell(site, site).python("-c", code))
     assert {group.removeprefix("assistax_zoo."): list(names) for group, names in found.items()} == {
         "tasks": [TASK],
-        "partners": [],
+        "partners": ["resting"],
         "methods": ["careful"],
         "metrics": ["unsteadiness"],
         "commands": ["plot.forces"],
@@ -100,7 +100,7 @@ def test_each_addition_is_one_file_or_folder() -> None:
     text = (SOURCE / "pyproject.toml").read_text()
     places = re.findall(r'^"?[\w.]+"? = "(assistax_outside\.\w+):\w+"$', text, re.M)
     files = {path.stem for path in (SOURCE / "src/assistax_outside").iterdir()}
-    assert len(places) == 4
+    assert len(places) == 5
     assert {place.split(".")[1] for place in places} == files - {"__init__", "__pycache__"}
 
 
@@ -108,7 +108,7 @@ def test_page_prints_the_code_of_the_package() -> None:
     page = (ROOT / "docs/extend.md").read_text()
     blocks = re.findall(r"```(?:python|toml)\n(.*?)```", page, re.S)
     files = [path.read_text() for path in SOURCE.rglob("*.*") if path.suffix in (".py", ".toml")]
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     assert [block for block in blocks if not any(block.strip() in file for file in files)] == []
 
 
@@ -137,6 +137,14 @@ def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
     assert "change of the force, N/s (unsteadiness, assistax-outside 0.1.0)" in page.read_text()
     shell("plot", "forces", folder, "--out", drawing)
     assert drawing.stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_outside_kind_of_partner_plays(shell: Shell, robot: Path) -> None:
+    options: list[Any] = ["--partners", "resting", "--episodes", "1", "--no-references"]
+    options += ["--registry", shell.registry, "--backend", "native", "--json"]
+    text = shell("evaluate", "--task", TASK, "--policy", robot, *options)
+    assert json.loads(text)["m_test"]["partners"] == 2
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import threading
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,24 @@ def test_backup_of_running_server_restores_and_continues(tmp_path: Path) -> None
         assert again.queries.receipt(id) == service.queries.receipt(id)
         assert shown(again, id).attempt == "spent"
         assert again.queries.season(season) == service.queries.season(season)
+
+
+def test_restore_finds_a_file_the_backup_lacks(tmp_path: Path) -> None:
+    service = new_service(tmp_path / "board")
+    id = service.submit(new_submitter(service), draft())
+    work_off(service)
+    back_up(tmp_path / "board", tmp_path / "whole.zip")
+    name = str(shown(service, id).artefact)
+    with (
+        zipfile.ZipFile(tmp_path / "whole.zip") as source,
+        zipfile.ZipFile(tmp_path / "less.zip", "w") as target,
+    ):
+        for row in source.namelist():
+            if name not in row:
+                target.writestr(row, source.read(row))
+    restore(tmp_path / "less.zip", tmp_path / "again")
+    found = check_service(new_service(tmp_path / "again"))
+    assert not found["whole"] and name in str(found)
 
 
 def test_a_backup_replaces_nothing(tmp_path: Path) -> None:

@@ -3,15 +3,27 @@
 import contextlib
 import errno
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
 from assistax_board import rehearsal
+from assistax_board.service import Service
+from assistax_board.store.ledger import check_chain
+from assistax_board.store.schema import JOB
+from assistax_board.store.shown import Score
 from assistax_zoo.shell.main import run
 from tests.attack.test_faults import mounted
+from tests.board.fakes import FakeScorer, draft, new_submitter, shown
+from tests.board.faulty import real_service
+from tests.board.running import port_of_its_own
+from tests.board.test_faults_processes import JOBS, ROOT, Process
+from tests.board.test_season import open_season
 from tests.untrained import gentle_specs, published, teams_of
 
 TASK = "gentle_scratch"
@@ -82,6 +94,128 @@ def full_disk(folder: Path) -> Generator[None]:
     assert refused == 3
     yield
     path.unlink()
+
+
+@pytest.mark.slow
+def test_season_survives_full_disk_kill_upgrade(tmp_path: Path) -> None:
+    """The disk is a real one of 32 MB where a file system may be mounted."""
+    with mounted(tmp_path / "board", "size=32m") as is_real:
+        closes_through_all(tmp_path / "board", is_real)
+
+
+def closes_through_all(folder: Path, is_real: bool) -> None:
+    """Let a season close on a disk that is full twice; see that nothing is lost."""
+    url, port = f"sqlite:///{folder / 'service.db'}", port_of_its_own()
+    service = real_service(folder, url)
+    season = open_season(service, budget=8, closes_at=time.time() + 60.0)
+    ids = handed_in(service, season)
+    server = Process("serve", folder, url, port)
+    work = service.create_token(("work",))
+    workers = [Process("work", f"http://127.0.0.1:{port}", work) for _ in range(2)]
+    try:
+        disk = folder if is_real else folder / "full"
+        until(lambda: is_open(service) and not waiting(service), "panel A is played", disk=disk)
+        for process in (server, *workers):
+            process.kill()
+        server = Process("serve", folder, url, port, 2)
+        workers = [Process("work", f"http://127.0.0.1:{port}", work, 2) for _ in range(2)]
+        until(
+            lambda: is_open(service) and played(service, 2) == JOBS * len(ids),
+            "panel A is played anew",
+        )
+        until(lambda: state_of(service) == "closing", "the closing date comes")
+        server.kill()
+        assert state_of(service) == "closing", "killed too late to tell"
+        words = ("serve", folder, url, port, 3)
+        upgraded = subprocess.run(
+            [sys.executable, "-m", "tests.board.faulty", *map(str, words)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert upgraded.returncode and "season spring is closing" in upgraded.stderr
+        server.start()
+        until(lambda: state_of(service) == "closed", "all is revealed", disk=disk)
+        server.kill()
+    finally:
+        for process in (server, *workers):
+            process.kill()
+    assert {shown(service, id).state for id in ids} == {"scored"}
+    assert {shown(service, id).attempt for id in ids} == {"spent"}
+    assert {id for id, _ in service.panel_b(season)} == set(ids)
+    entries = service.queries.ledger()
+    assert check_chain(entries) == len(entries)
+    assert {score.version for score in scores_on_b(service, season)} == set(
+        FakeScorer(2).versions()
+    )
+    assert real_service(folder, url, 3).adopt_version() == len(ids), "the upgrade comes after it"
+
+
+def handed_in(service: Service, season: str) -> list[str]:
+    """Hand in two methods of two seeds for each of two labs, and enter them."""
+    ids = []
+    for lab in ("Ada", "Grace"):
+        submitter = new_submitter(service, lab)
+        mine = [
+            service.submit(
+                submitter, draft(float(n), f"{lab} {n}", season=season, method=f"{lab} {n % 2}")
+            )
+            for n in range(4)
+        ]
+        service.enter(season, submitter, mine)
+        ids += mine
+    return ids
+
+
+def until(is_so: Callable[[], bool], what: str, disk: Path | None = None) -> None:
+    """Wait until something is so; meanwhile the disk is full for some seconds."""
+    end = time.monotonic() + 300.0
+    if disk is not None:
+        time.sleep(1.0)
+        with full_disk(disk) if disk.is_dir() else touched(disk):
+            time.sleep(4.0)
+    while not is_so():
+        assert time.monotonic() < end, f"in vain: {what}"
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def touched(path: Path) -> Generator[None]:
+    """Let a server that looks for this file find no room; see `faulty`."""
+    path.touch()
+    yield
+    path.unlink()
+
+
+def waiting(service: Service) -> list[str]:
+    rows = service.queries.submissions(limit=1000)
+    return [row.id for row in rows if row.state in ("queued", "running")]
+
+
+def played(service: Service, version: int) -> int:
+    """Return how many jobs were done by a version."""
+    [name] = FakeScorer(version).versions()
+    with service.database.read() as connection:
+        done = sa.select(sa.func.count()).where(JOB.version == name, JOB.state == "done")
+        return connection.execute(done).scalar_one()
+
+
+def is_open(service: Service) -> bool:
+    """Keep a season open however slow this machine is, and say that it is."""
+    [season] = service.queries.seasons()
+    if (season.closes_at or 0.0) < time.time() + 30.0:
+        service.extend_season(season.name, time.time() + 60.0)
+    return True
+
+
+def scores_on_b(service: Service, season: str) -> list[Score]:
+    return [score for score in service.queries.scores(season=season) if score.panel == "B"]
+
+
+def state_of(service: Service) -> str:
+    [season] = service.queries.seasons()
+    return season.state
 
 
 def test_what_never_happens_ends_a_rehearsal(monkeypatch: pytest.MonkeyPatch) -> None:
