@@ -175,7 +175,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
 
     @property
     def met(self) -> MetSummary:
-        """Known training partners of the robots, and the partners that figures leave out."""
+        """Known training partners of the robots, and partners left out of figures."""
         return self.summary.met or MetSummary(known=False, source="not known", left_out=())
 
     @property

@@ -23,7 +23,7 @@ class View(enum.Enum):
 
     @classmethod
     def of_told(cls, told: Told) -> "View":
-        """Return the view of a run whose configuration has this value of `told`."""
+        """Return the robot's view for a value of `told` in a run's configuration."""
         if told == _PARTNER:
             return cls.NUMBERS
         return cls.PREFERENCE if told else cls.PLAIN

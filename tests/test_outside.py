@@ -144,7 +144,7 @@ def test_outside_kind_of_partner_plays(shell: Shell, robot: Path) -> None:
     options: list[Any] = ["--partners", "resting", "--episodes", "1", "--no-references"]
     options += ["--registry", shell.registry, "--backend", "native", "--json"]
     text = shell("evaluate", "--task", TASK, "--policy", robot, *options)
-    assert json.loads(text)["m_test"]["partners"] == 2
+    assert json.loads(text)["partners"]["test"] == 2
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def read_noise(task: str) -> dict[str, dict[str, Any]]:
 
 
 def wild(task: str) -> str:
-    """Return the file's key for a task's uniformly random robot, whose episodes differ most."""
+    """Return the key of a task's random robot in the file of noise; its episodes differ most."""
     return f"{task}/{RANDOM}"
 
 

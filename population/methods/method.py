@@ -65,7 +65,7 @@ class Method:
         return Critic(spec)
 
     def init(self, policy: Policy, key: jax.Array) -> dict[str, Params]:
-        """Return the method's initial networks by name, beside "actor" and "critic"."""
+        """Return the method's initial networks by name, without "actor" and "critic"."""
         return {}
 
     def scheduled(self, hyper: Hyper, progress: jax.Array) -> Hyper:

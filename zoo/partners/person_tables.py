@@ -54,7 +54,7 @@ def person_glob(task: str, release: str) -> str:
 
 @functools.lru_cache(maxsize=16)
 def described(task: str, secret: str | None = None, count: int = COUNT) -> Persons:
-    """Return what a release says of a task's persons as they are here, or of a secret's."""
+    """Return a release's record of a task's persons, or a secret's, as this program makes them."""
     digest = sha256(_rows(task, secret, count).astype("<f4").tobytes())
     return Persons(program=PROGRAM_VERSION, count=count, sha256=digest, secret=secret)
 

@@ -128,7 +128,7 @@ class Persons(PartnerSource):
         return [table.count for *_, table in person_tables(self.registry.data)]
 
     def problems(self) -> Iterator[str]:
-        """Yield the tables whose rows the installed program does not make."""
+        """Yield an error message for each table of persons that this program cannot make."""
         from zoo.partners.person_tables import check_table, person_tables
 
         for named in person_tables(self.registry.data):

@@ -56,7 +56,7 @@ def refuse_changes(source: str, changed: Sequence[str]) -> None:
 
 
 def changes(old: RegistryFile, new: RegistryFile) -> list[str]:
-    """Return what a registry that has grown otherwise changed, in words."""
+    """Return sentences on a registry's changes other than additions; empty without any."""
     changed = []
     if new.release != old.release:
         changed.append(f"the default release is {new.release}, was {old.release}")

@@ -55,7 +55,7 @@ async def submit(
 
 
 async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submission:
-    """Submit a draft of a token's owner; its season may be given by name."""
+    """Submit the draft of a token's owner and return the submission."""
     state = request.app.state
     state.limiter.hit(SUBMIT, principal.token)
     return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)

@@ -56,7 +56,7 @@ class Board:
 
     @property
     def episodes(self) -> int:
-        """Episodes with each partner."""
+        """Number of episodes with each partner."""
         return self.rows[0][1].returns.shape[2]
 
     @property

@@ -91,7 +91,7 @@ class Attempts:
 
     @property
     def left(self) -> int:
-        """Number of attempts left."""
+        """Number of scored attempts that the submitter has left in the season."""
         return max(0, self.budget - self.spent - self.reserved)
 
 

@@ -39,7 +39,7 @@ def news_router(site: Site) -> APIRouter:
 
 
 def news(site: Site, task: str | None) -> list[dict[str, str]]:
-    """Return the newest entries first; a submission that is scored again keeps its entry."""
+    """Return the entries of the feed, the newest first; a submission has one entry."""
     scores = {
         (score.submission, score.panel): score
         for score in site.queries.scores(task=task, newest=_READ)
