@@ -90,7 +90,9 @@ def test_a_splits_preferences_are_those_of_its_training_half(
     _, state = jax.jit(env.reset)(jax.random.key(0))
     allowed = split.preferences["train"]
     assert not {*allowed} & {*held_out}
-    assert set(np.asarray(state.env.params.preference).tolist()) <= {int(p[1:]) for p in allowed}
+    assert set(np.asarray(state.env.params.preference_code).tolist()) <= {
+        int(p[1:]) for p in allowed
+    }
 
 
 def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:

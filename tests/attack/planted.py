@@ -114,7 +114,7 @@ DEFECTS = {
         "tests/evaluation/test_manifest.py::test_every_figure_is_drawn_again",
     ),
     "a replay compares no successes": Defect(
-        "evaluation/replay/replay.py",
+        "evaluation/replay/noise.py",
         r"\.to_numpy\(\) for name in kept\.columns\]",
         '.to_numpy() for name in kept.columns if name != "success"]',
         "tests/evaluation/test_replay_headline.py::test_each_column_of_an_episode_is_compared",

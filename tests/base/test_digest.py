@@ -8,7 +8,7 @@ import pytest
 
 from assistax_base.digest import canonical_json, json_sha256, leaf_sha256, merkle_root
 from population.networks.spec import PolicySpec
-from zoo.history.merkle import leaves, release_root
+from zoo.history.merkle import release_root
 from zoo.parameters.storage import policy_bytes, read_policy_file
 from zoo.registry import load_registry
 
@@ -51,11 +51,9 @@ def test_a_tree_without_leaves_has_no_root() -> None:
 def test_the_releases_of_the_project_have_their_roots() -> None:
     data = load_registry(ROOT / "registry.json").data
     pinned = {
-        "v0": "59c61e2c4007e45aa96f4f852f4633e4f741753e06d80dac27b7d6758245576a",
         "v1": "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5",
     }
     assert {name: release_root(data, name) for name in pinned} == pinned
-    assert len(leaves(data, "v0")) == 57
 
 
 def test_specs_and_policy_files_have_their_hashes(tmp_path: Path) -> None:

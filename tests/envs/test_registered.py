@@ -44,6 +44,7 @@ def outside(install_package: Callable[..., None], monkeypatch: pytest.MonkeyPatc
     """Return a function that installs packages of one task each: names and places."""
 
     def give(*places: tuple[str, str]) -> None:
+        # Kinds are loaded once a process: the test loads others.
         monkeypatch.setattr(REGISTERED, "_kinds", {})
         for number, (name, place) in enumerate(places):
             install_package(GROUP, name, place, package=f"lab{number}")

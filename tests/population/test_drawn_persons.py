@@ -37,7 +37,7 @@ def test_episode_has_drawn_persons_body_and_wishes(
     met = np.asarray(humans.person)
     assert len(set(met.tolist())) > 35  # of 7200
     expected = person_params(TASK, ROWS[met])
-    for name in ("elbow_range", "likes"):
+    for name in ("elbow_range", "preference"):
         leaves = zip(
             jax.tree.leaves(getattr(humans, name)),
             jax.tree.leaves(getattr(expected, name)),

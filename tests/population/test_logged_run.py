@@ -73,7 +73,7 @@ def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
     path = tmp_path / "preset.json"
     path.write_text('{"algorithm": "mappo", "hyperparameters": {"gamma": 0.95}}')
     assert read_preset(path) == read_preset(path, "mappo") == ("mappo", {"gamma": 0.95})
-    with pytest.raises(ValueError, match="is a preset of mappo; name that, or none"):
+    with pytest.raises(ValueError, match="is a preset of mappo; give that algorithm"):
         read_preset(path, "ippo")
     path.write_text("[1]")
     with pytest.raises(

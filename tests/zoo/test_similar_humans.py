@@ -127,9 +127,9 @@ def test_differences_are_means_of_absolute_differences() -> None:
     )
 
 
-def test_the_threshold_stands_between_copies_and_training_seeds_of_release_v0() -> None:
+def test_threshold_separates_copies_from_training_seeds() -> None:
     registry = load_registry(ROOT / "registry.json")
-    (group,) = load_stacks(registry, registry.select("scratch/ippo-*-v0/human"))
+    (group,) = load_stacks(registry, registry.select("scratch/ippo-*-v1/human"))
     actions = probe_actions(group)
     distances = differences(actions)[np.triu_indices(len(group.ids), 1)]
     assert distances.min() > 2.5 * THRESHOLD

@@ -162,8 +162,8 @@ class PartnerSource:
         return None
 
     def public(self, task: str, split: Split) -> list[PolicyEntry]:
-        """Return the humans of a task that a list of partners shows."""
-        return self.known(f"{team}/human" for side in split.sides.values() for team in side)
+        """Return the humans of a task that a list of partners shows: those that play by default."""
+        return self.choose(task, None, self.word)[1]
 
     def card(self, entry: PolicyEntry) -> dict[str, Any]:
         """Return all that is known of a partner, JSON-ready."""
