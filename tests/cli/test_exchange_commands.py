@@ -16,7 +16,7 @@ from zoo.parameters.storage import read_policy_file
 from zoo.splitting.similar_humans import Pair, similar_pairs
 
 ROOT = Path(__file__).parents[2]
-V0_TEAM = "scratch/ippo-d1-s0-v0"
+TEAM = "scratch/ippo-d1-s0-v1"
 
 
 @pytest.fixture
@@ -208,11 +208,11 @@ def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) ->
 @pytest.mark.slow
 def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
-    assert run(["verify", V0_TEAM, "--deep", "--episodes", "1"]) == 0
+    assert run(["verify", TEAM, "--deep", "--episodes", "1"]) == 0
     out = capsys.readouterr().out
     assert (
         "mujoco 3." in out
-        and f"ok      {V0_TEAM}" in out
+        and f"ok      {TEAM}" in out
         and "replayed 1 team of 1 episode on native" in out
     )
 
@@ -222,21 +222,21 @@ def test_onnx_robot_earns_its_originals_return(tmp_path: Path, capsys, monkeypat
     pytest.importorskip("onnxruntime")
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     robot = tmp_path / "robot.onnx"
-    assert run(["export", f"{V0_TEAM}/robot", "--format", "onnx", "--out", str(robot)]) == 0
+    assert run(["export", f"{TEAM}/robot", "--format", "onnx", "--out", str(robot)]) == 0
     capsys.readouterr()
     shutil.rmtree(tmp_path / "out", ignore_errors=True)
     common = (
         "--task",
         "scratch",
         "--partners",
-        f"{V0_TEAM}/human",
+        f"{TEAM}/human",
         "--episodes",
         "2",
         "--include-own",
     )
     means = [
         answer(capsys, "evaluate", *common, "--policy", policy, "--out", str(tmp_path / name))
-        for name, policy in (("ours", f"zoo:{V0_TEAM}/robot"), ("onnx", f"onnx:{robot}"))
+        for name, policy in (("ours", f"zoo:{TEAM}/robot"), ("onnx", f"onnx:{robot}"))
     ]
     ours, theirs = (
         next(figures[side]["mean"] for side in ("m_train", "m_test") if figures[side])
