@@ -1,7 +1,7 @@
 """Kinds of partners of installed packages, by entry points."""
 
 import dataclasses
-from importlib.metadata import EntryPoint
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from assistax_base.digest import sha256
+from assistax_base.extensions import PARTNERS, ExtensionError
 from assistax_envs.disability import Disability
 from assistax_envs.versions import VERSIONS
 from population.networks.seat import SeatSizes
 from population.networks.stack import PolicyStack
 from zoo.exports.card import find_cards
 from zoo.ids import compile_pattern
-from zoo.partners import kinds as discovery
 from zoo.partners.kinds import kinds
 from zoo.partners.source import PartnerSource, made_entry
 from zoo.registry import Registry, read_registry
@@ -74,31 +74,21 @@ class Still(PartnerSource):
             )
 
 
-class Twin(Still):
-    """Another kind of the same word."""
-
-
 @pytest.fixture
 def official() -> Registry:
     registry = read_registry(ROOT / "registry.json")
     return dataclasses.replace(registry)  # which has asked no kind yet
 
 
-def install(monkeypatch: pytest.MonkeyPatch, *values: str) -> None:
-    points = [EntryPoint(f"kind{i}", value, discovery.GROUP) for i, value in enumerate(values)]
-    monkeypatch.setattr(discovery.metadata, "entry_points", lambda group: points)
-    kinds.cache_clear()
-    monkeypatch.setattr(discovery, "kinds", kinds)
-
-
 @pytest.fixture(autouse=True)
-def forget():
+def forget() -> Iterator[None]:
+    kinds.cache_clear()
     yield
     kinds.cache_clear()
 
 
-def test_package_adds_a_kind(monkeypatch: pytest.MonkeyPatch, official: Registry) -> None:
-    install(monkeypatch, f"{__name__}:Still")
+def test_package_adds_a_kind(install_package: Callable[..., None], official: Registry) -> None:
+    install_package(PARTNERS, "still", f"{__name__}:Still")
     release = official.release_of(TASK)
     entry = official.policy(f"{TASK}/still-1-{release}/human")
     assert official.env_version(entry) == VERSIONS[TASK]
@@ -119,18 +109,27 @@ def test_package_adds_a_kind(monkeypatch: pytest.MonkeyPatch, official: Registry
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("name", "value", "words"),
     [
-        (("nowhere:Kind",), "package nowhere:Kind .* cannot be loaded"),
-        ((f"{__name__}:ROOT",), "is no subclass of PartnerSource"),
-        (("zoo.partners.source:PartnerSource",), "has no word"),
-        (("zoo.partners.persons:Persons",), "'persons', which assistax-zoo has already"),
-        ((f"{__name__}:Still", f"{__name__}:Twin"), "'still', which .*:Still has already"),
+        ("still", "nowhere:Kind", r"package outside 0\.3 .*No module named 'nowhere'"),
+        ("still", f"{__name__}:ROOT", "a subclass of PartnerSource"),
+        ("still", "zoo.partners.source:PartnerSource", "the word None"),
+        ("other", f"{__name__}:Still", "`word` is 'other'.*the word 'still'"),
+        ("persons", "zoo.partners.persons:Persons", "a partner kind of assistax-zoo"),
     ],
 )
 def test_broken_or_colliding_kind_is_named(
-    monkeypatch: pytest.MonkeyPatch, official: Registry, values: tuple[str, ...], words: str
+    install_package: Callable[..., None], official: Registry, name: str, value: str, words: str
 ) -> None:
-    install(monkeypatch, *values)
-    with pytest.raises(ValueError, match=words):
+    install_package(PARTNERS, name, value)
+    with pytest.raises(ExtensionError, match=words):
+        official.select("scratch/*")
+
+
+def test_two_packages_of_one_kind_are_refused(
+    install_package: Callable[..., None], official: Registry
+) -> None:
+    install_package(PARTNERS, "still", f"{__name__}:Still")
+    install_package(PARTNERS, "still", f"{__name__}:Still", package="twin")
+    with pytest.raises(ExtensionError, match=r"package twin 0\.3 .* of outside 0\.3"):
         official.select("scratch/*")
