@@ -303,8 +303,10 @@ def _write_webp(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
 
 def _write_sheet(frames: Iterator[np.ndarray], path: Path, fps: int) -> None:
     panes = list(frames)
-    across = MOMENTS if len(panes) > MOMENTS else 2  # four side by side are too small on a page
-    panes += [np.full_like(panes[0], 255)] * (-len(panes) % across)
+    empty = np.full_like(panes[0], 255)
+    # Four side by side are too small on a page.
+    across = MOMENTS if len(panes) > MOMENTS else 2
+    panes += [empty] * (-len(panes) % across)
     starts = range(0, len(panes), across)
     rows = [np.concatenate(panes[start : start + across], axis=1) for start in starts]
     Image.fromarray(np.concatenate(rows)).save(path, "PNG", optimize=True)

@@ -82,7 +82,8 @@ def read_lock(path: Path) -> Lock:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _bad(path, "a lock file", f"{type(error).__name__}: {shorten(str(error))}") from None
     if version != LOCK_VERSION:
-        expected, found = f"lock version {LOCK_VERSION}", f"version {shorten(version)}"
+        expected = f"lock version {LOCK_VERSION}"
+        found = f"version {shorten(version)}"
         raise _bad(path, expected, found, "upgrade assistax-zoo, or make the lock again")
     try:
         lock = Lock.model_validate_json(text)
@@ -115,7 +116,8 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
     defaults = {task: pinned.id for task, pinned in lock.splits.items()}
     entries = [entry for entry in registry.policies if entry.id in lock.policies]
     keep = {entry.team for entry in entries}
-    data, teams = registry.data, registry.data.teams.items()
+    data = registry.data
+    teams = data.teams.items()
     fields = {
         "release": lock.release,
         "releases": {lock.release: release.model_copy(update={"splits": defaults})},

@@ -200,7 +200,7 @@ class Registry:
         """Return a task's robots or humans, those of its default release, in registry order.
 
         Raises:
-            UnknownIdError: The release has none; what there is is named.
+            UnknownIdError: The release has none. The error names the allowed values.
         """
         return self.select(task=task, role=role, release=self.release_of(task))
 
@@ -241,8 +241,8 @@ def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Regi
 
     Args:
         path: Registry to read instead of the default one.
-        roots: Refuse a registry whose entries are not those of its roots; False is for who reports
-            what is wrong with it.
+        roots: Refuse a registry whose entries are not those of its roots. False is for commands
+            that report the problems of a registry.
 
     Raises:
         RegistryError: A file is missing or is not of the schema.
@@ -265,7 +265,8 @@ def load_registry(path: Path | str | None = None, *, roots: bool = True) -> Regi
 
 def parse_registry(text: str, source: str) -> RegistryFile:
     """Return the validated content of a registry's text; `source` names it in errors."""
-    source, expected = f"registry {source}", f"a registry of schema version {SCHEMA_VERSION}"
+    source = f"registry {source}"
+    expected = f"a registry of schema version {SCHEMA_VERSION}"
     try:
         version = parse_json(text)["schema_version"]
         if type(version) is not int:
@@ -319,9 +320,8 @@ def build_registry(data: RegistryFile, path: Path) -> Registry:
 def read_registry(path: Path, roots: bool = True) -> Registry:
     """Return the registry of one file, alone."""
     remedy = f"name another registry, also by ${REGISTRY_VARIABLE}, or restore it"
-    return _registry_of(
-        read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy), path, roots
-    )
+    text = read_text(path, MAX_REGISTRY_BYTES, RegistryError, "registry", remedy)
+    return _registry_of(text, path, roots)
 
 
 @functools.lru_cache(maxsize=2)  # one process reads the same file again and again

@@ -123,7 +123,8 @@ def _item(
 ) -> _Item:
     """Return an item with room for its widest text, a patch and a gap."""
     long = max(font.getlength(text), font.getlength(widest))
-    return _Item(text, round(long + font.size * (2 if colour else 1)), colour, is_round=is_round)
+    room = round(long + font.size * (2 if colour else 1))
+    return _Item(text, room, colour, is_round=is_round)
 
 
 def _flow(items: list[_Item], width: int) -> list[list[_Item]]:
@@ -140,11 +141,8 @@ def _draw(draw: ImageDraw.ImageDraw, at: tuple[int, int], item: _Item, font: Any
     x, y = at
     size = font.size
     if item.colour is not None:
-        draw.rounded_rectangle(
-            (x, y + 0.2 * size, x + 0.8 * size, y + size),
-            size // (2 if item.is_round else 8),
-            item.colour,
-        )
+        corner = size // 2 if item.is_round else size // 8
+        draw.rounded_rectangle((x, y + 0.2 * size, x + 0.8 * size, y + size), corner, item.colour)
         x += size
     draw.text((x, y), item.text, font=font, fill=INK)
     if item.bar is not None:

@@ -11,7 +11,10 @@ from matplotlib.figure import Figure
 from evaluation.plots import style
 
 _WORDS = {"return": "mean return", "safe_success": "safe success", "success": "success"}
-_WIDTH, _HEIGHT, _SIZE = 7.0, 6.6, 8  # inches, and points that are read at a page's width
+# Inches: letters can be read at the width of a page.
+_WIDTH, _HEIGHT = 7.0, 6.6
+# Points.
+_SIZE = 8
 
 
 def described_panels(summary: Mapping[str, Any]) -> Figure:

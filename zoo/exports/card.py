@@ -62,7 +62,8 @@ def markdown_card(
         image: Path or address of a picture, as it is to stand in the card.
         namespace: What stands before its ids in commands; none for the official zoo.
     """
-    first, many = cards[0], len(cards) > 1
+    first = cards[0]
+    many = len(cards) > 1
     if "numbers" in first:
         return render("person.md", card=first, image=image)
     setting = (f"{name.replace('_', ' ')} {value}" for name, value in first["disability"].items())

@@ -55,5 +55,6 @@ def read_splits() -> tuple[Split, ...]:
     try:
         return SplitsFile.model_validate_json(text).splits
     except ValidationError as error:
-        expected, found = "a file that `split create` wrote", first_problem(error)
+        expected = "a file that `split create` wrote"
+        found = first_problem(error)
         raise RegistryError(f"own splits {path}", expected, found, remedy) from None

@@ -141,11 +141,14 @@ class Teams(PartnerSource):
         """Return a stored split if its content, its teams and their parameters hold."""
         check_split(split)
         teams = self.registry.data.teams
-        if missing := [team for side in split.sides.values() for team in side if team not in teams]:
+        named = [team for side in split.sides.values() for team in side]
+        missing = [team for team in named if team not in teams]
+        if missing:
             raise SplitError(
                 f"split {split.id}", "teams of the registry", f"unknown {listing(missing)}"
             )
-        if pairs := leaks(split, teams):
+        pairs = leaks(split, teams)
+        if pairs:
             refuse_leak(split.id, pairs)
         return split
 

@@ -79,7 +79,9 @@ def fetch(
     policies: dict[str, list[PolicyEntry]] = {}
     for entry in filter(_has_bytes, entries):
         policies.setdefault(split_namespace(entry.shard)[0], []).append(entry)
-    counts, sources = [0, 0, 0], []  # shards, of them present, bytes
+    sources = []
+    # Shards, present shards, bytes.
+    counts = [0, 0, 0]
     for namespace, members in policies.items():
         source = _source(namespace, remote)
         shards = list(dict.fromkeys(plain_name(entry.shard) for entry in members))
@@ -149,7 +151,8 @@ def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:
     registry = build_registry(parse_registry(text, f"registry.json of {remote.name}"), path)
     if problems := root_problems(registry.data):
         kept = "nothing was fetched; the registry of before is kept"
-        where, expected = f"registry.json of {remote.name}", "content of its own roots"
+        where = f"registry.json of {remote.name}"
+        expected = "content of its own roots"
         raise IntegrityError(where, expected, problems[0], "ask its owner", kept)
     if path.is_file():
         check_update(load_registry(path), registry, remote.name, accept)
@@ -176,9 +179,11 @@ def _fetch_part(
         return len(shards), len(shards), 0
     if remote is None:
         raise _no_remote(registry, missing)
-    source, sizes = remote, {shard: registry.data.shards[shard].bytes for shard in missing}
+    source = remote
+    sizes = {shard: registry.data.shards[shard].bytes for shard in missing}
     check_room(cache_root(), sum(sizes.values()))
-    advance, lock = on_total(sum(sizes.values())), threading.Lock()
+    advance = on_total(sum(sizes.values()))
+    lock = threading.Lock()
 
     def count(number: int) -> None:
         with lock:

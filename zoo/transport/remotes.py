@@ -87,7 +87,8 @@ def with_retries(
     """
     advice = "try again later; what is complete is kept"
     refuse = refuse or functools.partial(RemoteError, what, "an answer", next_step=advice)
-    attempt, before = 0, reached()
+    attempt = 0
+    before = reached()
     while True:
         try:
             return work()

@@ -98,7 +98,8 @@ class _Transfer:
 
     def _complete(self) -> str:
         """Fetch what is missing, and return the sha256 of the whole."""
-        what, expected = f"{self.item.path} of {self.remote.name}", f"{self.item.bytes} bytes"
+        what = f"{self.item.path} of {self.remote.name}"
+        expected = f"{self.item.bytes} bytes"
 
         def refuse(found: str) -> RemoteError:
             kept = f"nothing was added; {self.size} bytes are kept to go on from"
