@@ -186,7 +186,7 @@ class Service:
         """Take a closing season on whose last job was given up."""
         season = closing.season_of(transaction, submission)
         if season is not None:
-            closing.go_on(transaction, season.id)
+            closing.take_next_step(transaction, season.id)
 
     def _work(self, lease: jobs.Lease) -> Work:
         with self.database.read() as connection:

@@ -1,10 +1,10 @@
 """The manifest of a folder, with hashes of everything that its figures depend on.
 
-`manifest.json` holds the job's identity (policies and partners by the hash of their parameters,
-environment, engine, versions), the identity's digest, the machine, and the sha256 of every result
-file. It also has hashes of the sources: policies and their entries in the registry, own robots'
-files, cached episodes of reference egos. Its own hash shows if it was changed.
-`evaluation.record.verification` checks all of these.
+`manifest.json` holds the job's identity (`evaluation.play.jobs.Job.identity`: policies and partners
+by the hash of their parameters, environment, engine, versions), the identity's digest, the machine,
+and the sha256 of every result file. It also has hashes of the sources: policies and their entries
+in the registry, own robots' files, cached episodes of reference egos. Its own hash shows if it was
+changed. `evaluation.record.verification` checks all of these.
 """
 
 import datetime

@@ -225,7 +225,7 @@ def test_withdrawal_closes_a_season_in_one_transaction(
     id = service.submit(lab, draft(season=open_season(service)))
     service.close_season("spring")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(closing_rules, "go_on", lambda *_: _interrupt())
+        patch.setattr(closing_rules, "take_next_step", lambda *_: _interrupt())
         service.withdraw(id, lab)
     assert (shown(service, id).state, state_of(service)) == ("queued", "closing")
     service.withdraw(id, lab)

@@ -20,19 +20,19 @@ The contract between the text and what calls it:
                  real* peaks,                          // [NPEAK] raised to this substep's forces
                  bool last,
                  unsigned* warm,                       // [NWARM * W]
-                 int* flags);                          // [W]
+                 Report& report);                      // counts [W] of `layout.h`
 
 - `sensors` are those of the state before the substep, as MuJoCo's are after `mj_step`.
 - `warm` must be all zeros before the first substep of a control step; later substeps find in it
   which contacts acted. It saves iterations, and so that it cannot do more, it never outlives a
   control step: what a control step returns depends on its arguments alone.
-- `flags` counts, for each simulation, substeps that went wrong: `OVERFLOWED` is added where there
-  were more than `Program.max_contacts` contacts (the first ones act), `UNSETTLED` where the
-  constraint forces did not settle. Such a simulation's state must not pass for a good one.
+- `report` counts, for each simulation, substeps that went wrong: with more than
+  `Program.max_contacts` contacts (the first ones act), and those in which the constraint forces did
+  not settle. Such a simulation's state must not pass for a good one.
 - Compile without contraction (`-ffp-contract=off`, `--fmad=false`) and without fast math. Then
   every operation is rounded as IEEE 754 says, and a simulation's numbers are the same for every W,
   whatever its neighbours are, on every processor; it costs a tenth to a fifth of the speed.
-- The key of a compiled program is the model's bytes and `Program.version`.
+- The key of a compiled program is a hash of the model's bytes and of the generator's files.
 
 Topics, in the order in which a substep needs them: `tree` (the model as constants), `kinematics`,
 `inertia` (inertia matrix and bias forces), `forces` (springs, dampers, motors), `collision` (which

@@ -97,10 +97,10 @@ def close_due(service: "Service") -> None:
             if transaction.execute(due.where(SEASON.id == season)).first():
                 _close(transaction, season)
             else:
-                go_on(transaction, season)
+                take_next_step(transaction, season)
 
 
-def go_on(transaction: Transaction, season: str) -> None:
+def take_next_step(transaction: Transaction, season: str) -> None:
     """Take a closing season to its next step, if all of the one before is done."""
     row = transaction.execute(sa.select(schema.seasons).where(SEASON.id == season)).one()
     if row.state != "closing" or _waits(transaction, row, transaction.now):
@@ -172,7 +172,7 @@ def _close(transaction: Transaction, season: str) -> None:
     values = {"state": "closing", "closes_at": min(transaction.now, closes_at or transaction.now)}
     transaction.execute(sa.update(schema.seasons).where(mine).values(values))
     transaction.record("season_close", {"season": season})
-    go_on(transaction, season)
+    take_next_step(transaction, season)
 
 
 def _entries(transaction: Transaction, season: str) -> list[Any]:

@@ -192,7 +192,7 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
             "submissions": [row.id for row in rows],
         }
         transaction.record("disqualify", body)
-        closing.go_on(transaction, season_row.id)
+        closing.take_next_step(transaction, season_row.id)
     return len(rows)
 
 
@@ -256,7 +256,7 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         )
         transaction.record("erase", {"submitter": submitter})
         for season in seasons:
-            closing.go_on(transaction, season)
+            closing.take_next_step(transaction, season)
     with service.begin() as transaction:
         # Another lab may have handed in such a file since; this transaction keeps new ones out.
         for name in transaction.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():

@@ -103,7 +103,7 @@ def _record_b(
     row = submissions.find_submission(transaction, job.submission)
     if row.state not in FINAL_STATES:  # a reference plays this panel alone
         submissions.end(transaction, row, "scored", None, "spent")
-    closing.go_on(transaction, row.season)
+    closing.take_next_step(transaction, row.season)
 
 
 def panel_table(
@@ -195,7 +195,7 @@ def _release(service: "Service", transaction: Transaction, job: Any) -> None:
         submissions.end(transaction, row, "scored", None, "spent")
     _sign(service, transaction, row, job.version, released, entry)
     if row.season is not None:
-        closing.go_on(transaction, row.season)
+        closing.take_next_step(transaction, row.season)
 
 
 def _hidden_answer(

@@ -22,7 +22,7 @@ MatMul Max Min Mish Mul Neg Not Or PRelu Pow RNN Reciprocal ReduceMax ReduceMean
 ReduceSum Relu Reshape Round Selu Shape Sigmoid Sign Sin Slice Softmax Softplus Softsign Split
 Sqrt Squeeze Sub Sum Swish Tanh Transpose Unsqueeze Where
 """
-OPERATORS = frozenset(_PLAIN.split())
+RUNTIME_OPERATORS = frozenset(_PLAIN.split())
 # Operators that can reduce or pick along the first axis.
 _REDUCING = frozenset(
     ["ArgMax", "Gather", "LogSoftmax", "Softmax"]
@@ -92,7 +92,7 @@ class UntrustedModelError(ValueError):
         super().__init__(message)
 
 
-def read_onnx_network(data: bytes, operators: Collection[str] = OPERATORS) -> Any:
+def read_onnx_network(data: bytes, operators: Collection[str] = RUNTIME_OPERATORS) -> Any:
     """Return the ONNX model in these bytes, checked to be a plain network of `operators`.
 
     Raises:
