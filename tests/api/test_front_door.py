@@ -32,6 +32,12 @@ def test_importing_loads_nothing_heavy() -> None:
     assert done.returncode == 0 and not HEAVY & set(done.stdout.split())
 
 
+def test_reading_the_registry_loads_no_arrays() -> None:
+    read = "from zoo.registry import load_registry; load_registry('registry.json')"
+    done = python(f"import sys; {read}; print(*sys.modules)")
+    assert done.returncode == 0 and not (HEAVY - {"pydantic", "rich"}) & set(done.stdout.split())
+
+
 def test_every_name_is_typed_and_documented() -> None:
     assert dir(az) == az.__all__ == sorted(az.__all__)
     source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")

@@ -1,6 +1,5 @@
 """Published hashes stay what they are, and one module makes them."""
 
-import ast
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,6 @@ from zoo.parameters.storage import policy_bytes, read_policy_file
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
-SOURCES = (
-    *("assistax_base", "assistax_envs", "population", "zoo", "evaluation", "assistax_zoo"),
-    *("board", "workshop"),
-)
 VALUE = {"b": [1, 2.5, None], "a": "é", "c": {"z": True, "y": 1e-7}}
 
 
@@ -63,23 +58,3 @@ def test_specs_and_policy_files_have_their_hashes(tmp_path: Path) -> None:
     assert b"6017ee40d9a3dfd17224f9cb13dc8cf40723a0b8589f6b714f4a69431a44fb34" in data
     (tmp_path / "policy.safetensors").write_bytes(data)
     assert read_policy_file(tmp_path / "policy.safetensors").metadata == {"id": "x"}
-
-
-def hashes_json(function: ast.AST) -> bool:
-    words = {node.attr for node in ast.walk(function) if isinstance(node, ast.Attribute)}
-    words |= {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
-    return "dumps" in words and bool(words & {"hashlib", "sha256"})
-
-
-def test_one_module_hashes_json_and_trees() -> None:
-    """Names of cached pages and of sent messages, which nobody publishes, are the board's own."""
-    allowed = {"board/assistax_board/work/webhook.py", "board/assistax_board/pages/crossplays.py"}
-    once = {"merkle_root", "first_problem", "canonical_json", "sha256", "_sha256"}
-    defined, hashing = [], set()
-    for path in (path for source in SOURCES for path in (ROOT / source).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef):
-                defined += [node.name] if node.name in once else []
-                hashing |= {str(path.relative_to(ROOT))} if hashes_json(node) else set()
-    assert sorted(defined) == ["canonical_json", "first_problem", "merkle_root", "sha256"]
-    assert hashing == allowed

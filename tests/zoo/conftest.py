@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ from assistax_workshop.press.publish import publish
 from population.networks.spec import PolicySpec
 from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Hub
-from zoo.registry import Registry
+from zoo.registry import Registry, load_registry
 from zoo.transport import remotes
 
 SPECS = {
@@ -81,6 +82,31 @@ def put(teams: list[TrainedTeam], path: Path, release: str = "v0", **arguments: 
     """Publish without asking JAX for the leaves of each spec."""
     arguments = {"date": "2027-01-31", "check": lambda spec, leaves, source: None, **arguments}
     return publish(teams, path, release, **arguments)
+
+
+def edit(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Change the JSON of a registry in place, and return its path."""
+    data = json.loads(registry.path.read_text())
+    change(data)
+    registry.path.write_text(json.dumps(data))
+    return registry.path
+
+
+def edited(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Registry:
+    """Return a registry after a change in its JSON, loaded without a check of its roots."""
+    return load_registry(edit(registry, change), roots=False)
+
+
+def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
+    """Return files that no finished fetch leaves. Locks are empty and stay."""
+    files = [path for path in folder.rglob(pattern) if path.is_file()]
+    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
+
+
+def visible(folder: Path) -> list[str]:
+    """Return the sorted names of a cache's whole shards."""
+    names = {path.name for path in folder.rglob("*.safetensors")}
+    return sorted(name for name in names if not name.startswith("."))
 
 
 @pytest.fixture
@@ -150,8 +176,6 @@ def large(tmp_path: Path) -> Registry:
 @pytest.fixture
 def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
     """The large registry without its shards, which the hub has."""
-    from zoo.registry import load_registry
-
     hub.put("org/zoo", large.path.parent)
     path = tmp_path / "bare" / "registry.json"
     path.parent.mkdir()

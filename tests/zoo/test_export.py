@@ -19,7 +19,6 @@ from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.torch_export import to_torch
 from tests.zoo import numpy_torch
-from zoo.parameters.storage import read_policy_file, write_policy_file
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -205,14 +204,6 @@ def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
         state = safetensors.numpy.load(to_torch(spec, trained(spec)))
         assert {name for name in state if name.startswith("log_std")} == names
         assert state["layers.0.weight"].shape == (128, 9)
-
-
-def test_safetensors_files_are_read_back(tmp_path: Path) -> None:
-    spec, params = SPECS[0], trained(SPECS[0])
-    write_policy_file(tmp_path / "robot.safetensors", spec, params, {"id": "x"})
-    read = read_policy_file(tmp_path / "robot.safetensors")
-    assert read.spec == spec and read.metadata == {"id": "x"}
-    jax.tree.map(np.testing.assert_array_equal, read.params, params)
 
 
 def test_exported_files_run_without_this_project(tmp_path: Path) -> None:

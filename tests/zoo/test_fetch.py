@@ -7,6 +7,7 @@ import pytest
 
 from assistax_base.errors import IntegrityError, OfflineError, RegistryError, RemoteError
 from assistax_zoo.shell.main import run
+from tests.zoo.conftest import leftovers, visible
 from tests.zoo.hub_server import Fault, Hub
 from zoo.locations import cached_registry
 from zoo.parameters.storage import load_stacks
@@ -25,16 +26,6 @@ def get(name: str | Path, pattern: str | None = None, **arguments: Any) -> tuple
     remote = open_remote(name)
     registry = remote_registry(remote, lambda changes: True)
     return registry, fetch(registry, registry.select(pattern), remote, **arguments)
-
-
-def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
-    """Files that no finished fetch leaves; locks are empty and stay."""
-    files = [path for path in folder.rglob(pattern) if path.is_file()]
-    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
-
-
-def visible(folder: Path) -> set[str]:
-    return {path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")}
 
 
 def same_parameters(first: Registry, other: Registry, pattern: str = "*") -> bool:
@@ -114,22 +105,6 @@ def test_offline_uses_what_is_there(registry: Registry, cache: Path, hub: Hub, m
     with pytest.raises(OfflineError, match="fetch once while online"):
         get("hf://org/other")
     assert len(hub.log) == requests
-
-
-def test_a_remote_may_not_change_what_it_published(
-    registry: Registry, cache: Path, hub: Hub, teams, publish_to, tmp_path
-) -> None:
-    hub.put("org/zoo", registry.path.parent)
-    get("hf://org/zoo", "*/human")
-    changed = [team for team in teams(seeds=range(1))]
-    log_std = {**changed[0].params["human"], "log_std": np.ones(3, np.float32)}
-    changed[0].params["human"] = log_std
-    hub.put("org/zoo", publish_to(changed, tmp_path / "changed" / "registry.json").path.parent)
-    with pytest.raises(
-        IntegrityError, match=r"published bytes never change.*another history.*gone or changed"
-    ):
-        get("hf://org/zoo")
-    assert len(load_registry(cached_registry("hf://org/zoo")).policies) == 16
 
 
 def test_a_growing_remote_is_followed(

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from assistax_base.errors import CacheError, IntegrityError, RemoteError, ZooError
+from tests.zoo.conftest import leftovers, visible
 from tests.zoo.hub_server import Fault, Hub
 from zoo.locations import cached_shard
 from zoo.parameters.storage import load_stacks
@@ -33,18 +34,6 @@ ROBOT = "GET /org/zoo/resolve/.*robot"
 
 def get(registry: Registry, pattern: str | None = None) -> Report:
     return fetch(registry, registry.select(pattern), open_remote("hf://org/zoo"))
-
-
-def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
-    """Files that no finished fetch leaves; locks are empty and stay."""
-    files = [path for path in folder.rglob(pattern) if path.is_file()]
-    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
-
-
-def visible(folder: Path) -> list[str]:
-    return sorted(
-        path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")
-    )
 
 
 def refused(

@@ -45,14 +45,6 @@ def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
         assert "\n" not in str(error)
 
 
-def test_a_parser_that_takes_leading_zeros_would_be_caught() -> None:
-    """The planted defect of this family: two spellings of one team."""
-    task, rest = ["scratch", "ippo-d3-s05-v1"]
-    algorithm, disability, seed_text, release = rest.split("-")
-    loose = TeamId(task, algorithm, disability, int(seed_text[1:]), release)
-    assert str(loose) != "scratch/ippo-d3-s05-v1"
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -68,12 +68,6 @@ def test_a_setting_that_nobody_uses_changes_no_lock(registry: Registry, lock: Lo
     assert apply_lock(grown, lock, task="scratch").policies == registry.policies
 
 
-def test_another_disability_setting_is_refused(registry: Registry, lock: Lock) -> None:
-    weaker = changed(registry, "disability_settings", lambda table: table["d9"].update(tremor=0.1))
-    with pytest.raises(LockError, match="as locked"):
-        apply_lock(weaker, lock, task="scratch")
-
-
 def test_the_same_lock_loads_the_same_bytes_elsewhere(
     registry: Registry, lock: Lock, cache: Path
 ) -> None:

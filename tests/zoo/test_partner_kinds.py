@@ -124,12 +124,3 @@ def test_broken_or_colliding_kind_is_named(
     install_package(PARTNERS, name, value)
     with pytest.raises(ExtensionError, match=words):
         official.select("scratch/*")
-
-
-def test_two_packages_of_one_kind_are_refused(
-    install_package: Callable[..., None], official: Registry
-) -> None:
-    install_package(PARTNERS, "still", f"{__name__}:Still")
-    install_package(PARTNERS, "still", f"{__name__}:Still", package="twin")
-    with pytest.raises(ExtensionError, match=r"package twin 0\.3 .* of outside 0\.3"):
-        official.select("scratch/*")

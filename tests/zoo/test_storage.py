@@ -18,7 +18,6 @@ from population.networks.tensors import (
     flatten,
     parse_stacked,
     row_sha256,
-    take_row,
 )
 from zoo.parameters.encoding import check_params, encode_shard
 from zoo.parameters.storage import (
@@ -114,22 +113,13 @@ def test_row_hash_is_over_names_dtypes_shapes_and_bytes(params, specs) -> None:
     assert row_sha256({**leaves, name: np.asfortranarray(leaves[name])}) == digest
 
 
-def test_bytes_are_stable(params, specs) -> None:
-    policies = [(f"p{n}", flatten(params(specs["human"], n))) for n in range(3)]
-    assert encode_shard(specs["human"], policies) == encode_shard(specs["human"], policies)
-    stacked = parse_stacked(encode_shard(specs["human"], policies)[0], "test")
-    assert all(
-        row_sha256(take_row(stacked, n)) == row_sha256(leaves)
-        for n, (_, leaves) in enumerate(policies)
-    )
-
-
 def test_a_flipped_byte_is_refused_with_both_hashes(registry: Registry) -> None:
     entry = registry.policies[0]
     path = registry.shard_path(entry.shard)
     data = bytearray(path.read_bytes())
     data[-3] ^= 1
     path.write_bytes(data)
+    assert len(safetensors.numpy.load(bytes(data))) == 7  # it sees no difference itself
     with pytest.raises(IntegrityError) as caught:
         load_stacks(registry, [entry])
     message = str(caught.value)
@@ -312,11 +302,3 @@ def test_parameters_are_held_against_the_network_of_their_spec(params, specs) ->
         check_params(specs["robot"], lacking, "p")
     with pytest.raises(FormatError, match="Dense_0/kernel"):
         check_params(specs["human"], leaves, "p")
-
-
-def test_only_our_hash_sees_a_flipped_byte(registry: Registry) -> None:
-    """The reason for row hashes: safetensors itself loads the damaged file."""
-    path = registry.shard_path(registry.policies[0].shard)
-    data = bytearray(path.read_bytes())
-    data[-3] ^= 1
-    assert len(safetensors.numpy.load(bytes(data))) == 7

@@ -1,5 +1,3 @@
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,17 +5,11 @@ import pytest
 
 from assistax_base.digest import sha256
 from population.networks.tensors import take_row
+from tests.zoo.conftest import edited
 from zoo.parameters.encoding import encode_shard
 from zoo.parameters.storage import read_shard
-from zoo.registry import Registry, load_registry
+from zoo.registry import Registry
 from zoo.verify import verify
-
-
-def replant(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Registry:
-    data = json.loads(registry.path.read_text())
-    change(data)
-    registry.path.write_text(json.dumps(data))
-    return load_registry(registry.path, roots=False)
 
 
 def flip(path: Path) -> None:
@@ -43,7 +35,7 @@ def test_rows_are_held_against_the_registry(registry: Registry) -> None:
         first, two = (data["teams"][team]["policies"]["robot"] for team in (entry.team, other.team))
         first["row"], two["row"] = two["row"], first["row"]
 
-    problems = verify(replant(registry, swap)).problems
+    problems = verify(edited(registry, swap)).problems
     assert any(
         f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problem
         for problem in problems
@@ -59,7 +51,7 @@ def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registr
     rows[0][1]["log_std"] = rows[0][1]["log_std"] + 1
     data, _ = encode_shard(stacked.spec, rows)
     registry.shard_path(entry.shard).write_bytes(data)
-    forged = replant(
+    forged = edited(
         registry, lambda d: d["shards"][entry.shard].update(sha256=sha256(data), bytes=len(data))
     )
     problems = verify(forged).problems
@@ -75,7 +67,7 @@ def test_duplicates_and_lost_rows_are_found(registry: Registry) -> None:
             "robot"
         ]
 
-    problems = "\n".join(verify(replant(registry, point)).problems)
+    problems = "\n".join(verify(edited(registry, point)).problems)
     assert f"{two.id} has the same parameters as {first.id}" in problems
     assert "rows are not one policy each" in problems
 
@@ -85,7 +77,7 @@ def test_changed_splits_and_settings_are_found(registry: Registry) -> None:
         data["splits"][0]["seed"] = 1
         data["disability_settings"]["d9"]["strength"] = 0.5
 
-    problems = "\n".join(verify(replant(registry, change)).problems)
+    problems = "\n".join(verify(edited(registry, change)).problems)
     for words in ("expected sha256", "disability settings"):
         assert words in problems
 
