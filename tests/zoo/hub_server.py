@@ -1,8 +1,4 @@
-"""A hub on loopback for the real huggingface_hub client, with faults on demand.
-
-`python tests/zoo/hub_server.py FOLDER` serves a folder as the model repository `loop/zoo`, for
-measurements.
-"""
+"""A hub on loopback for the real huggingface_hub client, with faults on demand."""
 
 import base64
 import contextlib
@@ -10,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import re
-import sys
 import threading
 import time
 import urllib.parse
@@ -315,10 +310,3 @@ _ROUTES = [
     ("PUT", r"/lfs/(?P<oid>[0-9a-f]{64})", _Handler.upload),
     ("GET|HEAD", rf"/{_REPO}/resolve/(?P<revision>[^/]+)/(?P<path>.+)", _Handler.file),
 ]
-
-
-if __name__ == "__main__":
-    with Hub().running() as hub:
-        hub.put("loop/zoo", Path(sys.argv[1]))
-        print(hub.url, flush=True)
-        hub.thread.join()

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -85,10 +86,8 @@ def play_onnx(data: bytes, obs: np.ndarray, first: np.ndarray) -> np.ndarray:
     for step in range(len(obs)):
         fed: dict[str, Any] = {"obs": obs[step]}
         if len(names) == 3:
-            if carry is None:
-                carry = np.full(
-                    (ROWS, session.get_inputs()[1].shape[1]), np.float32(7.0)
-                )  # `first` clears it
+            if carry is None:  # what `first` clears
+                carry = np.full((ROWS, session.get_inputs()[1].shape[1]), np.float32(7.0))
             fed |= {"carry": carry, "first": first[step]}
         action, *rest = session.run(None, fed)
         carry = rest[0] if rest else None
@@ -150,55 +149,37 @@ def test_onnx_files_say_what_they_are_and_are_stable() -> None:
     } == {""}
 
 
-def documented_policy(path: Path) -> Any:
-    """Return the module of docs/export.md, loaded with torch, or with its stand-in."""
-    (code,) = re.findall(
-        r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL
-    )
-    assert len(code.splitlines()) < 40
-    code = code.replace("import json, torch\nfrom safetensors import safe_open\n", "import json\n")
-    names: dict[str, Any] = {"torch": numpy_torch.torch, "safe_open": numpy_torch.safe_open}
-    exec(code, names)
-    return names["Policy"](str(path))
+def torch_or_stand_in() -> Any:
+    """Return torch, its `safe_open` and its tensors, or their stand-ins if it is not installed."""
+    try:
+        import torch
+    except ImportError:
+        return numpy_torch
+    return SimpleNamespace(torch=torch, safe_open=safetensors.safe_open, tensor=torch.from_numpy)
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=NAMES)
 def test_the_documented_torch_module_gives_the_same_actions(
     tmp_path: Path, spec: PolicySpec
 ) -> None:
-    params = trained(spec)
+    params, obs, library = trained(spec), observations(spec), torch_or_stand_in()
+    page = (ROOT / "docs/export.md").read_text()
+    (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", page, re.DOTALL)
+    imports = "import json, torch\nfrom safetensors import safe_open\n"
+    names = {"json": json, "torch": library.torch, "safe_open": library.safe_open}
+    exec(code.removeprefix(imports), names)
     path = tmp_path / "robot.safetensors"
     path.write_bytes(to_torch(spec, params))
-    obs = observations(spec)
-    policy, module = Policy(spec), documented_policy(path)
+    policy, module = Policy(spec), names["Policy"](str(path))
     ours, theirs = policy.initial_carry((ROWS,)), None
-    for step in range(3):
+    for step in range(STEPS):
         ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
-        actual, theirs = module(numpy_torch.Tensor(obs[step]), theirs)
-        np.testing.assert_allclose(actual.value, expected, atol=TOLERANCE)
+        with library.torch.no_grad():
+            actual, theirs = module(library.tensor(obs[step]), theirs)
+        np.testing.assert_allclose(np.asarray(actual), expected, atol=TOLERANCE)
 
 
-def test_the_documented_torch_module_with_torch_itself(tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
-    (code,) = re.findall(
-        r"## PyTorch\n\n```python\n(.*?)```", (ROOT / "docs/export.md").read_text(), re.DOTALL
-    )
-    names: dict[str, Any] = {}
-    exec(code, names)
-    for spec in SPECS:
-        params = trained(spec)
-        (tmp_path / "robot.safetensors").write_bytes(to_torch(spec, params))
-        obs = observations(spec)
-        module, policy = names["Policy"](str(tmp_path / "robot.safetensors")), Policy(spec)
-        ours, theirs = policy.initial_carry((ROWS,)), None
-        for step in range(STEPS):
-            ours, expected = policy.act(params, ours, jnp.asarray(obs[step]), jnp.zeros(ROWS, bool))
-            with torch.no_grad():
-                actual, theirs = module(torch.from_numpy(obs[step]), theirs)
-            np.testing.assert_allclose(actual.numpy(), expected, atol=TOLERANCE)
-
-
-def test_torch_files_keep_the_standard_deviation(tmp_path: Path) -> None:
+def test_torch_files_keep_the_standard_deviation() -> None:
     for std, names in (("parameter", {"log_std"}), ("state", {"log_std.weight", "log_std.bias"})):
         spec = PolicySpec("robot", 9, 4, std=std)
         state = safetensors.numpy.load(to_torch(spec, trained(spec)))

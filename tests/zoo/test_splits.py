@@ -1,6 +1,6 @@
-import json
 import random
 import statistics
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError
+from tests.zoo.conftest import edited
 from zoo.history.merkle import with_roots
 from zoo.ids import parse_team
 from zoo.partners.sides import parse_split
-from zoo.registry import Registry, load_registry, parse_registry
+from zoo.registry import Registry, load_registry
 from zoo.saving import dump_registry
 from zoo.splits import check_split, shared_parameters, split_id
 from zoo.splitting.create import competent, create_split
@@ -64,21 +65,18 @@ def test_half_is_random_in_the_seed() -> None:
     sides = [make(ids(("ippo",), (1,)), seed=n).train for n in range(20)]
     assert len(set(sides)) > 5
     odd = [len(make(ids(("ippo",), range(1, 10), range(5)), seed=n).train) for n in range(40)]
-    assert (
-        18 <= min(odd) < 22 and 23 < max(odd) <= 27
-    )  # the odd team of each stratum falls to either side
+    # The odd team of each stratum falls to either side.
+    assert 18 <= min(odd) < 22 and 23 < max(odd) <= 27
 
 
 def test_leave_one_out() -> None:
     split = make(ids(), "leave-one-algorithm-out", held_out="mappo")
     assert split.id.startswith("scratch/without-mappo-s0-v1-")
-    assert {parse_team(team).algorithm for team in split.test} == {"mappo"} and len(
-        split.test
-    ) == 72
+    assert {parse_team(team).algorithm for team in split.test} == {"mappo"}
+    assert len(split.test) == 72
     split = make(ids(), "leave-one-disability-out", held_out="d9")
-    assert {parse_team(team).disability for team in split.test} == {"d9"} and len(
-        split.train
-    ) == 128
+    assert {parse_team(team).disability for team in split.test} == {"d9"}
+    assert len(split.train) == 128
 
 
 def test_small_train_keeps_the_test_side_of_half() -> None:
@@ -179,25 +177,26 @@ def test_a_changed_manifest_is_refused(registry: Registry) -> None:
 
 
 def test_a_changed_manifest_is_refused_on_load(registry: Registry) -> None:
-    data = json.loads(registry.path.read_text())
-    data["splits"][0]["train"].append(data["splits"][0]["test"].pop())
-    registry.path.write_text(json.dumps(data))
+    def move(data: dict[str, Any]) -> None:
+        data["splits"][0]["train"].append(data["splits"][0]["test"].pop())
+
     with pytest.raises(SplitError, match="sha256"):
-        load_registry(registry.path, roots=False).split("scratch")
+        edited(registry, move).split("scratch")
 
 
 def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
     split = registry.split("scratch")
     assert shared_parameters(split.train, split.test, registry.data.teams) == []
-    data = json.loads(registry.path.read_text())
     train, test = split.train[0], split.test[0]
-    data["teams"][test]["policies"]["human"]["sha256"] = data["teams"][train]["policies"]["human"][
-        "sha256"
-    ]
-    registry.path.write_text(json.dumps(data))
+    digest = registry.policy(f"{train}/human").sha256
+
+    def copy(data: dict[str, Any]) -> None:
+        data["teams"][test]["policies"]["human"]["sha256"] = digest
+
+    leaking = edited(registry, copy)
     with pytest.raises(LeakageError, match=f"{train} = {test}"):
-        load_registry(registry.path, roots=False).split("scratch")
-    registry.path.write_text(dump_registry(with_roots(parse_registry(json.dumps(data), "edited"))))
+        leaking.split("scratch")
+    registry.path.write_text(dump_registry(with_roots(leaking.data)))
     with pytest.raises(LeakageError):
         create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
 
@@ -207,10 +206,8 @@ def test_the_beginning_of_a_name_means_the_newest_release(
 ) -> None:
     older = registry.split("scratch", "half")
     grown = publish_to([team("ippo", "d1", seed) for seed in range(2)], registry.path, release="v1")
-    assert (
-        grown.split("scratch", "half").release == "v1"
-        and grown.split("scratch", "half-s0-v0") == older
-    )
+    assert grown.split("scratch", "half").release == "v1"
+    assert grown.split("scratch", "half-s0-v0") == older
     create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
     registry = load_registry(registry.path)
     assert registry.split("scratch", "half") == grown.split("scratch", "half"), "the default one"
@@ -218,22 +215,17 @@ def test_the_beginning_of_a_name_means_the_newest_release(
         registry.split("scratch", "hal")
     sides = [older.train[:1], older.test[:1]]
     for train, test in (sides, sides[::-1]):
-        create_split(
-            registry.path, task="scratch", rule="custom", train=train, test=test, release="v0"
-        )
+        custom = {"rule": "custom", "train": train, "test": test}
+        create_split(registry.path, task="scratch", release="v0", **custom)
     with pytest.raises(SplitError, match="found 2 that begin so"):
         load_registry(registry.path).split("scratch", "custom-s0-v0")
 
 
 def test_create_writes_once(registry: Registry) -> None:
-    split = create_split(
-        registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9"
-    )
+    held_out = {"task": "scratch", "rule": "leave-one-disability-out", "held_out": "d9"}
+    split = create_split(registry.path, **held_out)
     text = registry.path.read_text()
-    assert (
-        create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
-        == split
-    )
+    assert create_split(registry.path, **held_out) == split
     assert registry.path.read_text() == text
     loaded = load_registry(registry.path)
     assert loaded.split("scratch", "without-d9") == split and loaded.split("scratch").rule == "half"

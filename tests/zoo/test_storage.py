@@ -1,6 +1,7 @@
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +20,14 @@ from population.networks.tensors import (
     parse_stacked,
     row_sha256,
 )
+from tests.zoo.conftest import edited
 from zoo.parameters.encoding import check_params, encode_shard
 from zoo.parameters.storage import (
     load_stacks,
     read_policy_file,
     write_policy_file,
 )
-from zoo.registry import Registry, build_registry
+from zoo.registry import Registry
 
 
 def leaves_equal(first, other) -> bool:
@@ -40,13 +42,9 @@ def header(content: object, body: bytes = b"") -> bytes:
     return struct.pack("<Q", len(text)) + text + body
 
 
-def test_groups_hold_the_published_parameters_in_the_order_asked(
-    registry: Registry, team, params
-) -> None:
+def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Registry, team) -> None:
     names = [
-        "scratch/ippo-d9-s3-v0/human",
-        "scratch/ippo-d1-s2-v0/robot",
-        "scratch/ippo-d1-s0-v0/human",
+        f"scratch/ippo-{name}" for name in ("d9-s3-v0/human", "d1-s2-v0/robot", "d1-s0-v0/human")
     ]
     human, robot = load_stacks(registry, [registry.policy(name) for name in names])
     assert human.ids == (names[0], names[2]) and robot.ids == (names[1],)
@@ -56,21 +54,14 @@ def test_groups_hold_the_published_parameters_in_the_order_asked(
             entry = registry.policy(name)
             expected = team(entry.algorithm, entry.disability, entry.seed).params[entry.role]
             stacked = flatten(group.params)
-            assert all(
-                value.dtype == np.float32 and value.flags.c_contiguous for value in stacked.values()
-            )
-            assert leaves_equal(
-                unflatten({leaf: value[row] for leaf, value in stacked.items()}), expected
-            )
+            assert all(v.dtype == np.float32 and v.flags.c_contiguous for v in stacked.values())
+            assert leaves_equal(unflatten({name: v[row] for name, v in stacked.items()}), expected)
 
 
 def test_shards_of_one_spec_merge_and_specs_do_not(
-    registry: Registry, team, params, publish_to
+    registry: Registry, team, specs, publish_to
 ) -> None:
-    wide = {
-        "robot": PolicySpec("robot", 5, 2, hidden=(8,)),
-        "human": PolicySpec("human", 6, 3, hidden=(4,)),
-    }
+    wide = {**specs, "robot": PolicySpec("robot", 5, 2, hidden=(8,))}
     grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
     groups = load_stacks(grown, grown.select("*-s0-*"))
     assert [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups] == [
@@ -125,24 +116,19 @@ def test_a_flipped_byte_is_refused_with_both_hashes(registry: Registry) -> None:
     message = str(caught.value)
     assert f"expected sha256 {registry.data.shards[entry.shard].sha256}, found sha256 " in message
     assert entry.shard in message and "nothing was loaded" in message and "git checkout" in message
-    assert (
-        len(load_stacks(registry, registry.select(role="human"))) == 1
-    )  # the other shard is whole
+    # The other shard is whole.
+    assert len(load_stacks(registry, registry.select(role="human"))) == 1
 
 
 def test_a_row_that_is_not_the_registrys_is_refused(registry: Registry) -> None:
     entry, other = registry.policies[0], registry.policies[2]
-    team = registry.data.teams[entry.team]
-    swapped = team.policies["robot"].model_copy(update={"sha256": other.sha256})
-    teams = {
-        **registry.data.teams,
-        entry.team: team.model_copy(update={"policies": {"robot": swapped}}),
-    }
-    tampered = build_registry(registry.data.model_copy(update={"teams": teams}), registry.path)
-    with pytest.raises(
-        IntegrityError,
-        match=f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}",
-    ):
+
+    def swap(data: dict[str, Any]) -> None:
+        data["teams"][entry.team]["policies"]["robot"]["sha256"] = other.sha256
+
+    tampered = edited(registry, swap)
+    words = f"{entry.id}: expected sha256 {other.sha256}, found sha256 {entry.sha256}"
+    with pytest.raises(IntegrityError, match=words):
         load_stacks(tampered, [tampered.policy(entry.id)])
 
 
@@ -152,9 +138,8 @@ def test_truncated_missing_and_grown_shards_are_refused(registry: Registry) -> N
     whole = path.read_bytes()
     for data in (whole[:-1], whole[:7], b"", whole + b"\0"):
         path.write_bytes(data)
-        with pytest.raises(
-            IntegrityError, match=f"expected {len(whole)} bytes, found {len(data)} bytes"
-        ):
+        words = f"expected {len(whole)} bytes, found {len(data)} bytes"
+        with pytest.raises(IntegrityError, match=words):
             load_stacks(registry, [entry])
     path.unlink()
     with pytest.raises(IntegrityError, match="no file at"):
@@ -248,20 +233,16 @@ def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(
         return
     if metadata.get("sha256") == row_sha256(leaves) and set(params_read) == set(leaves):
         same = all(np.array_equal(params_read[name], leaves[name]) for name in leaves)
-        assert same == (
-            row_sha256(params_read) == metadata["sha256"]
-        )  # only the hash tells a flipped byte
+        # The hash alone tells a flipped byte.
+        assert same == (row_sha256(params_read) == metadata["sha256"])
 
 
 def test_policy_files_round_trip(tmp_path: Path, params, specs) -> None:
     path, tree = tmp_path / "mine.safetensors", params(specs["robot"], 1)
     write_policy_file(path, specs["robot"], tree, {"author": "me", "steps": 3})
     spec, params_read, metadata = read_policy_file(path)
-    assert (
-        spec == specs["robot"]
-        and metadata == {"author": "me", "steps": 3}
-        and leaves_equal(params_read, tree)
-    )
+    assert spec == specs["robot"] and metadata == {"author": "me", "steps": 3}
+    assert leaves_equal(params_read, tree)
     data = path.read_bytes()
     path.write_bytes(data.replace(b"tanh", b"relu"))
     with pytest.raises(IntegrityError):

@@ -25,7 +25,6 @@ def test_all_damage_is_reported_at_once(registry: Registry) -> None:
     report = verify(registry)
     assert not report.ok and len(report.problems) == 2
     assert "found sha256" in "".join(report.problems) and "no file at" in "".join(report.problems)
-    assert report.ok is False
 
 
 def test_rows_are_held_against_the_registry(registry: Registry) -> None:
@@ -35,12 +34,9 @@ def test_rows_are_held_against_the_registry(registry: Registry) -> None:
         first, two = (data["teams"][team]["policies"]["robot"] for team in (entry.team, other.team))
         first["row"], two["row"] = two["row"], first["row"]
 
-    problems = verify(edited(registry, swap)).problems
-    assert any(
-        f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problem
-        for problem in problems
-    )
-    assert any("records" in problem for problem in problems)
+    problems = "\n".join(verify(edited(registry, swap)).problems)
+    assert f"parameters of {entry.id}: expected sha256 {entry.sha256}" in problems
+    assert "records" in problems
 
 
 def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registry) -> None:
@@ -63,9 +59,8 @@ def test_duplicates_and_lost_rows_are_found(registry: Registry) -> None:
     first, two = registry.policies[0], registry.policies[2]
 
     def point(data: dict[str, Any]) -> None:
-        data["teams"][two.team]["policies"]["robot"] = data["teams"][first.team]["policies"][
-            "robot"
-        ]
+        robot = data["teams"][first.team]["policies"]["robot"]
+        data["teams"][two.team]["policies"]["robot"] = robot
 
     problems = "\n".join(verify(edited(registry, point)).problems)
     assert f"{two.id} has the same parameters as {first.id}" in problems
@@ -78,8 +73,7 @@ def test_changed_splits_and_settings_are_found(registry: Registry) -> None:
         data["disability_settings"]["d9"]["strength"] = 0.5
 
     problems = "\n".join(verify(edited(registry, change)).problems)
-    for words in ("expected sha256", "disability settings"):
-        assert words in problems
+    assert "expected sha256" in problems and "disability settings" in problems
 
 
 def test_another_environment_version_is_a_note(
