@@ -170,7 +170,7 @@ def test_missing_policy_is_named_or_fetched(
     assert told(result.m_test).mean == told(evaluate(robot, zoo).m_test).mean
 
 
-def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
+def test_temporary_folder_lives_as_long_as_result(zoo: az.Zoo) -> None:
     result = evaluate("scratch/ippo-d1-s0-v0/robot", zoo)
     folder = result.folder
     assert (folder / tables.EPISODES_FILE).is_file()

@@ -77,7 +77,7 @@ def test_partners_act_as_the_zoo_has_them() -> None:
     assert both.partner_names() == first[::-1] and set(first) == set(seated)
 
 
-def test_a_splits_preferences_are_those_of_its_training_half(
+def test_split_gives_preferences_of_its_training_half(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Humans that nobody trained act alike.
@@ -95,7 +95,7 @@ def test_a_splits_preferences_are_those_of_its_training_half(
     }
 
 
-def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:
+def test_preferences_may_be_a_text() -> None:
     options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s1-v3", "form": "jaxmarl"}
     env = az.vector_env("gentle_scratch", 8, preferences="p2,p7", backend="native", **options)
     _, state = jax.jit(env.reset)(jax.random.key(0))

@@ -42,7 +42,7 @@ def work(number: int, count: int, folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, tmp_path):
+def test_sweep_continues_after_failure_and_equals_local_one(two_cpus, tmp_path):
     sweep, done = plan(), []
     make_env = partial(toy_that_fails_once, tmp_path / "marker")
     reason = (
@@ -64,7 +64,7 @@ def test_a_sweep_goes_on_after_a_failed_block_and_ends_as_a_local_one(two_cpus, 
 
 
 @pytest.mark.slow
-def test_a_lost_worker_is_reported_and_the_others_go_on(two_cpus, tmp_path):
+def test_lost_worker_is_reported_and_others_continue(two_cpus, tmp_path):
     with pytest.raises(BlocksFailedError, match="1 of 3 blocks failed: b1: WorkerCrashedError: "):
         run_blocks(
             RayCluster(cpus=1),
@@ -84,7 +84,7 @@ def test_what_a_cluster_can_never_give_is_refused(two_cpus, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_block_takes_a_whole_machine_unless_it_has_a_gpu(two_cpus):
+def test_block_without_gpu_takes_whole_machine(two_cpus):
     import ray
 
     # What a block asks of a machine is seen nowhere else without a cluster of many machines.

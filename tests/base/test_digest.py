@@ -45,10 +45,8 @@ def test_a_tree_without_leaves_has_no_root() -> None:
 
 def test_the_releases_of_the_project_have_their_roots() -> None:
     data = load_registry(ROOT / "registry.json").data
-    pinned = {
-        "v1": "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5",
-    }
-    assert {name: release_root(data, name) for name in pinned} == pinned
+    root = "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5"
+    assert release_root(data, "v1") == root
 
 
 def test_specs_and_policy_files_have_their_hashes(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from assistax_base.files import atomic_path, atomic_write
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+def test_failed_write_leaves_only_the_old_file(tmp_path: Path) -> None:
     target = tmp_path / "deep" / "figures.json"
     atomic_write(target, b"old")
     with pytest.raises(RuntimeError, match="half"), atomic_path(target) as temporary:

@@ -87,7 +87,7 @@ def test_a_damaged_teams_file_is_named(tmp_path: Path) -> None:
             read_run(tmp_path)
 
 
-def test_a_long_value_is_cut_before_it_is_written_out() -> None:
+def test_long_value_is_cut_before_formatting() -> None:
     assert len(shorten([0] * 10**7)) < 200 and len(shorten("x" * 10**7)) < 400
 
 
@@ -130,7 +130,7 @@ def test_an_interrupt_does_not_wait_for_a_server_that_hangs(bare: Registry, hub:
         assert process.wait(timeout=50) == 130  # 2 s on a machine that is idle; the server takes 60
 
 
-def test_a_partial_file_that_nobody_goes_on_from_is_removed(bare: Registry, cache: Path) -> None:
+def test_old_partial_file_is_removed(bare: Registry, cache: Path) -> None:
     old = cached_shard("a" * 64).with_name(f".{'a' * 64}.safetensors.partial")
     old.parent.mkdir(parents=True)
     for age, left in ((0.0, True), (8 * 24 * 3600.0, False)):

@@ -3,8 +3,6 @@
 import itertools
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -137,7 +135,7 @@ def test_a_parameter_that_is_missing_is_named() -> None:
             export(V0, params)
 
 
-def test_onnx_files_say_what_they_are_and_are_stable() -> None:
+def test_onnx_files_are_described_and_stable() -> None:
     params = trained(V0)
     data = to_onnx(V0, params, {"id": "scratch/ippo-d1-s0-v0/robot"})
     assert data == to_onnx(V0, params, {"id": "scratch/ippo-d1-s0-v0/robot"})
@@ -159,9 +157,7 @@ def torch_or_stand_in() -> Any:
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=NAMES)
-def test_the_documented_torch_module_gives_the_same_actions(
-    tmp_path: Path, spec: PolicySpec
-) -> None:
+def test_documented_torch_module_gives_the_same_actions(tmp_path: Path, spec: PolicySpec) -> None:
     params, obs, library = trained(spec), observations(spec), torch_or_stand_in()
     page = (ROOT / "docs/export.md").read_text()
     (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", page, re.DOTALL)
@@ -185,19 +181,3 @@ def test_torch_files_keep_the_standard_deviation() -> None:
         state = safetensors.numpy.load(to_torch(spec, trained(spec)))
         assert {name for name in state if name.startswith("log_std")} == names
         assert state["layers.0.weight"].shape == (128, 9)
-
-
-def test_exported_files_run_without_this_project(tmp_path: Path) -> None:
-    spec, params = V0, trained(V0)
-    (tmp_path / "robot.onnx").write_bytes(to_onnx(spec, params))
-    code = (
-        "import sys, numpy, onnxruntime\n"
-        "session = onnxruntime.InferenceSession('robot.onnx', providers=['CPUExecutionProvider'])\n"
-        "print(session.run(['action'], {'obs': numpy.zeros((3, 34), numpy.float32)})[0].shape)\n"
-        "print(sorted({'zoo', 'population', 'evaluation', 'assistax_envs', 'jax', 'flax'} & "
-        "set(sys.modules)))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split("\n")[:2] == ["(3, 7)", "[]"]

@@ -60,23 +60,7 @@ def test_everything_comes_from_every_kind_of_remote(
     assert not leftovers(cache)
 
 
-def test_a_registry_without_shards_finds_them_in_the_cache(
-    registry: Registry, cache: Path, tmp_path: Path
-) -> None:
-    alone = tmp_path / "wheel" / "registry.json"
-    alone.parent.mkdir()
-    alone.write_bytes(registry.path.read_bytes())
-    bare = load_registry(alone)
-    with pytest.raises(RemoteError, match=r"2 missing .*say where to take them from"):
-        fetch(bare, bare.policies, None)
-    with pytest.raises(IntegrityError, match="assistax-zoo fetch"):
-        load_stacks(bare, bare.policies)
-    fetch(bare, bare.policies, open_remote(registry.path.parent))
-    assert same_parameters(registry, bare)
-    assert fetch(bare, bare.policies, None).present == 2
-
-
-def test_a_damaged_file_of_the_cache_is_fetched_again(registry: Registry, cache: Path) -> None:
+def test_damaged_cache_file_is_fetched_again(registry: Registry, cache: Path) -> None:
     fetched, _ = get(registry.path.parent)
     path = cache / "shards" / min(visible(cache))  # no lock, which lies there too
     path.write_bytes(path.read_bytes()[:-1])
@@ -85,7 +69,7 @@ def test_a_damaged_file_of_the_cache_is_fetched_again(registry: Registry, cache:
     assert verify(fetched).ok
 
 
-def test_a_damaged_file_of_a_checkout_is_left_to_its_owner(registry: Registry, cache: Path) -> None:
+def test_damaged_checkout_file_is_left_to_its_owner(registry: Registry, cache: Path) -> None:
     path = registry.shard_path(registry.policies[0].shard)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(IntegrityError, match="git checkout"):
@@ -220,6 +204,6 @@ def test_a_hub_without_a_scheme_is_named(address: str, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("address", ["http:///zoo", "https://"])
-def test_an_address_without_a_host_is_not_tried_again(address: str) -> None:
+def test_address_without_host_is_not_tried_again(address: str) -> None:
     with pytest.raises(RemoteError, match="check the address"):
         read_file(open_remote(address), "registry.json", 100)

@@ -38,22 +38,8 @@ def token(rng: random.Random, data: bytes) -> bytes:
     while isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
         node = node[key]
         key = rng.choice(list(node)) if isinstance(node, dict) else rng.randrange(len(node))
-    values = (
-        None,
-        True,
-        -1,
-        2**70,
-        1.5,
-        "",
-        "x",
-        "../../etc/passwd",
-        [],
-        {},
-        [[]],
-        {"a": {}},
-        "\x00\n",
-        1e308,
-    )
+    values = [None, True, -1, 2**70, 1.5, 1e308, "", "x", "../../etc/passwd", "\x00\n"]
+    values += [[], {}, [[]], {"a": {}}]
     if isinstance(node, dict) and rng.random() < 0.3:
         node[rng.choice(["x", "", "scratch/ippo-d1-s0-v1", "../a"])] = node.pop(key)
     else:
@@ -170,7 +156,7 @@ def test_ten_thousand_damages_are_refused(registry: Registry, genuine: dict[str,
     check(registry, genuine, CASES)
 
 
-def test_a_loader_that_trusts_the_registry_would_be_caught(
+def test_loader_without_row_hashes_is_caught(
     registry: Registry, genuine: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without row hashes the forged shards come through."""

@@ -58,9 +58,7 @@ def test_a_setting_that_nobody_uses_changes_no_lock(registry: Registry, lock: Lo
     assert apply_lock(grown, lock, task="scratch").policies == registry.policies
 
 
-def test_the_same_lock_loads_the_same_bytes_elsewhere(
-    registry: Registry, lock: Lock, cache: Path
-) -> None:
+def test_lock_loads_the_same_bytes_elsewhere(registry: Registry, lock: Lock, cache: Path) -> None:
     remote = remote_registry(open_remote(registry.path.parent))
     assert locked_entries(remote, lock) == locked_entries(registry, lock)
 
@@ -166,7 +164,7 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     assert "as locked" in capsys.readouterr().err
 
 
-def test_a_lock_pins_all_bytes_by_the_leaves_of_the_release(
+def test_lock_pins_all_bytes_by_release_leaves(
     registry: Registry, lock: Lock, tmp_path: Path
 ) -> None:
     """Version 3: no digest stands twice in it but those that users cite."""

@@ -116,7 +116,7 @@ def test_a_lock_pins_figures_and_provenance(registry: Registry, teams, publish_t
         registry.path.write_text(text)
 
 
-def test_a_fetch_tells_a_rewritten_history(registry: Registry, cache: Path, tmp_path) -> None:
+def test_a_fetch_tells_a_rewritten_history(registry: Registry, cache: Path) -> None:
     remote = open_remote(registry.path.parent)
     kept = remote_registry(remote)
     with pytest.raises(IntegrityError, match="content of its own roots"):
@@ -160,7 +160,7 @@ def write_keys(folder: Path, name: str) -> tuple[Path, Path]:
     return paths
 
 
-def test_without_cryptography_a_signature_names_its_extra(
+def test_signature_without_cryptography_names_its_extra(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "cryptography", None)

@@ -31,7 +31,7 @@ TEAMS = st.builds(
 POPULATIONS = st.lists(TEAMS, min_size=1, max_size=30, unique=True)
 GLOBS = st.lists(
     st.sampled_from(
-        ["*", "?", "scratch/", "ippo-", "d[19]", "-s1", "-v0", "/human", "/robot", "x"]
+        ["*", "?", "scratch/", "ippo-", "d[19]", "-s1", "-v0", "/human", "/robot", "IPPO-"]
     ),
     max_size=5,
 )

@@ -47,7 +47,7 @@ def test_entries_carry_what_the_evaluator_reads(registry: Registry, specs) -> No
     assert len(registry.data.runs) == 1  # provenance is stored once
 
 
-def test_entries_carry_the_numbers_of_their_setting_not_the_installed_ones(
+def test_entries_carry_their_registrys_setting(
     registry: Registry,
 ) -> None:
     def weaken(data: dict) -> None:

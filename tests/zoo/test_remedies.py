@@ -5,7 +5,7 @@ from assistax_base.errors import ExportError, UpdateError, ZooError
 from assistax_zoo.shell.main import REMEDIES, in_options
 
 
-def test_the_shell_adds_its_option_to_what_an_error_advises() -> None:
+def test_shell_adds_option_to_error_advice() -> None:
     error = ExportError("x.onnx", "no file, or the same policy", "other content")
     assert "--" not in str(error) and in_options(error) == f" ({REMEDIES['replace the file']})"
     assert in_options(UpdateError("zoo", "the old one", "changes", "ask its owner")) == ""

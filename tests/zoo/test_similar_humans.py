@@ -68,7 +68,7 @@ def test_a_partner_of_its_own_is_not(with_copy) -> None:
     assert custom(with_copy(3.0)).test == (COPY,)
 
 
-def test_a_leave_one_out_split_trains_without_those_who_act_as_the_held_out_do(
+def test_leave_one_out_omits_similar_training_partners(
     registry: Registry, team, publish_to
 ) -> None:
     params = {
@@ -99,7 +99,7 @@ def test_unfetched_partners_cannot_be_compared(registry: Registry) -> None:
         create_split(registry.path, task="scratch", rule="small-train", n=1)
 
 
-def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
+def test_recurrent_partners_differ_by_memory_alone() -> None:
     """Two policies that agree on every first observation."""
     import jax
 

@@ -46,7 +46,7 @@ def test_half_is_exact_in_every_stratum() -> None:
 @given(
     st.integers(0, 99), st.integers(1, 12), st.lists(st.integers(0, 11), unique=True), st.randoms()
 )
-def test_half_ignores_order_and_is_stable_when_the_registry_grows(
+def test_half_ignores_order_and_growth(
     split_seed: int, seeds: int, later: list[int], shuffle: random.Random
 ) -> None:
     small = ids(("ippo",), (1, 9), range(seeds))
@@ -130,7 +130,7 @@ def test_preferences_are_held_out_by_any_rule(rule: str) -> None:
     assert other == split
 
 
-def test_a_split_without_preferences_is_hashed_as_before_there_were_any() -> None:
+def test_split_without_preferences_keeps_its_hash() -> None:
     assert "preferences" not in gentle(test_preferences=()).content
     published = load_registry().splits
     assert sum(not split.preferences for split in published) >= 42
@@ -201,9 +201,7 @@ def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
         create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
 
 
-def test_the_beginning_of_a_name_means_the_newest_release(
-    registry: Registry, team, publish_to
-) -> None:
+def test_short_split_name_means_newest_release(registry: Registry, team, publish_to) -> None:
     older = registry.split("scratch", "half")
     grown = publish_to([team("ippo", "d1", seed) for seed in range(2)], registry.path, release="v1")
     assert grown.split("scratch", "half").release == "v1"
@@ -233,9 +231,7 @@ def test_create_writes_once(registry: Registry) -> None:
         create_split(registry.path, task="bed_bath")
 
 
-def test_a_default_that_was_chosen_stays_when_the_release_grows(
-    registry: Registry, team, publish_to
-) -> None:
+def test_chosen_default_stays_when_release_grows(registry: Registry, team, publish_to) -> None:
     chosen = {"rule": "leave-one-disability-out", "held_out": "d9", "default": True}
     split = create_split(registry.path, task="scratch", **chosen)
     assert load_registry(registry.path).split("scratch") == split
@@ -267,7 +263,7 @@ def three(teams, **arguments):
     return make(teams, "three-sides", **arguments)
 
 
-def test_three_sides_have_their_shares_of_all_and_of_every_stratum() -> None:
+def test_three_sides_have_shares_in_every_stratum() -> None:
     split = three(ids(seeds=range(20)))  # 360 teams in 18 strata of 20
     counts = {side: len(teams) for side, teams in split.sides.items()}
     assert counts == {"train": 216, "validation": 54, "test": 90}
@@ -289,7 +285,7 @@ def test_three_sides_stratify_by_convention_group_too() -> None:
     assert np.abs(np.array(of_b) - [6, 1.5, 2.5]).max() <= 1
 
 
-def test_held_out_preferences_are_a_split_of_their_own() -> None:
+def test_held_out_preferences_make_another_split() -> None:
     teams = [f"gentle_lift/mappo-d{d}-s{s}-v1" for d in (1, 2) for s in range(10)]
     plain, held = (
         make_split(
@@ -313,7 +309,7 @@ def test_splits_of_two_sides_keep_their_content() -> None:
     assert written == len(three_sided) == sum(bool(name.validation) for name in three_sided)
 
 
-def test_a_team_on_two_of_three_sides_is_refused() -> None:
+def test_team_on_two_sides_is_refused() -> None:
     split = three(ids())
     for one, other in (("train", "validation"), ("validation", "test"), ("train", "test")):
         team = getattr(split, one)[0]
@@ -345,7 +341,7 @@ def test_partners_with_whom_nobody_earns_much_leave() -> None:
     assert competent(data, teams, dict.fromkeys(teams, -1.0)) == teams
 
 
-def test_a_split_of_three_sides_is_kept_and_asked_for_by_side(registry: Registry) -> None:
+def test_three_sided_split_is_kept_and_found(registry: Registry) -> None:
     split = create_split(registry.path, task="scratch", rule="three-sides", release="v0")
     again = load_registry(registry.path).split("scratch", "three-sides")
     assert again == split and len(split.validation) == 1

@@ -6,15 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 import safetensors.numpy
-from hypothesis import given, seed, settings
-from hypothesis import strategies as st
 
-from assistax_base.errors import FormatError, IntegrityError, ZooError
+from assistax_base.errors import FormatError, IntegrityError
 from population.networks.spec import PolicySpec
 from population.networks.stack import unflatten
 from population.networks.tensors import (
     MAX_HEADER_BYTES,
-    decode,
     encode,
     flatten,
     parse_stacked,
@@ -42,7 +39,7 @@ def header(content: object, body: bytes = b"") -> bytes:
     return struct.pack("<Q", len(text)) + text + body
 
 
-def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Registry, team) -> None:
+def test_groups_hold_published_parameters_in_order(registry: Registry, team) -> None:
     names = [
         f"scratch/ippo-{name}" for name in ("d9-s3-v0/human", "d1-s2-v0/robot", "d1-s0-v0/human")
     ]
@@ -58,9 +55,7 @@ def test_groups_hold_the_published_parameters_in_the_order_asked(registry: Regis
             assert leaves_equal(unflatten({name: v[row] for name, v in stacked.items()}), expected)
 
 
-def test_shards_of_one_spec_merge_and_specs_do_not(
-    registry: Registry, team, specs, publish_to
-) -> None:
+def test_only_shards_of_one_spec_merge(registry: Registry, team, specs, publish_to) -> None:
     wide = {**specs, "robot": PolicySpec("robot", 5, 2, hidden=(8,))}
     grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
     groups = load_stacks(grown, grown.select("*-s0-*"))
@@ -71,7 +66,7 @@ def test_shards_of_one_spec_merge_and_specs_do_not(
     ]
 
 
-def test_half_precision_is_stored_as_it_is_and_returned_as_float32(
+def test_half_precision_is_returned_as_float32(
     tmp_path: Path, team, params, publish_to, specs
 ) -> None:
     half = {role: params(spec, 5, np.float16) for role, spec in specs.items()}
@@ -85,7 +80,7 @@ def test_half_precision_is_stored_as_it_is_and_returned_as_float32(
     )
 
 
-def test_row_hash_is_over_names_dtypes_shapes_and_bytes(params, specs) -> None:
+def test_row_hash_covers_names_dtypes_shapes_bytes(params, specs) -> None:
     leaves = flatten(params(specs["robot"], 0))
     digest = row_sha256(leaves)
     assert row_sha256(dict(reversed(leaves.items()))) == digest
@@ -187,7 +182,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
-def test_the_hostile_files_differ_from_a_good_one_by_their_defect_alone() -> None:
+def test_hostile_files_without_defect_are_read() -> None:
     assert parse_stacked(header({**META, "a": LEAF}, BODY), "good").spec.role == "robot"
 
 
@@ -214,27 +209,6 @@ def test_hostile_files_are_refused(name: str, tmp_path: Path) -> None:
 def test_stacked_metadata_must_say_what_the_rows_are(metadata: dict, words: str) -> None:
     with pytest.raises(FormatError, match=words):
         parse_stacked(encode({"a": np.zeros((1, 2), np.float32)}, metadata), "shard x")
-
-
-@seed(5)
-@settings(deadline=None, max_examples=300)
-@given(st.integers(0, 10_000), st.binary(max_size=9), st.integers(0, 30))
-def test_a_damaged_policy_file_gives_one_line_or_the_same_parameters(
-    position: int, patch: bytes, cut: int
-) -> None:
-    leaves = {"a": np.arange(6, dtype=np.float32), "b/c": np.ones((2, 3), np.float32)}
-    whole = encode(leaves, {"spec": SPEC, "sha256": row_sha256(leaves)})
-    position %= len(whole)
-    damaged = whole[:position] + patch + whole[position + cut :]
-    try:
-        params_read, metadata = decode(damaged, "test")
-    except ZooError as error:
-        assert str(error).isprintable()
-        return
-    if metadata.get("sha256") == row_sha256(leaves) and set(params_read) == set(leaves):
-        same = all(np.array_equal(params_read[name], leaves[name]) for name in leaves)
-        # The hash alone tells a flipped byte.
-        assert same == (row_sha256(params_read) == metadata["sha256"])
 
 
 def test_policy_files_round_trip(tmp_path: Path, params, specs) -> None:
@@ -275,7 +249,7 @@ def test_rows_of_a_shard_have_one_form(params, specs) -> None:
         encode_shard(specs["robot"], [("a", first), ("b", other)])
 
 
-def test_parameters_are_held_against_the_network_of_their_spec(params, specs) -> None:
+def test_parameters_must_fit_their_specs_network(params, specs) -> None:
     leaves = flatten(params(specs["robot"], 1))
     check_params(specs["robot"], leaves, "p")
     lacking = {name: value for name, value in leaves.items() if name != "log_std"}

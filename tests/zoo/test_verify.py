@@ -39,7 +39,7 @@ def test_rows_are_held_against_the_registry(registry: Registry) -> None:
     assert "records" in problems
 
 
-def test_a_shard_rewritten_with_its_hash_is_caught_by_the_rows(registry: Registry) -> None:
+def test_rewritten_shard_is_caught_by_row_hashes(registry: Registry) -> None:
     """A forger who also corrects the shard's own size and hash in the registry."""
     entry = registry.policies[0]
     stacked = read_shard(registry, entry.shard)
