@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -109,6 +110,13 @@ def visible(folder: Path) -> list[str]:
     return sorted(name for name in names if not name.startswith("."))
 
 
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened within a minute"
+        time.sleep(0.01)
+
+
 @pytest.fixture
 def team() -> Callable[..., TrainedTeam]:
     return trained_team
@@ -150,8 +158,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
-    """A hub on loopback that the real client talks to; pauses between attempts are short."""
+def hub(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """A hub on loopback that the real client talks to, and an empty cache."""
     from huggingface_hub import constants
     from huggingface_hub.utils import close_session
 
@@ -174,7 +182,7 @@ def large(tmp_path: Path) -> Registry:
 
 
 @pytest.fixture
-def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
+def bare(large: Registry, hub: Hub, tmp_path: Path) -> Registry:
     """The large registry without its shards, which the hub has."""
     hub.put("org/zoo", large.path.parent)
     path = tmp_path / "bare" / "registry.json"

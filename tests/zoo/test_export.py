@@ -45,14 +45,14 @@ NAMES = [f"{s.torso}{len(s.hidden)}-{s.activation}-{s.squash}-{s.std}-{s.normali
 def trained(spec: PolicySpec, seed: int = 0) -> dict[str, Any]:
     """Return parameters with nothing at its initial value: no part can be left out unseen."""
     rng = np.random.default_rng(seed)
-    params = jax.tree.map(lambda leaf: np.asarray(leaf), Policy(spec).init(jax.random.key(seed)))
-    params = jax.tree.map(
-        lambda leaf: (leaf + 0.4 * rng.normal(size=leaf.shape)).astype(np.float32), params
-    )
+
+    def moved(leaf: jax.Array) -> np.ndarray:
+        return (np.asarray(leaf) + 0.4 * rng.normal(size=leaf.shape)).astype(np.float32)
+
+    params = jax.tree.map(moved, Policy(spec).init(jax.random.key(seed)))
     if spec.normalise:
-        params["normaliser"]["std"] = rng.uniform(0.1, 2.0, spec.observation_size).astype(
-            np.float32
-        )
+        std = rng.uniform(0.1, 2.0, spec.observation_size)
+        params["normaliser"]["std"] = std.astype(np.float32)
     return params
 
 
@@ -142,9 +142,7 @@ def test_onnx_files_are_described_and_stable() -> None:
     model = onnx.load_from_string(data)
     (kept,) = model.metadata_props
     assert json.loads(kept.value) == {"spec": V0.to_json(), "id": "scratch/ippo-d1-s0-v0/robot"}
-    assert {node.domain for node in model.graph.node} == {""} and {
-        o.domain for o in model.opset_import
-    } == {""}
+    assert {part.domain for part in (*model.graph.node, *model.opset_import)} == {""}
 
 
 def torch_or_stand_in() -> Any:

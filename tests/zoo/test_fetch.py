@@ -52,9 +52,8 @@ def test_everything_comes_from_every_kind_of_remote(
     assert (report.policies, report.shards, report.present) == (16, 2, 0)
     assert report.bytes == sum(shard.bytes for shard in registry.data.shards.values())
     assert report.revision == (commit if kind in ("hub", "tag") else None)
-    assert fetched.path == load_registry(
-        cached_registry(str(name))
-    ).path and fetched.path.is_relative_to(cache)
+    assert fetched.path == load_registry(cached_registry(str(name))).path
+    assert fetched.path.is_relative_to(cache)
     assert verify(fetched).ok and same_parameters(registry, fetched)
     assert get(name)[1].bytes == 0
     assert not leftovers(cache)
@@ -76,7 +75,7 @@ def test_damaged_checkout_file_is_left_to_its_owner(registry: Registry, cache: P
         fetch(registry, registry.policies, open_remote(registry.path.parent))
 
 
-def test_offline_uses_what_is_there(registry: Registry, cache: Path, hub: Hub, monkeypatch) -> None:
+def test_offline_uses_what_is_there(registry: Registry, hub: Hub, monkeypatch) -> None:
     from huggingface_hub import constants
 
     hub.put("org/zoo", registry.path.parent)
@@ -91,9 +90,7 @@ def test_offline_uses_what_is_there(registry: Registry, cache: Path, hub: Hub, m
     assert len(hub.log) == requests
 
 
-def test_a_growing_remote_is_followed(
-    registry: Registry, cache: Path, hub: Hub, teams, publish_to
-) -> None:
+def test_a_growing_remote_is_followed(registry: Registry, hub: Hub, teams, publish_to) -> None:
     hub.put("org/zoo", registry.path.parent)
     get("hf://org/zoo")
     publish_to(teams(seeds=range(6)), registry.path)
@@ -121,33 +118,31 @@ def test_a_wrong_remote_is_named(
     hub.put("org/data", registry.path.parent, kind="dataset")
     with pytest.raises(RemoteError, match=message) as caught:
         get(name)
-    assert all(
-        word in str(caught.value) for word in ("expected", "found", "nothing was fetched", "next: ")
-    )
+    for word in ("expected", "found", "nothing was fetched", "next: "):
+        assert word in str(caught.value)
     assert not cache.exists()
 
 
 def test_a_remote_without_a_registry_is_refused(
     registry: Registry, cache: Path, hub: Hub, tmp_path: Path
 ) -> None:
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "config.json").write_text("{}")
-    hub.put("org/other", tmp_path / "other")
+    path = tmp_path / "other" / "registry.json"
+    path.parent.mkdir()
+    path.with_name("config.json").write_text("{}")
+    hub.put("org/other", path.parent)
     with pytest.raises(RemoteError, match=r"expected a zoo with registry\.json in it"):
         get("hf://org/other")
-    (tmp_path / "other" / "registry.json").write_bytes(b"\xff\xfe")
+    path.write_bytes(b"\xff\xfe")
     with pytest.raises(RegistryError, match="not a registry"):
-        get(tmp_path / "other")
-    (tmp_path / "other" / "registry.json").write_text(
-        registry.path.read_text().replace('"seed"', '"sead"')
-    )
+        get(path.parent)
+    path.write_text(registry.path.read_text().replace('"seed"', '"sead"'))
     with pytest.raises(RegistryError, match=r"unknown field|is missing"):
-        get(tmp_path / "other")
+        get(path.parent)
     assert not cache.exists()
 
 
 def test_shards_come_in_parallel(
-    registry: Registry, cache: Path, hub: Hub, teams, publish_to, monkeypatch
+    registry: Registry, hub: Hub, teams, publish_to, monkeypatch
 ) -> None:
     publish_to(teams(("mappo",)), registry.path)
     hub.put("org/zoo", registry.path.parent)
@@ -162,7 +157,7 @@ def test_shards_come_in_parallel(
     assert get("hf://org/zoo")[1].shards == 4
 
 
-def test_progress_counts_every_byte_once(large: Registry, cache: Path, hub: Hub) -> None:
+def test_progress_counts_every_byte_once(large: Registry, hub: Hub) -> None:
     hub.put("org/zoo", large.path.parent)
     hub.faults = [Fault(FILES, cut=200_000, times=3)]
     seen: list[int] = []
@@ -176,15 +171,12 @@ def test_progress_counts_every_byte_once(large: Registry, cache: Path, hub: Hub)
     assert sum(seen) == totals[0] == report.bytes
 
 
-def test_command(registry: Registry, cache: Path, hub: Hub, capsys, monkeypatch) -> None:
+def test_command(registry: Registry, hub: Hub, capsys, monkeypatch) -> None:
     hub.put("org/zoo", registry.path.parent, tag="v0")
     assert run(["fetch", "scratch/*/human", "--from", "hf://org/zoo@v0"]) == 0
     printed = capsys.readouterr()
-    assert (
-        "verified 8 policies in 1 shard" in printed.out
-        and "commit" in printed.out
-        and "--registry" in printed.out
-    )
+    for words in ("verified 8 policies in 1 shard", "commit", "--registry"):
+        assert words in printed.out
     assert "MB" in printed.err
     assert run(["fetch", "--from", "hf://org/zoo@v9"]) == 1
     assert capsys.readouterr().err.count("\n") == 1

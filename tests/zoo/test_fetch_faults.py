@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from assistax_base.errors import CacheError, IntegrityError, RemoteError, ZooError
-from tests.zoo.conftest import leftovers, visible
+from tests.zoo.conftest import leftovers, visible, wait_for
 from tests.zoo.hub_server import Fault, Hub
 from zoo.locations import cached_shard
 from zoo.parameters.storage import load_stacks
@@ -267,10 +267,3 @@ def mounted(folder: Path, options: str) -> Generator[None]:
         yield
     finally:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "nothing happened within a minute"
-        time.sleep(0.01)

@@ -137,23 +137,15 @@ def forged_shards(registry: Registry, genuine: dict[str, str], cases: int) -> in
     return passed
 
 
-def check(registry: Registry, genuine: dict[str, str], cases: int) -> None:
+@pytest.mark.parametrize("cases", [120, pytest.param(CASES, marks=pytest.mark.slow)])
+def test_damage_is_refused(registry: Registry, genuine: dict[str, str], cases: int) -> None:
+    assert genuine == {entry.id: entry.sha256 for entry in registry.policies}
     refused, loaded = damaged_registries(registry, genuine, cases // 2)
     assert refused > cases // 4 and loaded > 0  # both ways were taken
     assert damaged_shards(registry, cases // 4) > cases // 5
     humans = sum(entry.role == "human" for entry in registry.policies) * (cases // 4)
     assert forged_shards(registry, genuine, cases // 4) >= humans  # the other shard is whole
     assert verify(load_registry(registry.path)).ok
-
-
-def test_some_damage_is_refused(registry: Registry, genuine: dict[str, str]) -> None:
-    assert genuine == {entry.id: entry.sha256 for entry in registry.policies}
-    check(registry, genuine, 120)
-
-
-@pytest.mark.slow
-def test_ten_thousand_damages_are_refused(registry: Registry, genuine: dict[str, str]) -> None:
-    check(registry, genuine, CASES)
 
 
 def test_loader_without_row_hashes_is_caught(

@@ -107,14 +107,11 @@ def test_a_registry_that_differs_is_refused(
         locked_entries(without, lock)
 
 
-def test_a_split_that_leaves_out_partners(registry: Registry) -> None:
+def test_lock_has_one_release_and_whole_splits(registry: Registry, teams, publish_to) -> None:
     few = registry.select("scratch/ippo-d1-*")
     assert make_lock(registry, few).splits == {}
     with pytest.raises(LockError, match="left out"):
         make_lock(registry, few, {"scratch": registry.split("scratch").id})
-
-
-def test_one_release_at_a_time(registry: Registry, teams, publish_to) -> None:
     both = publish_to(teams(("mappo",)), registry.path, "v1")
     with pytest.raises(LockError, match="releases v0, v1"):
         make_lock(both, both.policies)

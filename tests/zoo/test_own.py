@@ -57,10 +57,9 @@ def test_lock_carries_the_own_split(official: Registry, tmp_path: Path) -> None:
     narrowed = apply_lock(load_registry(), lock, task="scratch", split="small-1")
     assert narrowed.split("scratch") == split
     moved = split.model_copy(update={"train": split.test, "test": split.train})
+    forged = lock.model_copy(update={"own_splits": (moved,)})
     with pytest.raises(SplitError, match="sha256"):
-        apply_lock(
-            load_registry(), lock.model_copy(update={"own_splits": (moved,)}), task="scratch"
-        )
+        apply_lock(load_registry(), forged, task="scratch")
 
 
 def test_commands_find_own_splits_and_teams(official: Registry, tmp_path: Path, capsys) -> None:
@@ -121,9 +120,8 @@ def test_copy_of_official_registry_is_read_only(
             attempt()
     assert complete_release(copy, "v0").data == official.data  # whole already: nothing to write
     assert copy.read_bytes() == before
-    assert (
-        run(["split", "create", "--task", "scratch", "--registry", str(copy), "--seed", "1"]) == 1
-    )
+    words = ["split", "create", "--task", "scratch", "--seed", "1"]
+    assert run([*words, "--registry", str(copy)]) == 1
     assert "a registry of your own" in capsys.readouterr().err
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(copy))
     create_split(**SMALL)

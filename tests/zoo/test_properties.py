@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from assistax_base.errors import UnknownIdError, ZooError
 from population.networks.spec import PolicySpec
-from zoo.ids import TeamId, parse_team
+from zoo.ids import TeamId
 from zoo.registry import Registry, build_registry, parse_registry
 from zoo.saving import dump_registry
 from zoo.schema import SCHEMA_VERSION, RegistryFile
@@ -127,27 +127,17 @@ def test_every_rule_covers_ignores_order_and_other_releases(
 ) -> None:
     held_out = {"leave-one-algorithm-out": "ippo", "leave-one-disability-out": "d9"}.get(rule)
     ids = [str(team) for team in teams]
-    arguments = {
-        "task": "scratch",
-        "release": "v0",
-        "rule": rule,
-        "seed": number,
-        "held_out": held_out,
-        "n": 1,
-    }
+    arguments = {"task": "scratch", "release": "v0", "rule": rule, "seed": number, "n": 1}
+    arguments["held_out"] = held_out
     try:
         split = make_split(ids, **arguments)
     except ZooError as error:
         assert str(error).isprintable()
         return
     check_split(split)
-    own = {
-        text
-        for text in ids
-        if parse_team(text).task == "scratch" and parse_team(text).release == "v0"
-    }
-    assert not set(split.train) & set(split.test) and {*split.train, *split.test} <= own
-    assert rule == "small-train" or {*split.train, *split.test} == own
-    shuffled = [text for text in ids if text in own]
+    allowed = {str(team) for team in teams if (team.task, team.release) == ("scratch", "v0")}
+    assert not set(split.train) & set(split.test) and {*split.train, *split.test} <= allowed
+    assert rule == "small-train" or {*split.train, *split.test} == allowed
+    shuffled = [text for text in ids if text in allowed]
     rng.shuffle(shuffled)
     assert make_split(shuffled, **arguments) == split

@@ -19,19 +19,14 @@ from population.networks.tensors import (
 )
 from tests.zoo.conftest import edited
 from zoo.parameters.encoding import check_params, encode_shard
-from zoo.parameters.storage import (
-    load_stacks,
-    read_policy_file,
-    write_policy_file,
-)
+from zoo.parameters.storage import load_stacks, read_policy_file, write_policy_file
 from zoo.registry import Registry
 
 
 def leaves_equal(first, other) -> bool:
     first, other = flatten(first), flatten(other)
-    return first.keys() == other.keys() and all(
-        np.array_equal(first[name], other[name]) for name in first
-    )
+    equal = (np.array_equal(value, other.get(name)) for name, value in first.items())
+    return first.keys() == other.keys() and all(equal)
 
 
 def header(content: object, body: bytes = b"") -> bytes:
@@ -40,9 +35,8 @@ def header(content: object, body: bytes = b"") -> bytes:
 
 
 def test_groups_hold_published_parameters_in_order(registry: Registry, team) -> None:
-    names = [
-        f"scratch/ippo-{name}" for name in ("d9-s3-v0/human", "d1-s2-v0/robot", "d1-s0-v0/human")
-    ]
+    members = ("d9-s3-v0/human", "d1-s2-v0/robot", "d1-s0-v0/human")
+    names = [f"scratch/ippo-{member}" for member in members]
     human, robot = load_stacks(registry, [registry.policy(name) for name in names])
     assert human.ids == (names[0], names[2]) and robot.ids == (names[1],)
     assert human.spec.role == "human" and robot.spec.role == "robot"
@@ -59,11 +53,8 @@ def test_only_shards_of_one_spec_merge(registry: Registry, team, specs, publish_
     wide = {**specs, "robot": PolicySpec("robot", 5, 2, hidden=(8,))}
     grown = publish_to([team("mappo", "d1", 0, specs=wide)], registry.path)
     groups = load_stacks(grown, grown.select("*-s0-*"))
-    assert [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups] == [
-        ("robot", (4,), 2),
-        ("human", (4,), 3),
-        ("robot", (8,), 1),
-    ]
+    found = [(group.spec.role, group.spec.hidden, len(group.ids)) for group in groups]
+    assert found == [("robot", (4,), 2), ("human", (4,), 3), ("robot", (8,), 1)]
 
 
 def test_half_precision_is_returned_as_float32(
@@ -75,9 +66,8 @@ def test_half_precision_is_returned_as_float32(
     assert "F16" in registry.shard_path(entry.shard).read_bytes()[:400].decode(errors="replace")
     group = load_stacks(registry, [entry])[0]
     kernel = group.params["Dense_0"]["kernel"]
-    assert kernel.dtype == np.float32 and np.array_equal(
-        kernel[0], half["robot"]["Dense_0"]["kernel"]
-    )
+    assert kernel.dtype == np.float32
+    assert np.array_equal(kernel[0], half["robot"]["Dense_0"]["kernel"])
 
 
 def test_row_hash_covers_names_dtypes_shapes_bytes(params, specs) -> None:
