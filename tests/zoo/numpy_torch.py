@@ -1,7 +1,7 @@
 """As much of `torch` and `safetensors.safe_open` in NumPy as docs/export.md uses."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,10 +12,10 @@ import safetensors
 class Tensor(np.ndarray):
     """An array with the methods of a tensor."""
 
-    def clamp(self, low: float, high: float) -> "Tensor":
+    def clamp(self, low: float, high: float) -> Any:
         return np.clip(self, low, high)
 
-    def tanh(self) -> "Tensor":
+    def tanh(self) -> Any:
         return np.tanh(self)
 
 
@@ -99,7 +99,7 @@ torch = SimpleNamespace(
 
 
 @contextlib.contextmanager
-def safe_open(path: str, framework: str) -> Iterator[Any]:
+def safe_open(path: str, framework: str) -> Generator[Any]:
     """Open a file as `safetensors.safe_open` does for torch."""
     assert framework == "pt"
     with safetensors.safe_open(path, "np") as file:

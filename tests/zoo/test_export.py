@@ -160,7 +160,7 @@ def test_documented_torch_module_gives_the_same_actions(tmp_path: Path, spec: Po
     page = (ROOT / "docs/export.md").read_text()
     (code,) = re.findall(r"## PyTorch\n\n```python\n(.*?)```", page, re.DOTALL)
     imports = "import json, torch\nfrom safetensors import safe_open\n"
-    names = {"json": json, "torch": library.torch, "safe_open": library.safe_open}
+    names: dict[str, Any] = {"json": json, "torch": library.torch, "safe_open": library.safe_open}
     exec(code.removeprefix(imports), names)
     path = tmp_path / "robot.safetensors"
     path.write_bytes(to_torch(spec, params))

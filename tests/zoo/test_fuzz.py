@@ -8,6 +8,7 @@ still names that sha256.
 import json
 import random
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def token(rng: random.Random, data: bytes) -> bytes:
     while isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
         node = node[key]
         key = rng.choice(list(node)) if isinstance(node, dict) else rng.randrange(len(node))
-    values = [None, True, -1, 2**70, 1.5, 1e308, "", "x", "../../etc/passwd", "\x00\n"]
+    values: list[Any] = [None, True, -1, 2**70, 1.5, 1e308, "", "x", "../../etc/passwd", "\x00\n"]
     values += [[], {}, [[]], {"a": {}}]
     if isinstance(node, dict) and rng.random() < 0.3:
         node[rng.choice(["x", "", "scratch/ippo-d1-s0-v1", "../a"])] = node.pop(key)
