@@ -91,7 +91,7 @@ def test_wrong_place_is_refused_before_play(
         check_place(tmp_path / name, format)
 
 
-def test_a_missing_package_is_named_with_its_extra(
+def test_missing_package_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "minari", None)

@@ -17,9 +17,9 @@ ROOT = Path(__file__).parents[2]
 HEAVY = {"jax", "mujoco", "numpy", "polars", "matplotlib", "pydantic", "flax", "scipy", "rich"}
 
 
-def python(code: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+def python(*words: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, *words],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -28,29 +28,30 @@ def python(code: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
 
 
 def test_importing_loads_nothing_heavy() -> None:
-    done = python("import assistax_zoo as az, sys; dir(az); print(*sys.modules)")
+    done = python("-c", "import assistax_zoo as az, sys; dir(az); print(*sys.modules)")
     assert done.returncode == 0 and not HEAVY & set(done.stdout.split())
 
 
-def test_every_name_is_typed_and_documented() -> None:
+def test_reading_the_registry_loads_no_arrays() -> None:
+    read = "from zoo.registry import load_registry; load_registry('registry.json')"
+    done = python("-c", f"import sys; {read}; print(*sys.modules)")
+    assert done.returncode == 0 and not (HEAVY - {"pydantic", "rich"}) & set(done.stdout.split())
+
+
+def test_every_name_is_typed_and_has_an_example() -> None:
     assert dir(az) == az.__all__ == sorted(az.__all__)
     source = (ROOT / "assistax_zoo" / "__init__.py").read_text(encoding="utf-8")
     checked = source[source.index("TYPE_CHECKING:") : source.index("__all__")]
     for name in az.__all__:
-        value_of_name = getattr(az, name)
+        value = getattr(az, name)
         assert name in checked
-        documented = [
-            value_of_name,
-            *(vars(value_of_name).values() if inspect.isclass(value_of_name) else ()),
-        ]
-        for public_name in documented:
-            public = not getattr(public_name, "__name__", "_").startswith("_")
-            if inspect.isfunction(public_name) and public:
-                assert inspect.getdoc(public_name), f"{name}: {public_name.__name__}"
-                assert set(inspect.signature(public_name).parameters) <= {
-                    *public_name.__annotations__,
-                    "self",
-                }
+        assert ">>> " in (inspect.getdoc(value) or ""), f"{name} has no example"
+        members = vars(value).values() if inspect.isclass(value) else ()
+        for function in filter(inspect.isfunction, (value, *members)):
+            if not function.__name__.startswith("_"):
+                assert inspect.getdoc(function), f"{name}: {function.__name__}"
+                typed = {*function.__annotations__, "self"}
+                assert set(inspect.signature(function).parameters) <= typed
 
 
 def test_an_unknown_name_lists_the_known_ones() -> None:
@@ -63,31 +64,21 @@ def test_shadowing_module_is_refused_by_name(tmp_path: Path, shadow: str) -> Non
     (tmp_path / shadow).parent.mkdir(exist_ok=True)
     (tmp_path / shadow).write_text("")
     name = Path(shadow).parts[0]
-    code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport assistax_zoo as az\naz.evaluate"
-    )
-    done = python(code, tmp_path)
+    path = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
+    done = python("-c", f"{path}\nimport assistax_zoo as az\naz.evaluate", folder=tmp_path)
     if shadow == "population/x.py":  # a folder without __init__ gives way to a package
         assert done.returncode == 0
-        return
-    assert (
-        f"ImportError: {tmp_path / name} has the name of a package of assistax-zoo" in done.stderr
-    )
+    else:
+        words = f"ImportError: {tmp_path / name} has the name of a package of assistax-zoo"
+        assert words in done.stderr
 
 
 def test_command_refuses_shadowing_module_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "assistax_envs.py").write_text("")
-    done = subprocess.run(
-        [sys.executable, "-m", "assistax_zoo", "list"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    done = python("-m", "assistax_zoo", "list", folder=tmp_path)
     assert done.returncode == 1 and done.stdout == ""
-    assert done.stderr.startswith(
-        f"error: {tmp_path / 'assistax_envs.py'} has the name of a package"
-    )
+    words = f"error: {tmp_path / 'assistax_envs.py'} has the name of a package"
+    assert done.stderr.startswith(words)
     assert done.stderr.count("\n") == 1
 
 
@@ -120,8 +111,3 @@ def test_examples_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     loaded = importlib.import_module(module)
     done = doctest.testmod(loaded, extraglobs=received, optionflags=doctest.ELLIPSIS)
     assert done.attempted and not done.failed
-
-
-def test_every_name_has_an_example() -> None:
-    for name in az.__all__:
-        assert ">>> " in (inspect.getdoc(getattr(az, name)) or ""), name

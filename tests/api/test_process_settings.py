@@ -99,10 +99,9 @@ def test_a_setting_that_gets_through_is_seen(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_setting_that_cannot_be_ours_is_named(name: str) -> None:
     with configured(**{name: REFUSED[name]}):
-        for entry in ENTRIES:
-            said = outcome(entry, "native")
-            assert said.startswith(f"ValueError: JAX's {name} is {REFUSED[name]!r} "), said
-            assert "\n" not in said and name.upper() in said
+        for message in (outcome(entry, "native") for entry in ENTRIES):
+            assert message.startswith(f"ValueError: JAX's {name} is {REFUSED[name]!r} "), message
+            assert "\n" not in message and name.upper() in message
 
 
 @pytest.mark.usefixtures("short")
@@ -110,8 +109,9 @@ def test_a_setting_that_cannot_be_ours_is_named(name: str) -> None:
 def test_a_guard_of_explicit_transfers_is_named(entry: str) -> None:
     """XLA's threads hand arrays to callbacks by such transfers, where no setting of ours is."""
     with configured(jax_transfer_guard="disallow_explicit"):
-        said = outcome(entry, "native")
-    assert said.startswith("ValueError: JAX's jax_transfer_guard is 'disallow_explicit' "), said
+        message = outcome(entry, "native")
+    words = "ValueError: JAX's jax_transfer_guard is 'disallow_explicit' "
+    assert message.startswith(words), message
 
 
 @pytest.mark.slow

@@ -90,9 +90,8 @@ def test_a_saved_result_is_loaded_and_compared(
     assert isinstance(again, az.EvaluationResult) and again.summary == result.summary
     moving = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, split="both", episodes=2)
     comparison = az.compare(moving, saved)
-    assert told(comparison.test).mean == pytest.approx(
-        told(moving.m_test).mean - told(result.m_test).mean
-    )
+    difference = told(moving.m_test).mean - told(result.m_test).mean
+    assert told(comparison.test).mean == pytest.approx(difference)
     assert repr(comparison).startswith("Comparison(scratch: test partners ")
     other = evaluate(lambda obs: np.ones((len(obs), 7)), zoo, episodes=1)
     with pytest.raises(ValueError, match="episodes_per_pair is 1"):
@@ -170,7 +169,7 @@ def test_missing_policy_is_named_or_fetched(
     assert told(result.m_test).mean == told(evaluate(robot, zoo).m_test).mean
 
 
-def test_a_temporary_folder_lives_as_long_as_the_result(zoo: az.Zoo) -> None:
+def test_temporary_folder_lives_as_long_as_result(zoo: az.Zoo) -> None:
     result = evaluate("scratch/ippo-d1-s0-v0/robot", zoo)
     folder = result.folder
     assert (folder / tables.EPISODES_FILE).is_file()
@@ -191,13 +190,8 @@ def test_every_form_of_one_robot_earns_the_same(zoo: az.Zoo, tmp_path: Path) -> 
         def predict(self, obs: Any, state: Any, episode_start: Any, deterministic: bool) -> Any:
             return own.act(obs), None
 
-    robots = [
-        tmp_path / "mine.safetensors",
-        str(tmp_path / "mine.onnx"),
-        own,
-        lambda obs: own.act(obs),
-        Predicting(),
-    ]
+    files = [tmp_path / "mine.safetensors", str(tmp_path / "mine.onnx")]
+    robots = [*files, own, lambda obs: own.act(obs), Predicting()]
     returns = [told(evaluate(robot, zoo).m_test).mean for robot in robots]
     np.testing.assert_allclose(returns, returns[0], rtol=1e-3)
     assert as_robot(own)(np.zeros((2, 34), np.float32)).shape == (2, 7)

@@ -58,16 +58,11 @@ def test_partners_act_as_the_zoo_has_them() -> None:
     for _ in range(2):
         human = np.asarray(state.env.obs["human"])
         _, after, *_ = jax.jit(env.step)(jax.random.key(1), state, {"robot": robot})
-        orders = [[0, 1], [1, 0]]
-        fits = [
-            np.stack([partners[row].act(human[i]) for i, row in enumerate(order)])
-            for order in orders
-        ]
-        played = [
-            jax.jit(env.batch.env.step)(state.env, {"robot": robot, "human": jnp.asarray(fit)})
-            for fit in fits
-        ]
-        errors = [float(jnp.abs(p.obs["human"] - after.env.obs["human"]).max()) for p in played]
+        errors = []
+        for order in (partners, partners[::-1]):
+            actions = jnp.asarray([one.act(seen) for one, seen in zip(order, human, strict=True)])
+            played = jax.jit(env.batch.env.step)(state.env, {"robot": robot, "human": actions})
+            errors.append(float(jnp.abs(played.obs["human"] - after.env.obs["human"]).max()))
         assert min(errors) < 1e-5 < max(errors)
         state = after
     both.reset(seed=0)
@@ -77,7 +72,7 @@ def test_partners_act_as_the_zoo_has_them() -> None:
     assert both.partner_names() == first[::-1] and set(first) == set(seated)
 
 
-def test_a_splits_preferences_are_those_of_its_training_half(
+def test_split_gives_preferences_of_its_training_half(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Humans that nobody trained act alike.
@@ -90,16 +85,19 @@ def test_a_splits_preferences_are_those_of_its_training_half(
     _, state = jax.jit(env.reset)(jax.random.key(0))
     allowed = split.preferences["train"]
     assert not {*allowed} & {*held_out}
-    assert set(np.asarray(state.env.params.preference_code).tolist()) <= {
-        int(p[1:]) for p in allowed
-    }
+    assert codes(state) <= {int(preference[1:]) for preference in allowed}
 
 
-def test_preferences_may_be_a_text_as_in_an_evaluation() -> None:
+def codes(state: Any) -> set[int]:
+    """Return the preferences of a state's humans."""
+    return set(np.asarray(state.env.params.preference_code).tolist())
+
+
+def test_preferences_may_be_a_text() -> None:
     options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s1-v3", "form": "jaxmarl"}
     env = az.vector_env("gentle_scratch", 8, preferences="p2,p7", backend="native", **options)
     _, state = jax.jit(env.reset)(jax.random.key(0))
-    assert set(np.asarray(state.env.params.preference_code).tolist()) == {2, 7}
+    assert codes(state) == {2, 7}
 
 
 def test_forms_and_wrong_arguments() -> None:

@@ -1,6 +1,5 @@
 """Published hashes stay what they are, and one module makes them."""
 
-import ast
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,6 @@ from zoo.parameters.storage import policy_bytes, read_policy_file
 from zoo.registry import load_registry
 
 ROOT = Path(__file__).parents[2]
-SOURCES = (
-    *("assistax_base", "assistax_envs", "population", "zoo", "evaluation", "assistax_zoo"),
-    *("board", "workshop"),
-)
 VALUE = {"b": [1, 2.5, None], "a": "é", "c": {"z": True, "y": 1e-7}}
 
 
@@ -41,19 +36,14 @@ def test_hashes_of_json_are_those_that_were_published() -> None:
 )
 def test_roots_of_trees_are_those_that_were_published(count: int, root: str) -> None:
     assert merkle_root([leaf_sha256(VALUE)] * count) == root
-
-
-def test_a_tree_without_leaves_has_no_root() -> None:
     with pytest.raises(ValueError, match="at least one leaf"):
         merkle_root([])
 
 
 def test_the_releases_of_the_project_have_their_roots() -> None:
     data = load_registry(ROOT / "registry.json").data
-    pinned = {
-        "v1": "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5",
-    }
-    assert {name: release_root(data, name) for name in pinned} == pinned
+    root = "c793a38815adea5e3e61221726885b5a1358346242d9b2e1eb7509eb9b0455e5"
+    assert release_root(data, "v1") == root
 
 
 def test_specs_and_policy_files_have_their_hashes(tmp_path: Path) -> None:
@@ -63,23 +53,3 @@ def test_specs_and_policy_files_have_their_hashes(tmp_path: Path) -> None:
     assert b"6017ee40d9a3dfd17224f9cb13dc8cf40723a0b8589f6b714f4a69431a44fb34" in data
     (tmp_path / "policy.safetensors").write_bytes(data)
     assert read_policy_file(tmp_path / "policy.safetensors").metadata == {"id": "x"}
-
-
-def hashes_json(function: ast.AST) -> bool:
-    words = {node.attr for node in ast.walk(function) if isinstance(node, ast.Attribute)}
-    words |= {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
-    return "dumps" in words and bool(words & {"hashlib", "sha256"})
-
-
-def test_one_module_hashes_json_and_trees() -> None:
-    """Names of cached pages and of sent messages, which nobody publishes, are the board's own."""
-    allowed = {"board/assistax_board/work/webhook.py", "board/assistax_board/pages/crossplays.py"}
-    once = {"merkle_root", "first_problem", "canonical_json", "sha256", "_sha256"}
-    defined, hashing = [], set()
-    for path in (path for source in SOURCES for path in (ROOT / source).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef):
-                defined += [node.name] if node.name in once else []
-                hashing |= {str(path.relative_to(ROOT))} if hashes_json(node) else set()
-    assert sorted(defined) == ["canonical_json", "first_problem", "merkle_root", "sha256"]
-    assert hashing == allowed

@@ -40,17 +40,13 @@ def test_a_broken_entry_names_its_package(
     assert problem in message and "uninstall the package" in message
 
 
-def test_two_packages_cannot_share_a_name(install_package: Callable[..., None]) -> None:
+def test_a_package_cannot_take_a_name_in_use(install_package: Callable[..., None]) -> None:
     install_package(METHODS, "mean", "statistics:fmean")
+    with pytest.raises(ExtensionError, match=r"package outside 0\.3 .* method of assistax-zoo"):
+        extensions.extensions(METHODS, taken=["mean"])
     install_package(METHODS, "mean", "statistics:mean", package="second")
     with pytest.raises(ExtensionError, match=r"package second 0\.3 .* of a method of outside 0\.3"):
         extensions.extensions(METHODS)
-
-
-def test_a_package_cannot_take_our_name(install_package: Callable[..., None]) -> None:
-    install_package(METHODS, "gru", "statistics:fmean")
-    with pytest.raises(ExtensionError, match=r"package outside 0\.3 .* method of assistax-zoo"):
-        extensions.extensions(METHODS, taken=["gru"])
 
 
 @pytest.mark.parametrize("name", ["Mean", "the-mean", "_mean", "mean_", "1mean", "a.b"])

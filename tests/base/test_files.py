@@ -9,7 +9,7 @@ import pytest
 from assistax_base.files import atomic_path, atomic_write
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+def test_failed_write_leaves_only_the_old_file(tmp_path: Path) -> None:
     target = tmp_path / "deep" / "figures.json"
     atomic_write(target, b"old")
     with pytest.raises(RuntimeError, match="half"), atomic_path(target) as temporary:
@@ -85,8 +85,6 @@ def test_a_file_is_on_the_disk_before_it_has_its_name_and_the_name_too(
     disk = Disk(monkeypatch)
     atomic_write(tmp_path / "a", b"whole")
     assert disk.unsafe == [] and str(tmp_path) in disk.flushed
-    monkeypatch.setattr(
-        "assistax_base.files._flush", lambda path: None
-    )  # planted: nothing is flushed
+    monkeypatch.setattr("assistax_base.files._flush", lambda path: None)  # a planted defect
     atomic_write(tmp_path / "a", b"more")
     assert disk.unsafe == [str(tmp_path / "a")] and str(tmp_path) not in disk.flushed

@@ -51,13 +51,8 @@ def test_a_whole_table_is_not_called_damaged(function: str, tmp_path: Path) -> N
     path = tmp_path / "table.parquet"
     values = np.random.default_rng(0).normal(size=20_000_000)
     pl.DataFrame({"return": values}).write_parquet(path)
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, "60", function, str(path)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=60,
-    )
+    words = [sys.executable, "-c", LIMITED, "60", function, str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, timeout=60)
     assert done.stdout == f"MemoryError {path} was not read, and may be whole\n", done.stderr[-300:]
     assert path.is_file()
 

@@ -26,9 +26,8 @@ def test_iqm_by_hand():
 @settings(max_examples=100, deadline=None)
 @given(arrays(np.float64, st.integers(1, 40), elements=FINITE))
 def test_iqm_is_scipys_trimmed_mean(values: np.ndarray):
-    assert statistics.iqm(values) == pytest.approx(
-        scipy.stats.trim_mean(values, 0.25), rel=1e-9, abs=1e-6
-    )
+    expected = scipy.stats.trim_mean(values, 0.25)
+    assert statistics.iqm(values) == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 def test_weighted_forms_equal_the_resampled_lists():
@@ -36,15 +35,11 @@ def test_weighted_forms_equal_the_resampled_lists():
     values = rng.normal(1000, 50, 17)
     counts = rng.integers(0, 4, (20, 17))
     lists = [np.repeat(values, row) for row in counts]
-    np.testing.assert_allclose(
-        statistics.weighted_mean(values, counts), [entry.mean() for entry in lists]
-    )
+    means = [entry.mean() for entry in lists]
+    np.testing.assert_allclose(statistics.weighted_mean(values, counts), means)
     expected = [scipy.stats.trim_mean(entry, 0.25) for entry in lists]
     np.testing.assert_allclose(statistics.weighted_iqm(values, counts), expected)
-
-
-def test_a_resample_without_entries_has_no_figure():
-    counts = np.array([[0, 0], [1, 0]])
+    counts = np.array([[0, 0], [1, 0]])  # the first resample has no entries
     for figure in (statistics.weighted_mean, statistics.weighted_iqm):
         np.testing.assert_array_equal(figure(np.array([3.0, 4.0]), counts), [np.nan, 3.0])
 
@@ -61,9 +56,6 @@ def test_the_tail_is_weighted_by_hand():
     assert tail(1.0) == pytest.approx(values.mean())
     with pytest.raises(ValueError, match=r"alpha is 0\.0; allowed is a share"):
         tail(0.0)
-
-
-def test_tail_weights_honour_counts():
     weights = statistics.tail_weights(np.array([[3.0, 1.0, 2.0]]), np.array([[1, 2, 1]]), 0.75)
     np.testing.assert_allclose(weights, [[0, 2 / 3, 1 / 3]])
 
@@ -71,24 +63,18 @@ def test_tail_weights_honour_counts():
 def test_probability_of_improvement_is_the_loop_over_pairs():
     rng = np.random.default_rng(0)
     x, y = rng.integers(0, 4, (3, 5)), rng.integers(0, 4, (4, 5))
-    wins = [
-        np.mean(
-            [
-                1.0 if a > b else 0.5 if a == b else 0.0
-                for a, b in itertools.product(x[:, p], y[:, p])
-            ]
-        )
-        for p in range(5)
-    ]
+    wins = []
+    for p in range(5):
+        pairs = itertools.product(x[:, p], y[:, p])
+        wins.append(np.mean([1.0 if a > b else 0.5 if a == b else 0.0 for a, b in pairs]))
     assert probability_of_improvement(x, y) == pytest.approx(np.mean(wins))
     with pytest.raises(ValueError, match="x has 5 partners and y has 4"):
         probability_of_improvement(x, y[:, :4])
 
 
 def test_performance_profile_by_hand():
-    shares = statistics.performance_profile(
-        np.array([[1.0, 2], [3, 4]]), np.array([0.0, 1.0, 2.5, 4.0])
-    )
+    scores, taus = np.array([[1.0, 2], [3, 4]]), np.array([0.0, 1.0, 2.5, 4.0])
+    shares = statistics.performance_profile(scores, taus)
     np.testing.assert_allclose(shares, [1.0, 0.75, 0.5, 0.0])
 
 

@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+import json
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,7 +17,7 @@ from assistax_workshop.press.publish import publish
 from population.networks.spec import PolicySpec
 from population.runs.trained import TrainedTeam
 from tests.zoo.hub_server import Hub
-from zoo.registry import Registry
+from zoo.registry import Registry, load_registry
 from zoo.transport import remotes
 
 SPECS = {
@@ -83,6 +85,38 @@ def put(teams: list[TrainedTeam], path: Path, release: str = "v0", **arguments: 
     return publish(teams, path, release, **arguments)
 
 
+def edit(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Change the JSON of a registry in place, and return its path."""
+    data = json.loads(registry.path.read_text())
+    change(data)
+    registry.path.write_text(json.dumps(data))
+    return registry.path
+
+
+def edited(registry: Registry, change: Callable[[dict[str, Any]], object]) -> Registry:
+    """Return a registry after a change in its JSON, loaded without a check of its roots."""
+    return load_registry(edit(registry, change), roots=False)
+
+
+def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
+    """Return files that no finished fetch leaves. Locks are empty and stay."""
+    files = [path for path in folder.rglob(pattern) if path.is_file()]
+    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
+
+
+def visible(folder: Path) -> list[str]:
+    """Return the sorted names of a cache's whole shards."""
+    names = {path.name for path in folder.rglob("*.safetensors")}
+    return sorted(name for name in names if not name.startswith("."))
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened within a minute"
+        time.sleep(0.01)
+
+
 @pytest.fixture
 def team() -> Callable[..., TrainedTeam]:
     return trained_team
@@ -124,8 +158,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
-    """A hub on loopback that the real client talks to; pauses between attempts are short."""
+def hub(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """A hub on loopback that the real client talks to, and an empty cache."""
     from huggingface_hub import constants
     from huggingface_hub.utils import close_session
 
@@ -148,10 +182,8 @@ def large(tmp_path: Path) -> Registry:
 
 
 @pytest.fixture
-def bare(large: Registry, hub: Hub, cache: Path, tmp_path: Path) -> Registry:
+def bare(large: Registry, hub: Hub, tmp_path: Path) -> Registry:
     """The large registry without its shards, which the hub has."""
-    from zoo.registry import load_registry
-
     hub.put("org/zoo", large.path.parent)
     path = tmp_path / "bare" / "registry.json"
     path.parent.mkdir()

@@ -1,8 +1,4 @@
-"""A hub on loopback for the real huggingface_hub client, with faults on demand.
-
-`python tests/zoo/hub_server.py FOLDER` serves a folder as the model repository `loop/zoo`, for
-measurements.
-"""
+"""A hub on loopback for the real huggingface_hub client, with faults on demand."""
 
 import base64
 import contextlib
@@ -10,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import re
-import sys
 import threading
 import time
 import urllib.parse
@@ -147,21 +142,21 @@ class _Handler(BaseHTTPRequestHandler):
     def _repository(self, repo: str, kind: str = "model") -> Repository | None:
         repository = self.hub.repositories.get(repo)
         if repository is None or repository.kind != kind:
-            self._answer({"error": "Repository not found"}, 404, {"X-Error-Code": "RepoNotFound"})
+            self._missing("RepoNotFound")
             return None
         return repository
+
+    def _missing(self, code: str) -> None:
+        self._answer({"error": "missing"}, 404, {"X-Error-Code": code})
 
     def info(self, kind: str, repo: str, revision: str | None = None) -> None:
         if repository := self._repository(repo, kind):
             oid = repository.resolve(revision or "main")
             if oid is None:
-                return self._answer(
-                    {"error": "Invalid rev id"}, 404, {"X-Error-Code": "RevisionNotFound"}
-                )
+                return self._missing("RevisionNotFound")
             siblings = [{"rfilename": name} for name in repository.commits[oid]]
-            self._answer(
-                {"id": repo, "sha": oid, "siblings": siblings, "tags": [], "private": False}
-            )
+            about = {"id": repo, "sha": oid, "siblings": siblings, "tags": [], "private": False}
+            self._answer(about)
         return None
 
     def refs(self, kind: str, repo: str) -> None:
@@ -244,12 +239,10 @@ class _Handler(BaseHTTPRequestHandler):
         if repository := self._repository(repo):
             oid = repository.resolve(revision)
             if oid is None:
-                return self._answer(
-                    {"error": "no revision"}, 404, {"X-Error-Code": "RevisionNotFound"}
-                )
+                return self._missing("RevisionNotFound")
             data = repository.commits[oid].get(path)
             if data is None:
-                return self._answer({"error": "no entry"}, 404, {"X-Error-Code": "EntryNotFound"})
+                return self._missing("EntryNotFound")
             self._send_file(data)
         return None
 
@@ -259,14 +252,12 @@ class _Handler(BaseHTTPRequestHandler):
             data = data[: fault.flip] + bytes([data[fault.flip] ^ 1]) + data[fault.flip + 1 :]
         data += fault.longer
         start, stop, status = 0, len(data), 200
-        if (
-            match := re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
-        ) and not fault.whole:
+        match = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
+        if match and not fault.whole:
             start, stop, status = int(match[1]), int(match[2]) + 1 if match[2] else len(data), 206
             if start >= len(data):
-                return self._answer(
-                    {"error": "range"}, 416, {"Content-Range": f"bytes */{len(data)}"}
-                )
+                whole = {"Content-Range": f"bytes */{len(data)}"}
+                return self._answer({"error": "range"}, 416, whole)
         body = memoryview(data)[start:stop]
         body = body if fault.short is None else body[: fault.short]
         self.send_response(status)
@@ -315,10 +306,3 @@ _ROUTES = [
     ("PUT", r"/lfs/(?P<oid>[0-9a-f]{64})", _Handler.upload),
     ("GET|HEAD", rf"/{_REPO}/resolve/(?P<revision>[^/]+)/(?P<path>.+)", _Handler.file),
 ]
-
-
-if __name__ == "__main__":
-    with Hub().running() as hub:
-        hub.put("loop/zoo", Path(sys.argv[1]))
-        print(hub.url, flush=True)
-        hub.thread.join()

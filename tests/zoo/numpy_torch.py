@@ -1,5 +1,7 @@
 """As much of `torch` and `safetensors.safe_open` in NumPy as docs/export.md uses."""
 
+import contextlib
+from collections.abc import Generator
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,48 +9,36 @@ import numpy as np
 import safetensors
 
 
-class Tensor:
-    def __init__(self, value: Any) -> None:
-        self.value = np.asarray(value, np.float32)
+class Tensor(np.ndarray):
+    """An array with the methods of a tensor."""
 
-    def __sub__(self, other: "Tensor") -> "Tensor":
-        return Tensor(self.value - other.value)
+    def clamp(self, low: float, high: float) -> Any:
+        return np.clip(self, low, high)
 
-    def __truediv__(self, other: "Tensor") -> "Tensor":
-        return Tensor(self.value / other.value)
+    def tanh(self) -> Any:
+        return np.tanh(self)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.value.shape
 
-    def clamp(self, low: float, high: float) -> "Tensor":
-        return Tensor(np.clip(self.value, low, high))
-
-    def tanh(self) -> "Tensor":
-        return Tensor(np.tanh(self.value))
+def tensor(value: Any) -> Tensor:
+    return np.asarray(value, np.float32).view(Tensor)
 
 
 class Module:
-    def __init__(self) -> None:
-        self._buffers: set[str] = set()
-
     def register_buffer(self, name: str, value: Tensor | None) -> None:
         setattr(self, name, value)
-        self._buffers.add(name)
 
-    def parameters_by_name(self) -> dict[str, Any]:
-        functions: dict[str, Any] = {}
+    def places(self) -> dict[str, Any]:
+        """Return each tensor's owner and attribute by the tensor's name."""
+        places: dict[str, Any] = {}
         for name, value in vars(self).items():
             if isinstance(value, Module):
-                functions |= {
-                    f"{name}.{inner}": place for inner, place in value.parameters_by_name().items()
-                }
+                places |= {f"{name}.{inner}": place for inner, place in value.places().items()}
             elif isinstance(value, Tensor):
-                functions[name] = (self, name)
-        return functions
+                places[name] = (self, name)
+        return places
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        places = self.parameters_by_name()
+        places = self.places()
         assert places.keys() == state.keys(), places.keys() ^ state.keys()
         for name, (owner, attribute) in places.items():
             assert getattr(owner, attribute).shape == state[name].shape, name
@@ -63,42 +53,35 @@ class Module:
 
 class Linear(Module):
     def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.weight, self.bias = Tensor(np.zeros((outputs, inputs))), Tensor(np.zeros(outputs))
+        self.weight, self.bias = tensor(np.zeros((outputs, inputs))), tensor(np.zeros(outputs))
 
     def forward(self, *inputs: Any) -> Tensor:
-        return Tensor(inputs[0].value @ self.weight.value.T + self.bias.value)
+        return inputs[0] @ self.weight.T + self.bias
 
 
 class GRUCell(Module):
     """r, z, n with r * (W_hn h + b_hn), as torch has it."""
 
     def __init__(self, inputs: int, width: int) -> None:
-        super().__init__()
-        self.weight_ih, self.bias_ih = (
-            Tensor(np.zeros((3 * width, inputs))),
-            Tensor(np.zeros(3 * width)),
+        self.weight_ih, self.weight_hh = (
+            tensor(np.zeros((3 * width, size))) for size in (inputs, width)
         )
-        self.weight_hh, self.bias_hh = (
-            Tensor(np.zeros((3 * width, width))),
-            Tensor(np.zeros(3 * width)),
-        )
+        self.bias_ih, self.bias_hh = tensor(np.zeros(3 * width)), tensor(np.zeros(3 * width))
 
     def forward(self, *inputs: Any) -> Tensor:
-        x, h = inputs[0].value, inputs[1]
-        h = np.zeros((len(x), self.weight_hh.shape[1]), np.float32) if h is None else h.value
-        from_x = np.split(x @ self.weight_ih.value.T + self.bias_ih.value, 3, axis=1)
-        from_h = np.split(h @ self.weight_hh.value.T + self.bias_hh.value, 3, axis=1)
+        x, h = inputs
+        h = tensor(np.zeros((len(x), self.weight_hh.shape[1]))) if h is None else h
+        from_x = np.split(x @ self.weight_ih.T + self.bias_ih, 3, axis=1)
+        from_h = np.split(h @ self.weight_hh.T + self.bias_hh, 3, axis=1)
         reset, update = (
             0.5 + 0.5 * np.tanh((a + b) / 2) for a, b in zip(from_x[:2], from_h[:2], strict=True)
         )
         new = np.tanh(from_x[2] + reset * from_h[2])
-        return Tensor((1 - update) * new + update * h)
+        return (1 - update) * new + update * h
 
 
 class ModuleList(Module):
     def __init__(self, modules: Any) -> None:
-        super().__init__()
         self.modules = list(modules)
         for index, module in enumerate(self.modules):
             setattr(self, str(index), module)
@@ -109,30 +92,19 @@ class ModuleList(Module):
 
 torch = SimpleNamespace(
     nn=SimpleNamespace(Module=Module, Linear=Linear, GRUCell=GRUCell, ModuleList=ModuleList),
-    tanh=lambda tensor: tensor.tanh(),
-    relu=lambda tensor: Tensor(np.maximum(tensor.value, 0)),
+    tanh=np.tanh,
+    relu=lambda value: np.maximum(value, 0),
+    no_grad=contextlib.nullcontext,
 )
 
 
-class safe_open:
-    """`safetensors.safe_open` for this torch."""
-
-    def __init__(self, path: str, framework: str) -> None:
-        assert framework == "pt"
-        self._file = safetensors.safe_open(path, "np")
-
-    def __enter__(self) -> "safe_open":
-        self._inner = self._file.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.__exit__(*error)
-
-    def metadata(self) -> dict[str, str]:
-        return self._inner.metadata()
-
-    def keys(self) -> Any:
-        return self._inner.keys()
-
-    def get_tensor(self, name: str) -> Tensor:
-        return Tensor(self._inner.get_tensor(name))
+@contextlib.contextmanager
+def safe_open(path: str, framework: str) -> Generator[Any]:
+    """Open a file as `safetensors.safe_open` does for torch."""
+    assert framework == "pt"
+    with safetensors.safe_open(path, "np") as file:
+        yield SimpleNamespace(
+            metadata=file.metadata,
+            keys=file.keys,
+            get_tensor=lambda name: tensor(file.get_tensor(name)),
+        )

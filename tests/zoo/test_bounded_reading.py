@@ -14,6 +14,7 @@ from assistax_base.bounded_reading import MAX_VALUES
 from assistax_base.errors import FormatError, RegistryError, RemoteError, shorten
 from assistax_workshop.press.trained_runs import read_run
 from assistax_zoo.shell.main import run
+from tests.zoo.conftest import wait_for
 from tests.zoo.hub_server import Fault, Hub
 from zoo.exports.card import find_cards, markdown_card
 from zoo.locations import cached_shard
@@ -60,13 +61,8 @@ def test_large_files_are_refused_in_little_memory(reader: str, kind: str, tmp_pa
         "peak = re.search(r'VmHWM:\\s+(\\d+) kB', Path('/proc/self/status').read_text())\n"
         "print(int(peak[1]) * 1024)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=ROOT,
-    )
+    words = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=ROOT)
     sizes = [int(line) for line in done.stdout.split()]
     assert len(sizes) == 2 and sizes[0] < 2000, done.stderr[-500:]
     assert sizes[1] < LIMIT
@@ -87,16 +83,15 @@ def test_a_damaged_teams_file_is_named(tmp_path: Path) -> None:
             read_run(tmp_path)
 
 
-def test_a_long_value_is_cut_before_it_is_written_out() -> None:
+def test_long_value_is_cut_before_formatting() -> None:
     assert len(shorten([0] * 10**7)) < 200 and len(shorten("x" * 10**7)) < 400
 
 
 def test_escapes_and_links_do_not_leave_a_card(registry: Registry, capsys) -> None:
     evil = "\x1b]0;owned\x07 [click](javascript:alert(1)) <script>"
-    run_of_all = registry.data.runs["scratch-ippo"].model_copy(
-        update={"notes": {"remark": evil, "\x1b[31m": 1}}
-    )
-    data = registry.data.model_copy(update={"runs": {"scratch-ippo": run_of_all}})
+    notes = {"remark": evil, "\x1b[31m": 1}
+    noted = registry.data.runs["scratch-ippo"].model_copy(update={"notes": notes})
+    data = registry.data.model_copy(update={"runs": {"scratch-ippo": noted}})
     registry.path.unlink()
     loaded = save_registry(data, registry.path)
     text = markdown_card(find_cards(loaded, "scratch/ippo-d1-s0-v0"))
@@ -121,16 +116,13 @@ def test_an_interrupt_does_not_wait_for_a_server_that_hangs(bare: Registry, hub:
     with subprocess.Popen(
         [sys.executable, "-m", "assistax_zoo", *words], cwd=ROOT, env=environment
     ) as process:
-        ends = time.monotonic() + 60
-        while not hub.count("GET .*safetensors"):
-            assert time.monotonic() < ends and process.poll() is None
-            time.sleep(0.05)
+        wait_for(lambda: hub.count("GET .*safetensors") > 0)
         time.sleep(0.5)  # until the main thread waits as well
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=50) == 130  # 2 s on a machine that is idle; the server takes 60
 
 
-def test_a_partial_file_that_nobody_goes_on_from_is_removed(bare: Registry, cache: Path) -> None:
+def test_old_partial_file_is_removed(bare: Registry, cache: Path) -> None:
     old = cached_shard("a" * 64).with_name(f".{'a' * 64}.safetensors.partial")
     old.parent.mkdir(parents=True)
     for age, left in ((0.0, True), (8 * 24 * 3600.0, False)):

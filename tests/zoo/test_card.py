@@ -33,40 +33,30 @@ HUMAN = {
 }
 
 
-def test_a_team_s_card_has_all_that_is_known() -> None:
+def test_team_card_has_all_that_is_known() -> None:
     text = markdown_card([CARD, HUMAN], "pictures/robot at work.png")
     assert text.split("---\n")[2].startswith(
         "# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n"
     )
-    facts = (
-        "strength 0.4",
-        "999.1, 95% interval 994.6 to 1003.6 over 64",
-        "| versions.jax | 0.10.2 |",
-        "128, 128",
-    )
+    facts = ("strength 0.4", "999.1, 95% interval 994.6 to 1003.6 over 64", "128, 128")
     use = "evaluate --task scratch --policy zoo:scratch/ippo-d3-s5-v0/robot"
-    for words in (*facts, "f4c7b97d | train", "a" * 64, "b" * 64, use):
+    for words in (*facts, "| versions.jax | 0.10.2 |", "f4c7b97d | train", "a" * 64, "b" * 64, use):
         assert words in text
     assert "None" not in text
 
 
 def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
     text = markdown_card([{**CARD, "self_play": None, "splits": {}}])
-    assert (
-        text.split("---\n")[2].startswith("# scratch/ippo-d3-s5-v0/robot\n\n|")
-        and "not measured" in text
-        and "human" not in text
-    )
+    assert text.split("---\n")[2].startswith("# scratch/ippo-d3-s5-v0/robot\n\n|")
+    assert "not measured" in text and "human" not in text and "--split test --out" in text
 
 
-def test_its_command_names_partners_of_the_version_that_the_robot_plays() -> None:
+def test_card_command_names_partners_of_robots_version() -> None:
     """The default split may be of another release, whose partners it cannot play with."""
     against = {"split": "scratch/persons-s0-v3-8ed93cbc", "sha256": "c" * 64}
     assert f"--split {next(iter(CARD['splits']))} --out" in markdown_card([CARD])
-    assert f"--split {against['split']} --out" in markdown_card(
-        [{**CARD, "trained_against": against}]
-    )
-    assert "--split test --out" in markdown_card([{**CARD, "splits": {}}])
+    trained = {**CARD, "trained_against": against}
+    assert f"--split {against['split']} --out" in markdown_card([trained])
 
 
 def test_a_robot_s_card_has_its_m_test() -> None:
@@ -89,21 +79,13 @@ def test_a_hub_reads_the_card(figures: dict[str, Any] | None) -> None:
     assert results == ([("mean_reward", 999.11)] if figures else [])
 
 
-def test_a_card_that_a_hub_cannot_read_is_noticed() -> None:
-    text = markdown_card([CARD]).replace("  results:", "  figures:")
-    with pytest.raises(ValueError, match="results"):
-        ModelCard(text)
-
-
 def test_text_from_elsewhere_stays_in_its_cell() -> None:
     training = {"run": "a | b\n# heading <script>", "seed": 1}
     text = markdown_card([{**CARD, "training": training}], "x>)<img>\n.png")
     assert "| run | a \\| b # heading &lt;script> |" in text and "(<x)img.png>)" in text
 
 
-def test_a_remote_s_card_has_the_newest_release_s_figures(
-    registry: Registry, team, publish_to
-) -> None:
+def test_remote_card_has_newest_figures(registry: Registry, team, publish_to) -> None:
     assert "| scratch | ippo | d1 | 4 | " in model_card(registry, "org/zoo")
     candidate = dataclasses.replace(
         team("ippo", "d1", 0), self_play={"mean": 7.0, "iqm": 7.0, "mean_ci": [6.0, 8.0], "n": 16}

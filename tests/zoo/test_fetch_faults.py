@@ -15,10 +15,12 @@ from pathlib import Path
 import pytest
 
 from assistax_base.errors import CacheError, IntegrityError, RemoteError, ZooError
+from tests.zoo.conftest import leftovers, visible, wait_for
 from tests.zoo.hub_server import Fault, Hub
 from zoo.locations import cached_shard
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry
+from zoo.schema import Shard
 from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import Report, fetch
 
@@ -35,16 +37,10 @@ def get(registry: Registry, pattern: str | None = None) -> Report:
     return fetch(registry, registry.select(pattern), open_remote("hf://org/zoo"))
 
 
-def leftovers(folder: Path, pattern: str = ".*") -> list[Path]:
-    """Files that no finished fetch leaves; locks are empty and stay."""
-    files = [path for path in folder.rglob(pattern) if path.is_file()]
-    return [path for path in files if path.suffix != ".lock" or path.stat().st_size]
-
-
-def visible(folder: Path) -> list[str]:
-    return sorted(
-        path.name for path in folder.rglob("*.safetensors") if not path.name.startswith(".")
-    )
+def robots_shard(registry: Registry) -> tuple[Shard, Path]:
+    """Return the shard of the robots, and the file of a part of it."""
+    shard = registry.data.shards[registry.policies[0].shard]
+    return shard, cached_shard(shard.sha256).with_name(f".{shard.sha256}.safetensors.partial")
 
 
 def refused(
@@ -79,17 +75,11 @@ def test_what_passes_is_tried_again(fault: Fault, bare: Registry, hub: Hub) -> N
     assert verify(bare).ok and fault.times <= 0
 
 
-def test_a_long_download_may_break_often(bare: Registry, hub: Hub, cache: Path) -> None:
+def test_a_long_download_may_break_often(bare: Registry, hub: Hub) -> None:
     hub.faults = [Fault(ROBOT, cut=60_000)]
     report = get(bare, "*/robot")
     assert report.bytes == bare.data.shards[bare.policies[0].shard].bytes
     assert hub.count(ROBOT) > 5
-
-
-def test_a_hub_that_stays_busy(bare: Registry, hub: Hub, cache: Path) -> None:
-    hub.faults = [Fault(SHARDS, status=503)]
-    refused(bare, cache, RemoteError, "status 503, 3 times", "fetch again later")
-    assert hub.count(ROBOT) == 3
 
 
 def test_what_arrived_is_gone_on_from(bare: Registry, hub: Hub, cache: Path) -> None:
@@ -100,7 +90,7 @@ def test_what_arrived_is_gone_on_from(bare: Registry, hub: Hub, cache: Path) -> 
     assert hub.log[-1].endswith("bytes=200000-") and len(visible(cache)) == 1
 
 
-def test_a_remote_without_ranges_starts_anew(bare: Registry, hub: Hub, cache: Path) -> None:
+def test_a_remote_without_ranges_starts_anew(bare: Registry, hub: Hub) -> None:
     hub.faults = [Fault(ROBOT, cut=200_000, times=1), Fault(ROBOT, whole=True)]
     size = bare.data.shards[bare.policies[0].shard].bytes
     assert get(bare, "*/robot").bytes == size + 200_000
@@ -116,7 +106,7 @@ def test_wrong_bytes_are_thrown_away(bare: Registry, hub: Hub, cache: Path) -> N
     assert leftovers(cache) == []
 
 
-def test_a_fetch_that_would_not_look_is_caught_on_loading(
+def test_unchecked_fetch_is_caught_on_loading(
     bare: Registry, hub: Hub, cache: Path, monkeypatch
 ) -> None:
     monkeypatch.setattr(_Transfer, "run", lambda self: self._complete())  # the planted defect
@@ -127,7 +117,7 @@ def test_a_fetch_that_would_not_look_is_caught_on_loading(
         load_stacks(bare, bare.policies)
 
 
-def test_a_shard_that_is_too_long_or_too_short(bare: Registry, hub: Hub, cache: Path) -> None:
+def test_shard_of_wrong_length_is_refused(bare: Registry, hub: Hub, cache: Path) -> None:
     hub.faults = [Fault(SHARDS, longer=b"x")]
     refused(bare, cache, IntegrityError, "found more")
     repository = hub.repositories["org/zoo"]
@@ -137,9 +127,8 @@ def test_a_shard_that_is_too_long_or_too_short(bare: Registry, hub: Hub, cache: 
     refused(bare, cache, RemoteError, "status 416")
 
 
-def test_a_damaged_beginning_is_fetched_anew(bare: Registry, hub: Hub, cache: Path) -> None:
-    shard = bare.data.shards[bare.policies[0].shard]
-    partial = cached_shard(shard.sha256).with_name(f".{shard.sha256}.safetensors.partial")
+def test_a_damaged_beginning_is_fetched_anew(bare: Registry, cache: Path) -> None:
+    shard, partial = robots_shard(bare)
     partial.parent.mkdir(parents=True)
     for damage in (b"x" * 1000, b"x" * (shard.bytes + 1), b"x" * shard.bytes):
         partial.write_bytes(damage)
@@ -160,12 +149,22 @@ def test_a_hub_that_is_down(bare: Registry, hub: Hub, cache: Path) -> None:
     refused(bare, cache, RemoteError, "ConnectError", "3 times", "try again later")
 
 
-def test_a_hub_that_hangs(bare: Registry, hub: Hub, cache: Path, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (Fault(SHARDS, status=503), "status 503"),
+        (Fault(SHARDS, pause=0.5), "ReadTimeout"),
+    ],
+)
+def test_a_hub_that_stays_busy_or_hangs(
+    fault: Fault, reason: str, bare: Registry, hub: Hub, cache: Path, monkeypatch
+) -> None:
     from huggingface_hub import constants
 
     monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 0.1)
-    hub.faults = [Fault(SHARDS, pause=0.5)]
-    refused(bare, cache, RemoteError, "ReadTimeout", "3 times")
+    hub.faults = [fault]
+    refused(bare, cache, RemoteError, reason, "3 times", "again later")
+    assert hub.count(ROBOT) == 3
 
 
 @pytest.mark.parametrize(
@@ -180,8 +179,7 @@ def test_a_fetch_that_is_killed(
     with subprocess.Popen(
         [sys.executable, "-m", "assistax_zoo", *words], cwd=ROOT, env=environment
     ) as process:
-        shard = bare.data.shards[bare.policies[0].shard]
-        partial = cached_shard(shard.sha256).with_name(f".{shard.sha256}.safetensors.partial")
+        shard, partial = robots_shard(bare)
         wait_for(lambda: partial.is_file() and partial.stat().st_size >= 20_000)
         process.send_signal(sent)
     assert process.returncode == code
@@ -200,9 +198,8 @@ def test_two_fetches_at_once(bare: Registry, hub: Hub, cache: Path) -> None:
     for thread in threads:
         thread.join(timeout=60)
     assert len(reports) == 3 and hub.count(SHARDS) == 2
-    assert sum(report.bytes for report in reports) == sum(
-        shard.bytes for shard in bare.data.shards.values()
-    )
+    size = sum(shard.bytes for shard in bare.data.shards.values())
+    assert sum(report.bytes for report in reports) == size
     assert len(visible(cache)) == 2 and not leftovers(cache)
 
 
@@ -223,7 +220,7 @@ def test_a_read_only_cache(bare: Registry, cache: Path) -> None:
         refused(bare, cache, CacheError, "Read-only file system", "ASSISTAX_ZOO_CACHE")
 
 
-def test_a_full_disk(bare: Registry, cache: Path, hub: Hub) -> None:
+def test_a_full_disk(bare: Registry, cache: Path) -> None:
     with mounted(cache, "size=256k"):
         refused(bare, cache, CacheError, "room for", "bytes free", "free some space")
         assert leftovers(cache, "*") == []
@@ -231,19 +228,17 @@ def test_a_full_disk(bare: Registry, cache: Path, hub: Hub) -> None:
 
 @pytest.mark.parametrize("size", [10**15, 10**400])
 def test_a_shard_that_says_it_is_huge(bare: Registry, cache: Path, hub: Hub, size: int) -> None:
-    shards = {
-        path: shard.model_copy(update={"bytes": size}) for path, shard in bare.data.shards.items()
-    }
+    huge = {"bytes": size}
+    shards = {path: shard.model_copy(update=huge) for path, shard in bare.data.shards.items()}
     data = bare.data.model_copy(update={"shards": shards})
-    totals: list[int] = []
+    registry = dataclasses.replace(bare, data=data)
+
+    def on_total(total: int) -> Callable[[int], None]:
+        raise AssertionError("the transfer began")
+
     with pytest.raises(CacheError, match=f"room for {2 * size} bytes, found .* bytes free"):
-        fetch(
-            dataclasses.replace(bare, data=data),
-            bare.policies,
-            open_remote("hf://org/zoo"),
-            on_total=lambda total: totals.append(total) or (lambda count: None),
-        )
-    assert totals == [] and hub.count(SHARDS) == 0 and not leftovers(cache, "*")
+        fetch(registry, bare.policies, open_remote("hf://org/zoo"), on_total=on_total)
+    assert hub.count(SHARDS) == 0 and not leftovers(cache, "*")
 
 
 def test_a_file_that_may_not_grow(bare: Registry, cache: Path) -> None:
@@ -272,10 +267,3 @@ def mounted(folder: Path, options: str) -> Generator[None]:
         yield
     finally:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "nothing happened within a minute"
-        time.sleep(0.01)

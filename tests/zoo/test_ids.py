@@ -1,13 +1,13 @@
+import dataclasses
 from contextlib import nullcontext
-from typing import Any
 
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from assistax_base.errors import IdError, ZooError, nearest
-from zoo.ids import TeamId, check_name, compile_pattern, parse_team
+from assistax_base.errors import IdError, ZooError
+from zoo.ids import TeamId, check_name, parse_team
 from zoo.schema import Ego
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,31}", fullmatch=True)
@@ -38,19 +38,11 @@ def test_parse_and_format_are_inverse(first: TeamId, other: TeamId) -> None:
         r"([a-z]+:)?[a-z]+/[a-z]+-(d[0-9]+|ego)-s[0-9]+-v[0-9]+(/[a-z]+)?", fullmatch=True
     )
 )
-def test_any_text_is_an_id_that_formats_back_or_an_error(text: str) -> None:
+def test_any_text_formats_back_or_is_refused(text: str) -> None:
     try:
         assert str(parse_team(text)) == text
     except IdError as error:
         assert "\n" not in str(error)
-
-
-def test_a_parser_that_takes_leading_zeros_would_be_caught() -> None:
-    """The planted defect of this family: two spellings of one team."""
-    task, rest = ["scratch", "ippo-d3-s05-v1"]
-    algorithm, disability, seed_text, release = rest.split("-")
-    loose = TeamId(task, algorithm, disability, int(seed_text[1:]), release)
-    assert str(loose) != "scratch/ippo-d3-s05-v1"
 
 
 @pytest.mark.parametrize(
@@ -80,16 +72,9 @@ def test_bad_team_ids_are_refused(text: str) -> None:
     "field",
     [{"task": "bed-bath"}, {"disability": "3"}, {"seed": -1}, {"seed": True}, {"release": "1"}],
 )
-def test_a_team_id_that_would_not_parse_cannot_be_built(field: dict) -> None:
-    parts: dict[str, Any] = {
-        "task": "scratch",
-        "algorithm": "ippo",
-        "disability": "d3",
-        "seed": 5,
-        "release": "v1",
-    }
+def test_unparsable_team_id_cannot_be_built(field: dict) -> None:
     with pytest.raises(IdError):
-        TeamId(**{**parts, **field})
+        dataclasses.replace(parse_team("scratch/ippo-d3-s5-v1"), **field)
 
 
 def test_egos_are_robots_alone() -> None:
@@ -106,32 +91,8 @@ def test_egos_are_robots_alone() -> None:
 def test_order_counts_numbers() -> None:
     ids = [f"scratch/ippo-d{d}-s{s}-v1" for d in (10, 2) for s in (10, 9)]
     ordered = sorted(map(parse_team, ids), key=lambda team: team.order)
-    assert [(team.disability, team.seed) for team in ordered] == [
-        ("d2", 9),
-        ("d2", 10),
-        ("d10", 9),
-        ("d10", 10),
-    ]
-
-
-def test_globs_see_whole_ids() -> None:
-    human = "scratch/ippo-d3-s5-v1/human"
-    for pattern in (
-        "scratch/ippo-*/human",
-        "scratch/*",
-        "*/human",
-        "scratch/ippo-d[1-3]-s?-v1/*",
-        human,
-    ):
-        assert compile_pattern(pattern).match(human)
-    for pattern in ("ippo-*", "scratch/ippo-d3-s5-v1", "scratch/IPPO-*", "*/robot"):
-        assert not compile_pattern(pattern).match(human)
-
-
-def test_nearest_names_come_best_first() -> None:
-    known = [f"scratch/ippo-d{d}-s{s}-v1" for d in range(1, 4) for s in range(4)]
-    assert nearest("scratch/ipo-d3-s2-v1", known)[0] == "scratch/ippo-d3-s2-v1"
-    assert nearest("zzz", known) == []
+    expected = [("d2", 9), ("d2", 10), ("d10", 9), ("d10", 10)]
+    assert [(team.disability, team.seed) for team in ordered] == expected
 
 
 def test_release_names() -> None:

@@ -1,5 +1,4 @@
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,11 +6,12 @@ import pytest
 
 from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_zoo.shell.main import run
+from tests.zoo.conftest import edited
 from zoo.history.merkle import check_roots, leaves, with_roots
 from zoo.lock import Lock, apply_lock, locked_entries, read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
-from zoo.registry import Registry, load_registry, parse_registry
+from zoo.registry import Registry, load_registry
 from zoo.saving import dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.addresses import open_remote
@@ -25,23 +25,14 @@ def lock(registry: Registry, tmp_path: Path) -> Lock:
     return read_lock(path)
 
 
-def changed(registry: Registry, table: str, edit: Callable[[dict[str, Any]], Any]) -> Registry:
-    """Return the registry with an edit in one table of its file."""
-    data = json.loads(registry.path.read_text())
-    edit(data[table])
-    registry.path.write_text(json.dumps(data))
-    return load_registry(registry.path, roots=False)
-
-
 def test_a_lock_pins_bytes_and_split(registry: Registry, lock: Lock) -> None:
     assert lock.release == "v0" and lock.environments == {"scratch": 1}
     assert lock.policies == {entry.id: entry.sha256 for entry in registry.policies}
     assert lock.splits["scratch"].sha256 == registry.split("scratch").sha256
     narrowed = apply_lock(registry, lock, task="scratch")
     assert narrowed.lock == lock.sha256
-    assert narrowed.policies == registry.policies and narrowed.split("scratch") == registry.split(
-        "scratch"
-    )
+    assert narrowed.policies == registry.policies
+    assert narrowed.split("scratch") == registry.split("scratch")
     assert [group.ids for group in load_stacks(narrowed, narrowed.policies)]
 
 
@@ -58,25 +49,16 @@ def test_a_registry_that_grew_is_as_good(registry: Registry, lock: Lock, teams, 
         narrowed.select("scratch/mappo-*")
 
 
-def unused_setting(table: dict[str, Any]) -> None:
-    table["d42"] = {**table["d1"], "tremor": 0.5}
-
-
 def test_a_setting_that_nobody_uses_changes_no_lock(registry: Registry, lock: Lock) -> None:
-    grown = changed(registry, "disability_settings", unused_setting)
+    def unused_setting(data: dict[str, Any]) -> None:
+        data["disability_settings"]["d42"] = {**data["disability_settings"]["d1"], "tremor": 0.5}
+
+    grown = edited(registry, unused_setting)
     check_roots(grown.data, "grown")
     assert apply_lock(grown, lock, task="scratch").policies == registry.policies
 
 
-def test_another_disability_setting_is_refused(registry: Registry, lock: Lock) -> None:
-    weaker = changed(registry, "disability_settings", lambda table: table["d9"].update(tremor=0.1))
-    with pytest.raises(LockError, match="as locked"):
-        apply_lock(weaker, lock, task="scratch")
-
-
-def test_the_same_lock_loads_the_same_bytes_elsewhere(
-    registry: Registry, lock: Lock, cache: Path
-) -> None:
+def test_lock_loads_the_same_bytes_elsewhere(registry: Registry, lock: Lock, cache: Path) -> None:
     remote = remote_registry(open_remote(registry.path.parent))
     assert locked_entries(remote, lock) == locked_entries(registry, lock)
 
@@ -102,30 +84,21 @@ def test_a_registry_that_differs_is_refused(
     team = next(iter(registry.data.teams))
     original = registry.path.read_text()
 
-    def other_row(table: dict[str, Any]) -> None:
-        table[team]["policies"]["human"]["sha256"] = "0" * 64
-
-    def other_shard(table: dict[str, Any]) -> None:
-        next(iter(table.values()))["sha256"] = "0" * 64
-
-    def other_settings(table: dict[str, Any]) -> None:
-        table["d9"]["tremor"] = 0.1
-
-    def other_version(table: dict[str, Any]) -> None:
-        table["v0"]["environments"]["scratch"] = 2
-
-    for table, edit, message in (
-        ("teams", other_row, f"policy {team}/human"),
-        ("shards", other_shard, "entry shard zoo/shards/v0/"),
-        ("disability_settings", other_settings, "entry setting d9"),
-        ("releases", other_version, "environment version of scratch 1"),
+    human = registry.data.teams[team].policies["human"]
+    other = {"sha256": "0" * 64}
+    for change, message in (
+        (lambda d: d["teams"][team]["policies"]["human"].update(other), f"policy {team}/human"),
+        (lambda d: d["shards"][human.shard].update(other), "entry shard zoo/shards/v0/"),
+        (lambda d: d["disability_settings"]["d9"].update(tremor=0.1), "entry setting d9"),
+        (
+            lambda d: d["releases"]["v0"]["environments"].update(scratch=2),
+            "environment version of scratch 1",
+        ),
     ):
         registry.path.write_text(original)
-        with pytest.raises(
-            LockError,
-            match=f"expected {message}.*as locked, found .*; nothing was done; next: fetch",
-        ):
-            apply_lock(changed(registry, table, edit), lock, task="scratch")
+        words = f"expected {message}.*as locked, found .*; nothing was done; next: fetch"
+        with pytest.raises(LockError, match=words):
+            apply_lock(edited(registry, change), lock, task="scratch")
     smaller = publish_to(teams(seeds=range(2)), tmp_path / "smaller" / "registry.json")
     with pytest.raises(LockError, match="as locked"):
         locked_entries(smaller, lock)
@@ -134,14 +107,11 @@ def test_a_registry_that_differs_is_refused(
         locked_entries(without, lock)
 
 
-def test_a_split_that_leaves_out_partners(registry: Registry) -> None:
+def test_lock_has_one_release_and_whole_splits(registry: Registry, teams, publish_to) -> None:
     few = registry.select("scratch/ippo-d1-*")
     assert make_lock(registry, few).splits == {}
     with pytest.raises(LockError, match="left out"):
         make_lock(registry, few, {"scratch": registry.split("scratch").id})
-
-
-def test_one_release_at_a_time(registry: Registry, teams, publish_to) -> None:
     both = publish_to(teams(("mappo",)), registry.path, "v1")
     with pytest.raises(LockError, match="releases v0, v1"):
         make_lock(both, both.policies)
@@ -181,19 +151,17 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     words = ["--task", "scratch", "--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--lock", str(out)]
     assert run(["evaluate", *words, "--split", "scratch/small-5"]) == 1
     assert "expected the locked one" in capsys.readouterr().err
-    data = json.loads(registry.path.read_text())
-    data["splits"], data["releases"]["v0"]["splits"] = [], {}
-    registry.path.write_text(dump_registry(with_roots(parse_registry(json.dumps(data), "edited"))))
+    without = registry.data.releases["v0"].model_copy(update={"splits": {}})
+    data = registry.data.model_copy(update={"splits": (), "releases": {"v0": without}})
+    registry.path.write_text(dump_registry(with_roots(data)))
     assert run(["evaluate", *words]) == 1
     assert "as locked, found none" in capsys.readouterr().err
-    assert (
-        run(["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), "--lock", str(out)])
-        == 1
-    )
+    words = ["crossplay", "--task", "scratch", "--out", str(tmp_path / "xp"), "--lock", str(out)]
+    assert run(words) == 1
     assert "as locked" in capsys.readouterr().err
 
 
-def test_a_lock_pins_all_bytes_by_the_leaves_of_the_release(
+def test_lock_pins_all_bytes_by_release_leaves(
     registry: Registry, lock: Lock, tmp_path: Path
 ) -> None:
     """Version 3: no digest stands twice in it but those that users cite."""

@@ -48,7 +48,7 @@ def test_an_own_split_leaves_the_official_registry_and_its_root(official: Regist
     assert load_registry(official.path).splits == official.splits  # a named one stands alone
 
 
-def test_who_gets_the_lock_has_the_own_split_too(official: Registry, tmp_path: Path) -> None:
+def test_lock_carries_the_own_split(official: Registry, tmp_path: Path) -> None:
     split = create_split(**SMALL)
     now = load_registry()
     write_lock(make_lock(now, now.policies, {"scratch": split.id}), tmp_path / "paper.lock")
@@ -57,15 +57,12 @@ def test_who_gets_the_lock_has_the_own_split_too(official: Registry, tmp_path: P
     narrowed = apply_lock(load_registry(), lock, task="scratch", split="small-1")
     assert narrowed.split("scratch") == split
     moved = split.model_copy(update={"train": split.test, "test": split.train})
+    forged = lock.model_copy(update={"own_splits": (moved,)})
     with pytest.raises(SplitError, match="sha256"):
-        apply_lock(
-            load_registry(), lock.model_copy(update={"own_splits": (moved,)}), task="scratch"
-        )
+        apply_lock(load_registry(), forged, task="scratch")
 
 
-def test_commands_find_own_splits_and_teams_without_an_option(
-    official: Registry, tmp_path: Path, capsys
-) -> None:
+def test_commands_find_own_splits_and_teams(official: Registry, tmp_path: Path, capsys) -> None:
     before, folder = official.path.read_bytes(), write_run(tmp_path / "run")
     assert run(["split", "create", "--task", "scratch", "--rule", "small-train", "--n", "1"]) == 0
     assert run(["publish", str(folder), "--release", "v0", "--json"]) == 0
@@ -105,7 +102,7 @@ def test_own_teams_have_splits_of_their_own(official: Registry, teams, publish_t
     assert now.root("v0") == official.root("v0")
 
 
-def test_a_copy_of_an_official_registry_is_read_only_too(
+def test_copy_of_official_registry_is_read_only(
     official: Registry, teams, publish_to, tmp_path: Path, monkeypatch, capsys
 ) -> None:
     copy = tmp_path / "elsewhere" / "mine.json"
@@ -123,9 +120,8 @@ def test_a_copy_of_an_official_registry_is_read_only_too(
             attempt()
     assert complete_release(copy, "v0").data == official.data  # whole already: nothing to write
     assert copy.read_bytes() == before
-    assert (
-        run(["split", "create", "--task", "scratch", "--registry", str(copy), "--seed", "1"]) == 1
-    )
+    words = ["split", "create", "--task", "scratch", "--seed", "1"]
+    assert run([*words, "--registry", str(copy)]) == 1
     assert "a registry of your own" in capsys.readouterr().err
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(copy))
     create_split(**SMALL)
@@ -170,9 +166,7 @@ def test_own_splits_never_stand_for_others(
         load_registry()
 
 
-def test_the_name_of_the_own_zoo_is_nobody_elses(
-    official: Registry, teams, publish_to, tmp_path: Path
-) -> None:
+def test_name_of_own_zoo_is_reserved(official: Registry, teams, publish_to, tmp_path: Path) -> None:
     lab = publish_to(teams(("mappo",)), tmp_path / "lab" / "registry.json")
     for taken in ("own", "zoo", "python", "onnx"):  # `zoo:ID` would be another robot in `evaluate`
         with pytest.raises(IdError, match="user's own zoo or a kind of robot"):

@@ -1,6 +1,7 @@
 """Release v1 is the paper's population, whole, and can be split in every way; v3 is its plan's."""
 
 import itertools
+import re
 import statistics
 from collections import Counter
 from pathlib import Path
@@ -32,25 +33,9 @@ def test_release_v1_is_table_6(role: str) -> None:
     assert all(entry.self_play for entry in teams)
 
 
-def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
+def test_egos_were_trained_on_published_splits() -> None:
     egos = REGISTRY.data.egos
-    assert sorted(egos) == [
-        "arm_assist/ppo-ego-s0-v1",
-        "bed_bath/ppo-ego-s0-v1",
-        "gentle_bath/gru-ego-s100-v3",
-        "gentle_bath/ppo-ego-s3-v3",
-        "gentle_brushing/gru-ego-s1-v4",
-        "gentle_feeding/asymmetric_gru-ego-s114-v5",
-        "gentle_feeding/gru-ego-s3-v4",
-        "gentle_lift/asymmetric-ego-s107-v3",
-        "gentle_lift/asymmetric-ego-s15-v3",
-        "gentle_lift/ppo-ego-s2-v3",
-        "gentle_scratch/asymmetric_gru-ego-s102-v3",
-        "gentle_scratch/asymmetric_gru-ego-s122-v3",
-        "gentle_scratch/gru-ego-s7-v3",
-        "gentle_scratch/ppo-ego-s0-v3",
-        "scratch/ppo-ego-s0-v1",
-    ]
+    assert len(egos) == 15
     for team, ego in egos.items():
         release = team.rpartition("-")[2]
         whom = "persons" if release == "v3" else None
@@ -60,7 +45,7 @@ def test_egos_were_trained_with_persons_or_teams_of_a_published_split() -> None:
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
 
 
-def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
+def test_task_has_default_and_leave_one_out_splits() -> None:
     splits = [split for split in REGISTRY.splits if split.release == "v1"]
     held_out = {(split.task, split.held_out) for split in splits if split.held_out}
     names = ["ippo", "mappo", "masac", *(f"d{setting}" for setting in range(1, 10))]
@@ -68,18 +53,11 @@ def test_every_task_has_its_default_and_leave_one_out_splits() -> None:
         (task, name) for task in ("scratch", "bed_bath", "arm_assist") for name in names
     }
     for split in splits:
-        assert (
-            REGISTRY.split(split.task, split.id) == split
-        )  # intact, and no parameters on both sides
+        # It is intact, and has no parameters on both sides.
+        assert REGISTRY.split(split.task, split.id) == split
         if split.held_out:
-            assert all(
-                f"-{split.held_out}-" in team or f"/{split.held_out}-" in team
-                for team in split.test
-            )
-            assert not any(
-                f"-{split.held_out}-" in team or f"/{split.held_out}-" in team
-                for team in split.train
-            )
+            named = re.compile(f"[-/]{split.held_out}-").search
+            assert all(map(named, split.test)) and not any(map(named, split.train))
     sizes = {task: len(REGISTRY.split(task).test) for task in ("scratch", "bed_bath", "arm_assist")}
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}
 
@@ -98,7 +76,7 @@ def test_release_v3_is_its_plan() -> None:
 
 
 @pytest.mark.parametrize("task", GENTLE_TASKS)
-def test_no_partner_of_a_split_of_v3_is_below_the_bar(task: str) -> None:
+def test_no_partner_in_v3_splits_is_below_bar(task: str) -> None:
     data = REGISTRY.part("").data
     teams = partner_teams(data, task, "v3")
     own = {team: data.teams[team].self_play for team in teams}
@@ -121,6 +99,7 @@ def test_a_task_has_its_own_default_release() -> None:
         "gentle_feeding": "v5",
     }
     assert REGISTRY.split("scratch", "half").release == "v1"
+    assert REGISTRY.release == max(REGISTRY.data.releases) == "v5"
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -130,8 +109,3 @@ def test_every_task_has_robots_and_partners(task: str) -> None:
     robots = [entry for entry in REGISTRY.of_task(task, "robot") if entry.disability == EGO]
     assert robots and version == VERSIONS[task]
     assert REGISTRY.split(task).test
-
-
-def test_the_newest_whole_release_is_the_last() -> None:
-    assert REGISTRY.release == "v5"
-    assert sorted(REGISTRY.data.releases) == ["v1", "v3", "v4", "v5"]

@@ -1,16 +1,17 @@
+import copy
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 from assistax_base.errors import IntegrityError, LeakageError
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
-from population.runs.trained import TrainedTeam
+from tests.untrained import params_of
 from zoo.parameters.storage import load_stacks
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
@@ -37,16 +38,13 @@ def noisy(params: dict[str, Any], noise: float) -> dict[str, Any]:
 
 
 @pytest.fixture
-def with_copy(registry: Registry, team, publish_to) -> Callable[[float], Registry]:
+def with_copy(registry: Registry, team, publish_to) -> Callable[..., Registry]:
     """Return a function that publishes a copy of the first human beside a robot of its own."""
 
-    def plant(noise: float) -> Registry:
-        original: TrainedTeam = team("ippo", "d1", 0)
-        params = {
-            "robot": team("ippo", "d1", 9).params["robot"],
-            "human": noisy(dict(original.params["human"]), noise),
-        }
-        return publish_to([team("ippo", "d1", 9, params=params)], registry.path)
+    def plant(noise: float, disability: str = "d1") -> Registry:
+        robot = team("ippo", disability, 9).params["robot"]
+        params = {"robot": robot, "human": noisy(team("ippo", "d1", 0).params["human"], noise)}
+        return publish_to([team("ippo", disability, 9, params=params)], registry.path)
 
     return plant
 
@@ -63,22 +61,14 @@ def test_a_nearly_identical_partner_is_refused(with_copy) -> None:
     assert registry.path.read_text() == before
 
 
-def test_a_partner_of_its_own_is_not(with_copy) -> None:
-    """The same population with the copy changed beyond recognition."""
+def test_changed_copy_is_a_partner_of_its_own(with_copy) -> None:
     assert custom(with_copy(3.0)).test == (COPY,)
 
 
-def test_a_leave_one_out_split_trains_without_those_who_act_as_the_held_out_do(
-    registry: Registry, team, publish_to
-) -> None:
-    params = {
-        "robot": team("ippo", "d9", 9).params["robot"],
-        "human": noisy(team("ippo", "d1", 0).params["human"], 1e-3),
-    }
-    registry = publish_to([team("ippo", "d9", 9, params=params)], registry.path)
-    split = create_split(
-        registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9"
-    )
+def test_leave_one_out_omits_similar_training_partners(with_copy) -> None:
+    registry = with_copy(1e-3, "d9")
+    held_out = {"rule": "leave-one-disability-out", "held_out": "d9"}
+    split = create_split(registry.path, task="scratch", **held_out)
     everyone = set(registry.data.teams)
     assert set(split.test) == {name for name in everyone if "-d9-" in name} and len(split.test) > 1
     assert set(split.train) == everyone - set(split.test) - {ORIGINAL}
@@ -99,20 +89,11 @@ def test_unfetched_partners_cannot_be_compared(registry: Registry) -> None:
         create_split(registry.path, task="scratch", rule="small-train", n=1)
 
 
-def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
+def test_recurrent_partners_differ_by_memory_alone() -> None:
     """Two policies that agree on every first observation."""
-    import jax
-
-    from population.networks.policy import Policy
-
     spec = PolicySpec("human", 4, 2, "gru", hidden=(8,))
-    params = jax.tree.map(
-        lambda leaf: np.asarray(leaf) * 20 + 0.1, Policy(spec).init(jax.random.key(0))
-    )
-    other = json.loads(json.dumps(jax.tree.map(np.ndarray.tolist, params)))
-    other = jax.tree.map(
-        lambda leaf: np.asarray(leaf, np.float32), other, is_leaf=lambda x: isinstance(x, list)
-    )
+    params = jax.tree.map(lambda leaf: np.asarray(leaf) * 20 + 0.1, params_of(spec, 0))
+    other = copy.deepcopy(params)
     other["GRUCell_0"]["hn"]["kernel"] = -other["GRUCell_0"]["hn"]["kernel"]
     stacked = jax.tree.map(lambda a, b: np.stack([a, b]).astype(np.float32), params, other)
     actions = probe_actions(PolicyStack(spec, ("a", "b"), stacked))
@@ -122,9 +103,8 @@ def test_recurrent_partners_are_told_apart_by_their_memory_alone() -> None:
 
 def test_differences_are_means_of_absolute_differences() -> None:
     actions = np.array([[[0.0, 1.0]], [[0.5, 1.0]], [[-1.0, -1.0]]])
-    np.testing.assert_allclose(
-        differences(actions), [[0, 0.25, 1.5], [0.25, 0, 1.75], [1.5, 1.75, 0]]
-    )
+    expected = [[0, 0.25, 1.5], [0.25, 0, 1.75], [1.5, 1.75, 0]]
+    np.testing.assert_allclose(differences(actions), expected)
 
 
 def test_threshold_separates_copies_from_training_seeds() -> None:

@@ -1,6 +1,6 @@
-import json
 import random
 import statistics
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError
+from tests.zoo.conftest import edited
 from zoo.history.merkle import with_roots
 from zoo.ids import parse_team
 from zoo.partners.sides import parse_split
-from zoo.registry import Registry, load_registry, parse_registry
+from zoo.registry import Registry, load_registry
 from zoo.saving import dump_registry
 from zoo.splits import check_split, shared_parameters, split_id
-from zoo.splitting import rules
 from zoo.splitting.create import competent, create_split
-from zoo.splitting.rules import RULES, half_side, make_split
+from zoo.splitting.rules import half_side, make_split
 
 
 def ids(
@@ -46,7 +46,7 @@ def test_half_is_exact_in_every_stratum() -> None:
 @given(
     st.integers(0, 99), st.integers(1, 12), st.lists(st.integers(0, 11), unique=True), st.randoms()
 )
-def test_half_ignores_order_and_is_stable_when_the_registry_grows(
+def test_half_ignores_order_and_growth(
     split_seed: int, seeds: int, later: list[int], shuffle: random.Random
 ) -> None:
     small = ids(("ippo",), (1, 9), range(seeds))
@@ -61,36 +61,22 @@ def test_half_ignores_order_and_is_stable_when_the_registry_grows(
     assert not any(team.endswith("-v2") for team in (*after.train, *after.test))
 
 
-def test_a_split_of_the_sorted_list_would_be_caught() -> None:
-    """The planted defect of this family: halves by rank, which move when a team is added."""
-    small = ids(("ippo",), (1,), range(1, 5))
-    grown = sorted([*small, *ids(("ippo",), (1,), (0,))])
-    ranked = {team: rank < 2 for rank, team in enumerate(small)}
-    moved = {team: rank < 2 for rank, team in enumerate(grown)}
-    assert any(ranked[team] != moved[team] for team in small)
-    before, after = make(small), make(grown)
-    assert all(before.side(team) == after.side(team) for team in small)
-
-
 def test_half_is_random_in_the_seed() -> None:
     sides = [make(ids(("ippo",), (1,)), seed=n).train for n in range(20)]
     assert len(set(sides)) > 5
     odd = [len(make(ids(("ippo",), range(1, 10), range(5)), seed=n).train) for n in range(40)]
-    assert (
-        18 <= min(odd) < 22 and 23 < max(odd) <= 27
-    )  # the odd team of each stratum falls to either side
+    # The odd team of each stratum falls to either side.
+    assert 18 <= min(odd) < 22 and 23 < max(odd) <= 27
 
 
 def test_leave_one_out() -> None:
     split = make(ids(), "leave-one-algorithm-out", held_out="mappo")
     assert split.id.startswith("scratch/without-mappo-s0-v1-")
-    assert {parse_team(team).algorithm for team in split.test} == {"mappo"} and len(
-        split.test
-    ) == 72
+    assert {parse_team(team).algorithm for team in split.test} == {"mappo"}
+    assert len(split.test) == 72
     split = make(ids(), "leave-one-disability-out", held_out="d9")
-    assert {parse_team(team).disability for team in split.test} == {"d9"} and len(
-        split.train
-    ) == 128
+    assert {parse_team(team).disability for team in split.test} == {"d9"}
+    assert len(split.train) == 128
 
 
 def test_small_train_keeps_the_test_side_of_half() -> None:
@@ -99,10 +85,12 @@ def test_small_train_keeps_the_test_side_of_half() -> None:
     assert small.id.startswith("scratch/small-5-s3-v1-")
 
 
-def test_custom() -> None:
+def test_custom_sides_are_sorted_and_disjoint() -> None:
     teams = ids(("ippo",), (1,))
     split = make(teams, "custom", train=[teams[3], teams[1], teams[3]], test=[teams[0]])
     assert split.train == (teams[1], teams[3]) and split.test == (teams[0],)
+    with pytest.raises(LeakageError, match=teams[1]):
+        make(teams, "custom", train=teams[:2], test=teams[1:])
 
 
 @pytest.mark.parametrize(
@@ -144,12 +132,9 @@ def test_preferences_are_held_out_by_any_rule(rule: str) -> None:
     assert other == split
 
 
-def test_a_split_without_preferences_is_hashed_as_before_there_were_any() -> None:
+def test_split_without_preferences_keeps_its_hash() -> None:
     assert "preferences" not in gentle(test_preferences=()).content
-    published = load_registry().splits
-    assert sum(not split.preferences for split in published) >= 42
-    for split in published:
-        check_split(split)
+    assert sum(not split.preferences for split in load_registry().splits) >= 42
 
 
 @pytest.mark.parametrize(
@@ -168,61 +153,47 @@ def test_preferences_that_cannot_be_held_out_are_refused(arguments: dict, words:
         make(ids(), test_preferences=["p1"])
 
 
-def test_changed_preferences_are_refused() -> None:
-    split = gentle()
-    for sides in ({}, {**split.preferences, "test": ("p1", "p5")}):
-        with pytest.raises(SplitError, match=f"expected sha256 {split.sha256}, found sha256"):
-            check_split(split.model_copy(update={"preferences": sides}))
-
-
-def test_a_team_on_both_sides_leaks() -> None:
-    teams = ids(("ippo",), (1,))
-    with pytest.raises(LeakageError, match=teams[1]):
-        make(teams, "custom", train=teams[:2], test=teams[1:])
-
-
 def test_a_changed_manifest_is_refused(registry: Registry) -> None:
-    split = registry.split("scratch")
-    moved = split.model_copy(update={"train": split.train[1:]})
-    with pytest.raises(SplitError, match=f"expected sha256 {split.sha256}, found sha256"):
-        check_split(moved)
+    split = gentle()
+    for change in (
+        {"train": split.train[1:]},
+        {"preferences": {}},
+        {"preferences": {**split.preferences, "test": ("p1", "p5")}},
+    ):
+        with pytest.raises(SplitError, match=f"expected sha256 {split.sha256}, found sha256"):
+            check_split(split.model_copy(update=change))
     with pytest.raises(SplitError, match="expected id"):
-        check_split(split.model_copy(update={"id": "scratch/half-s0-v0-00000000"}))
+        check_split(split.model_copy(update={"id": f"{split.id[:-8]}00000000"}))
 
+    def move(data: dict[str, Any]) -> None:
+        data["splits"][0]["train"].append(data["splits"][0]["test"].pop())
 
-def test_a_changed_manifest_is_refused_on_load(registry: Registry) -> None:
-    data = json.loads(registry.path.read_text())
-    data["splits"][0]["train"].append(data["splits"][0]["test"].pop())
-    registry.path.write_text(json.dumps(data))
     with pytest.raises(SplitError, match="sha256"):
-        load_registry(registry.path, roots=False).split("scratch")
+        edited(registry, move).split("scratch")
 
 
 def test_identical_parameters_on_both_sides_leak(registry: Registry) -> None:
     split = registry.split("scratch")
     assert shared_parameters(split.train, split.test, registry.data.teams) == []
-    data = json.loads(registry.path.read_text())
     train, test = split.train[0], split.test[0]
-    data["teams"][test]["policies"]["human"]["sha256"] = data["teams"][train]["policies"]["human"][
-        "sha256"
-    ]
-    registry.path.write_text(json.dumps(data))
+    digest = registry.policy(f"{train}/human").sha256
+
+    def copy(data: dict[str, Any]) -> None:
+        data["teams"][test]["policies"]["human"]["sha256"] = digest
+
+    leaking = edited(registry, copy)
     with pytest.raises(LeakageError, match=f"{train} = {test}"):
-        load_registry(registry.path, roots=False).split("scratch")
-    registry.path.write_text(dump_registry(with_roots(parse_registry(json.dumps(data), "edited"))))
+        leaking.split("scratch")
+    registry.path.write_text(dump_registry(with_roots(leaking.data)))
     with pytest.raises(LeakageError):
         create_split(registry.path, task="scratch", rule="custom", train=[train], test=[test])
 
 
-def test_the_beginning_of_a_name_means_the_newest_release(
-    registry: Registry, team, publish_to
-) -> None:
+def test_short_split_name_means_newest_release(registry: Registry, team, publish_to) -> None:
     older = registry.split("scratch", "half")
     grown = publish_to([team("ippo", "d1", seed) for seed in range(2)], registry.path, release="v1")
-    assert (
-        grown.split("scratch", "half").release == "v1"
-        and grown.split("scratch", "half-s0-v0") == older
-    )
+    assert grown.split("scratch", "half").release == "v1"
+    assert grown.split("scratch", "half-s0-v0") == older
     create_split(registry.path, task="scratch", rule="half", seed=1, release="v1")
     registry = load_registry(registry.path)
     assert registry.split("scratch", "half") == grown.split("scratch", "half"), "the default one"
@@ -230,22 +201,17 @@ def test_the_beginning_of_a_name_means_the_newest_release(
         registry.split("scratch", "hal")
     sides = [older.train[:1], older.test[:1]]
     for train, test in (sides, sides[::-1]):
-        create_split(
-            registry.path, task="scratch", rule="custom", train=train, test=test, release="v0"
-        )
+        custom = {"rule": "custom", "train": train, "test": test}
+        create_split(registry.path, task="scratch", release="v0", **custom)
     with pytest.raises(SplitError, match="found 2 that begin so"):
         load_registry(registry.path).split("scratch", "custom-s0-v0")
 
 
 def test_create_writes_once(registry: Registry) -> None:
-    split = create_split(
-        registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9"
-    )
+    held_out = {"task": "scratch", "rule": "leave-one-disability-out", "held_out": "d9"}
+    split = create_split(registry.path, **held_out)
     text = registry.path.read_text()
-    assert (
-        create_split(registry.path, task="scratch", rule="leave-one-disability-out", held_out="d9")
-        == split
-    )
+    assert create_split(registry.path, **held_out) == split
     assert registry.path.read_text() == text
     loaded = load_registry(registry.path)
     assert loaded.split("scratch", "without-d9") == split and loaded.split("scratch").rule == "half"
@@ -253,9 +219,7 @@ def test_create_writes_once(registry: Registry) -> None:
         create_split(registry.path, task="bed_bath")
 
 
-def test_a_default_that_was_chosen_stays_when_the_release_grows(
-    registry: Registry, team, publish_to
-) -> None:
+def test_chosen_default_stays_when_release_grows(registry: Registry, team, publish_to) -> None:
     chosen = {"rule": "leave-one-disability-out", "held_out": "d9", "default": True}
     split = create_split(registry.path, task="scratch", **chosen)
     assert load_registry(registry.path).split("scratch") == split
@@ -265,11 +229,6 @@ def test_a_default_that_was_chosen_stays_when_the_release_grows(
     assert load_registry(registry.path).split("scratch") == half and half.rule == "half"
 
 
-def test_every_rule_has_a_row_in_the_documentation() -> None:
-
-    assert all(f"`{rule}`" in (rules.__doc__ or "") for rule in RULES)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -277,6 +236,7 @@ def test_every_rule_has_a_row_in_the_documentation() -> None:
         ("both", (None, "both")),
         ("half-s0", ("half-s0", "test")),
         ("half-s0:train", ("half-s0", "train")),
+        ("three-sides:validation", ("three-sides", "validation")),
         ("lab:both", ("lab:", "both")),
         ("lab:half-s0", ("lab:half-s0", "test")),
         ("lab:scratch/half-s0-v0:both", ("lab:scratch/half-s0-v0", "both")),
@@ -292,7 +252,7 @@ def three(teams, **arguments):
     return make(teams, "three-sides", **arguments)
 
 
-def test_three_sides_have_their_shares_of_all_and_of_every_stratum() -> None:
+def test_three_sides_have_shares_in_every_stratum() -> None:
     split = three(ids(seeds=range(20)))  # 360 teams in 18 strata of 20
     counts = {side: len(teams) for side, teams in split.sides.items()}
     assert counts == {"train": 216, "validation": 54, "test": 90}
@@ -304,6 +264,8 @@ def test_three_sides_have_their_shares_of_all_and_of_every_stratum() -> None:
     assert sorted(sum(split.sides.values(), ())) == sorted(ids(seeds=range(20)))
     assert three(ids(seeds=range(20))[::-1]) == split
     assert three(ids(seeds=range(20)), seed=1).id != split.id
+    with pytest.raises(SplitError, match="5 teams or more"):
+        three(ids(("ippo",), (1,), range(2)))
 
 
 def test_three_sides_stratify_by_convention_group_too() -> None:
@@ -314,13 +276,11 @@ def test_three_sides_stratify_by_convention_group_too() -> None:
     assert np.abs(np.array(of_b) - [6, 1.5, 2.5]).max() <= 1
 
 
-def test_held_out_preferences_are_a_split_of_their_own() -> None:
+def test_held_out_preferences_make_another_split() -> None:
     teams = [f"gentle_lift/mappo-d{d}-s{s}-v1" for d in (1, 2) for s in range(10)]
+    arguments = {"task": "gentle_lift", "release": "v1", "rule": "three-sides"}
     plain, held = (
-        make_split(
-            teams, task="gentle_lift", release="v1", rule="three-sides", test_preferences=names
-        )
-        for names in ((), ("p1", "p5", "p9"))
+        make_split(teams, test_preferences=names, **arguments) for names in ((), ("p1", "p5", "p9"))
     )
     assert plain.sides == held.sides and plain.id != held.id and not plain.preferences
     assert held.preferences["validation"] == held.preferences["train"]
@@ -332,46 +292,38 @@ def test_splits_of_two_sides_keep_their_content() -> None:
     split = make(ids())
     assert "validation" not in split.content and list(split.sides) == ["train", "test"]
     registry = load_registry()
-    assert all(name.sha256 == json_sha256(name.content) for name in registry.data.splits)
+    for published in registry.splits:
+        check_split(published)
     written = dump_registry(registry.part("").data).count('"validation"')
     three_sided = [name for name in registry.data.splits if name.rule == "three-sides"]
     assert written == len(three_sided) == sum(bool(name.validation) for name in three_sided)
 
 
-def test_a_team_on_two_of_three_sides_is_refused() -> None:
+def test_team_on_two_sides_is_refused() -> None:
     split = three(ids())
     for one, other in (("train", "validation"), ("validation", "test"), ("train", "test")):
         team = getattr(split, one)[0]
-        twice = {other: tuple(sorted((*getattr(split, other), team)))}
+        twice: dict[str, Any] = {other: tuple(sorted((*getattr(split, other), team)))}
         content = split.model_copy(update=twice).content
-        changed = split.model_copy(
-            update={**twice, "sha256": json_sha256(content), "id": split_id(content)}
-        )
+        twice |= {"sha256": json_sha256(content), "id": split_id(content)}
         with pytest.raises(LeakageError, match=team):
-            check_split(changed)
-
-
-def test_too_few_teams_have_no_three_sides() -> None:
-    with pytest.raises(SplitError, match="5 teams or more"):
-        three(ids(("ippo",), (1,), range(2)))
+            check_split(split.model_copy(update=twice))
 
 
 def test_partners_with_whom_nobody_earns_much_leave() -> None:
     data = load_registry().part("").data
     teams = [team for team in data.teams if team.startswith("scratch/ippo-d1-")]
-    figures = {team: data.teams[team].self_play for team in teams}
-    own = {team: figure.mean for team, figure in figures.items() if figure is not None}
-    assert len(own) == len(teams)
-    median = statistics.median(own.values())
-    assert competent(data, teams, {}) == [t for t in teams if own[t] >= 0.25 * median]
+    figures = [(team, data.teams[team].self_play) for team in teams]
+    earned = {team: figure.mean for team, figure in figures if figure is not None}
+    median = statistics.median(earned.values())
+    assert competent(data, teams, {}) == [t for t in teams if earned[t] >= 0.25 * median]
     worst = {teams[0]: 0.2 * median, teams[1]: 0.3 * median}  # what best responses earn decides
     left = {*teams} - {*competent(data, teams, worst)}
     assert teams[0] in left and teams[1] not in left
     assert competent(data, teams, dict.fromkeys(teams, -1.0)) == teams
 
 
-def test_a_split_of_three_sides_is_kept_and_asked_for_by_side(registry: Registry) -> None:
+def test_three_sided_split_is_kept_and_found(registry: Registry) -> None:
     split = create_split(registry.path, task="scratch", rule="three-sides", release="v0")
     again = load_registry(registry.path).split("scratch", "three-sides")
     assert again == split and len(split.validation) == 1
-    assert parse_split("three-sides:validation", ()) == ("three-sides", "validation")
