@@ -29,7 +29,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def registry(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def registry(published: Path, tmp_path: Path, monkeypatch) -> Path:
     """A copy of the registry to spoil, and episodes of few steps."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
     return Path(shutil.copytree(published.parent, tmp_path / "zoo")) / "registry.json"
@@ -46,7 +46,7 @@ def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-
     return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
 
 
-def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+def failure(capfd, code: int) -> str:
     """Return the one line of an error."""
     printed = capfd.readouterr()
     assert code == 1
@@ -56,7 +56,7 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
     return printed.err
 
 
-def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureFixture[str]):
+def test_json_is_the_object_of_the_design(registry: Path, capfd):
     assert evaluate(registry, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     expected = {
@@ -83,9 +83,7 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
 
 
 @pytest.mark.slow
-def test_both_sides_give_the_gap_and_keep_the_tables(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: Path, capfd):
     assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
     printed = capfd.readouterr().out
     assert all(
@@ -105,10 +103,7 @@ def test_both_sides_give_the_gap_and_keep_the_tables(
 
 @pytest.mark.slow
 def test_references_and_a_crossplay_put_returns_on_a_scale(
-    registry: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    registry: Path, tmp_path: Path, monkeypatch, capfd
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     words = ["--task", "scratch", "--episodes", 1, "--backend", "native", "--registry", registry]
@@ -153,9 +148,7 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
 
 
 @pytest.mark.slow
-def test_robot_of_unknown_code_needs_replace(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_robot_of_unknown_code_needs_replace(registry: Path, tmp_path: Path, capfd):
     code, policy = tmp_path / "mine.py", f"python:{tmp_path / 'mine.py'}:make"
     text = "import numpy as np\ndef make():\n    return lambda obs: np.{}((len(obs), 7))\n"
     code.write_text(text.format("zeros"))
@@ -174,15 +167,13 @@ def test_robot_of_unknown_code_needs_replace(
     assert call("verify", tmp_path / "out") == 0
 
 
-def test_a_share_does_not_replace_the_others(tmp_path: Path, capfd: Any):
+def test_a_share_does_not_replace_the_others(tmp_path: Path, capfd):
     words = ["--task", "scratch", "--out", tmp_path, "--share", "1/2", "--replace"]
     assert "parts of the other shares" in failure(capfd, call("crossplay", *words))
 
 
 @pytest.mark.parametrize("share", ["0/2", "3/2", "1", "a/b"])
-def test_a_share_is_one_of_n(
-    registry: Path, tmp_path: Path, share: str, capfd: pytest.CaptureFixture[str]
-):
+def test_a_share_is_one_of_n(registry: Path, tmp_path: Path, share: str, capfd):
     code = call(
         "crossplay",
         "--task",
@@ -197,9 +188,7 @@ def test_a_share_is_one_of_n(
     assert "expected i/n with i from 1 to n" in failure(capfd, code)
 
 
-def test_several_policies_are_seeds_of_one_method(
-    registry: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_several_policies_are_seeds_of_one_method(registry: Path, capfd):
     words = [
         "--policy",
         "zoo:scratch/ippo-d1-s1-v0/robot",
@@ -216,9 +205,7 @@ def test_several_policies_are_seeds_of_one_method(
 
 
 @pytest.mark.slow
-def test_crossplay_diagonal_is_self_play(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_crossplay_diagonal_is_self_play(registry: Path, tmp_path: Path, capfd):
     """Two teams of each setting; self-play is what `evaluate` gives for a robot's own human."""
     out, teams = tmp_path / "xp", "scratch/ippo-d?-s[01]-v0"
     words = ["--task", "scratch", "--episodes", 2, "--backend", "native", "--registry", registry]
@@ -256,7 +243,7 @@ def test_crossplay_diagonal_is_self_play(
 
 @pytest.mark.slow
 def test_a_finished_crossplay_is_summarised_again_without_running(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    registry: Path, tmp_path: Path, capfd
 ):
     words = [
         "--task",
@@ -280,9 +267,7 @@ def test_a_finished_crossplay_is_summarised_again_without_running(
     assert "holds another job (episodes 1 there, 3 here)" in capfd.readouterr().err
 
 
-def test_a_robot_in_plain_numpy(
-    registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
-):
+def test_a_robot_in_plain_numpy(registry: Path, tmp_path: Path, monkeypatch, capfd):
     (tmp_path / "numpy_robot_of_a_test.py").write_text(
         "import numpy as np\n"
         "def zero():\n    return lambda obs: np.zeros((len(obs), 7))\n"
@@ -298,7 +283,7 @@ def test_a_robot_in_plain_numpy(
     assert "the robot of task scratch reads observations [N, 34] and gives actions" in message
 
 
-def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, capfd: Any):
+def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, capfd):
     write_policy_file(tmp_path / "mine.safetensors", ROBOT, params_of(ROBOT, 1))
     assert evaluate(registry, "--json", policy=tmp_path / "mine.safetensors") == 0
     capfd.readouterr()
@@ -332,13 +317,11 @@ def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, 
         (["--policy", "robot.onnx"], "there is no file robot.onnx"),
     ],
 )
-def test_bad_input_gets_one_clear_line(
-    registry: Path, words: list[str], message: str, capfd: pytest.CaptureFixture[str]
-):
+def test_bad_input_gets_one_clear_line(registry: Path, words: list[str], message: str, capfd):
     assert message in failure(capfd, evaluate(registry, *words))
 
 
-def test_corrupted_shard_names_both_hashes(registry: Path, capfd: pytest.CaptureFixture[str]):
+def test_corrupted_shard_names_both_hashes(registry: Path, capfd):
     shard = next((registry.parent / "zoo").rglob("*human*.safetensors"))
     data = bytearray(shard.read_bytes())
     expected = json.loads(registry.read_text())["shards"][
@@ -352,9 +335,7 @@ def test_corrupted_shard_names_both_hashes(registry: Path, capfd: pytest.Capture
     assert shard.name in message
 
 
-def test_a_release_of_another_environment_version_is_refused(
-    registry: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_a_release_of_another_environment_version_is_refused(registry: Path, capfd):
     text = registry.read_text()
     changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
     assert changed != text
@@ -364,7 +345,7 @@ def test_a_release_of_another_environment_version_is_refused(
     assert "release v0, trained on version 2" in message
 
 
-def test_unwritable_output_folder_is_refused_first(registry: Path, tmp_path: Path, capfd: Any):
+def test_unwritable_output_folder_is_refused_first(registry: Path, tmp_path: Path, capfd):
     (tmp_path / "file").write_text("in the way")
     message = failure(
         capfd,
@@ -374,7 +355,7 @@ def test_unwritable_output_folder_is_refused_first(registry: Path, tmp_path: Pat
     assert "choose another folder" in message
 
 
-def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
+def test_a_missing_task_is_wrong_usage(capfd):
     assert call("evaluate", "--policy", "zoo:x") == 2
     assert "--task" in capfd.readouterr().err
 

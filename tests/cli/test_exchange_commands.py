@@ -20,9 +20,7 @@ TEAM = "scratch/ippo-d1-s0-v1"
 
 
 @pytest.fixture
-def zoo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Path:
+def zoo(tmp_path: Path, monkeypatch, capsys) -> Path:
     """A published registry, named by the environment variable."""
     path = tmp_path / "zoo" / "registry.json"
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(path))
@@ -245,9 +243,7 @@ def test_onnx_robot_earns_its_originals_return(tmp_path: Path, capsys, monkeypat
     assert theirs == pytest.approx(ours, rel=0.02)
 
 
-def test_a_remotes_name_commands_no_terminal(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_remotes_name_commands_no_terminal(monkeypatch, capfd) -> None:
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://a\x1b]0;owned\x07/b")
     assert run(["config", "remote"]) == 0
     assert capfd.readouterr().out == "hf://a ]0;owned /b\n"

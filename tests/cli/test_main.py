@@ -23,7 +23,7 @@ ALL_COMMANDS = [tuple(name.split(".")) for name in main.all_commands()]
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
+def fake(monkeypatch) -> Callable[[Callable[[], None]], None]:
     """Make `assistax-zoo fake` run a function."""
 
     def install(work: Callable[[], None]) -> None:
@@ -46,9 +46,7 @@ def raises(error: BaseException) -> Callable[[], None]:
     return work
 
 
-def test_a_command_that_ends_well_exits_0(
-    fake: Callable, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_ends_well_exits_0(fake: Callable, capsys) -> None:
     fake(lambda: print("done"))
     assert main.run(["fake"]) == 0
     assert capsys.readouterr() == ("done\n", "")
@@ -67,16 +65,14 @@ def test_a_command_that_ends_well_exits_0(
     ],
 )
 def test_an_expected_error_is_its_message(
-    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, message: str
+    fake: Callable, capsys, error: Exception, message: str
 ) -> None:
     fake(raises(error))
     assert main.run(["fake"]) == 1
     assert capsys.readouterr() == ("", message)
 
 
-def test_an_error_of_the_zoo_is_its_message(
-    fake: Callable, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_of_the_zoo_is_its_message(fake: Callable, capsys) -> None:
     error = ZooError(
         "unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list"
     )
@@ -86,7 +82,7 @@ def test_an_error_of_the_zoo_is_its_message(
 
 
 def test_an_unexpected_error_is_named_without_a_traceback(
-    fake: Callable, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    fake: Callable, capsys, monkeypatch
 ) -> None:
     monkeypatch.delenv(main.DEBUG_VARIABLE, raising=False)
     fake(raises(RuntimeError("a shape is wrong\nframes\nof the compiler")))
@@ -109,7 +105,7 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     ],
 )
 def test_too_little_memory_is_expected(
-    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, reason: str
+    fake: Callable, capsys, error: Exception, reason: str
 ) -> None:
     fake(raises(error))
     assert main.run(["fake"]) == 1
@@ -117,7 +113,7 @@ def test_too_little_memory_is_expected(
     assert capsys.readouterr().err.startswith(f"{text}{reason}")
 
 
-def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_debugging_raises_the_error(fake: Callable, monkeypatch) -> None:
     monkeypatch.setenv(main.DEBUG_VARIABLE, "1")
     fake(raises(ValueError("bad")))
     with pytest.raises(ValueError, match="bad"):
@@ -134,7 +130,7 @@ def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_wrong_usage_exits_2(
-    fake: Callable, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str, hint: str
+    fake: Callable, capsys, arguments: list[str], words: str, hint: str
 ) -> None:
     fake(lambda: None)
     assert main.run(arguments) == 2
@@ -145,7 +141,7 @@ def test_wrong_usage_exits_2(
     assert err.splitlines()[-1] == hint
 
 
-def test_an_interrupt_exits_130(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupt_exits_130(fake: Callable, capsys) -> None:
     fake(raises(KeyboardInterrupt()))
     assert main.run(["fake"]) == 130
     assert capsys.readouterr() == ("", "error: interrupted\n")
@@ -177,7 +173,7 @@ def test_a_closed_standard_output_is_told() -> None:
     assert done.stderr.startswith("error: standard output is closed; direct it to a file")
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(capsys) -> None:
     assert main.run(["--help"]) == 0
     lines = [line.strip("│ ").split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
     summaries = {words[0]: words[1:] for words in lines if words}
@@ -185,9 +181,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(summaries[name] for name in FIRST_WORDS)
 
 
-def test_help_groups_commands_by_what_somebody_came_for(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_help_groups_commands_by_what_somebody_came_for(capsys) -> None:
     assert main.run(["--help"]) == 0
     boxes = re.findall(r"╭─ ([\w ,]+) ─+╮\n(.*?)╰─", capsys.readouterr().out, re.DOTALL)
     assert [title for title, _ in boxes] == list(main.AUDIENCES)  # none left for "Commands"
@@ -199,9 +193,7 @@ def test_help_groups_commands_by_what_somebody_came_for(
 
 
 @pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)
-def test_help_of_a_command_ends_with_an_example(
-    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_of_a_command_ends_with_an_example(command: tuple[str, ...], capsys) -> None:
     assert main.run([*command, "--help"]) == 0
     usage, _, rest = capsys.readouterr().out.partition("\n")
     assert usage.startswith(f"Usage: assistax-zoo {' '.join(command)}")
@@ -209,10 +201,7 @@ def test_help_of_a_command_ends_with_an_example(
 
 
 def test_a_distribution_without_its_package_fails_its_own_commands_alone(
-    fake: Callable,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    fake: Callable, tmp_path: Path, monkeypatch, capsys
 ) -> None:
     about = tmp_path / "assistax_zoo_board-0.1.0.dist-info"  # stands before the installed one
     about.mkdir()
@@ -236,7 +225,7 @@ def test_a_distribution_without_its_package_fails_its_own_commands_alone(
 
 @pytest.mark.parametrize("name", ["evaluate", "plot.zsc", "plot"])
 def test_a_package_cannot_replace_a_command(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], name: str
+    install_package: Callable[..., None], capsys, name: str
 ) -> None:
     group = extensions.HEADS if name in main.GROUPS else extensions.COMMANDS
     install_package(group, name, "textwrap:dedent")
@@ -246,7 +235,7 @@ def test_a_package_cannot_replace_a_command(
 
 
 def test_a_broken_command_names_its_package(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    install_package: Callable[..., None], capsys, tmp_path: Path
 ) -> None:
     (tmp_path / "outside_commands.py").write_text("import no_such_module\n")
     install_package(extensions.COMMANDS, "plot.forces", "outside_commands:forces")
@@ -260,7 +249,7 @@ def test_a_broken_command_names_its_package(
 
 
 def test_a_package_adds_a_figure_command(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    install_package: Callable[..., None], capsys, tmp_path: Path
 ) -> None:
     (tmp_path / "outside_figures.py").write_text("def forces(): print('drawn')\n")
     install_package(extensions.COMMANDS, "plot.forces", "outside_figures:forces")
@@ -268,14 +257,12 @@ def test_a_package_adds_a_figure_command(
     assert capsys.readouterr().out == "drawn\n"
 
 
-def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version_is_printed(capsys) -> None:
     assert main.run(["--version"]) == 0
     assert capsys.readouterr().out.strip()
 
 
-def test_the_compilation_cache_is_set_but_never_overridden(
-    fake: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_compilation_cache_is_set_but_never_overridden(fake: Callable, monkeypatch) -> None:
     fake(lambda: None)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/mine")
     main.run(["fake"])
@@ -286,7 +273,7 @@ def test_the_compilation_cache_is_set_but_never_overridden(
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "/caches/assistax-zoo/xla"
 
 
-def test_print_json_prints_one_document(capsys: pytest.CaptureFixture[str]) -> None:
+def test_print_json_prints_one_document(capsys) -> None:
     value = {
         "mean": np.float32(1.5),
         "ci": np.array([0, 1]),
@@ -306,9 +293,7 @@ def test_print_json_prints_one_document(capsys: pytest.CaptureFixture[str]) -> N
     assert "NaN" not in out
 
 
-def test_noise_goes_to_standard_error_while_stdout_is_data(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_noise_goes_to_standard_error_while_stdout_is_data(capfd) -> None:
     with console.stdout_is_data():
         print("from Python")
         os.write(1, b"from a descriptor\n")
@@ -319,16 +304,14 @@ def test_noise_goes_to_standard_error_while_stdout_is_data(
     assert {"from Python", "from a descriptor", "from C"} <= set(err.splitlines())
 
 
-def test_standard_output_comes_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_standard_output_comes_back_after_an_error(capfd) -> None:
     with pytest.raises(ValueError, match="bad"), console.stdout_is_data():
         raise ValueError("bad")
     os.write(1, b"back\n")
     assert capfd.readouterr().out == "back\n"
 
 
-def test_progress_off_a_terminal_is_lines_on_standard_error(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_off_a_terminal_is_lines_on_standard_error(capsys, monkeypatch) -> None:
     monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
     with console.progress("evaluate scratch", 4) as advance:
         advance(1)
@@ -341,9 +324,7 @@ def test_progress_off_a_terminal_is_lines_on_standard_error(
     ]
 
 
-def test_the_time_left_does_not_count_compilation(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_time_left_does_not_count_compilation(capsys, monkeypatch) -> None:
     """Nor is it said of so little work that another compilation would count for hours of it."""
     monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
     clock = iter([0.0, 1.0, 60.0, 62.0, 64.0, 66.0])

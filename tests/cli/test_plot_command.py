@@ -43,11 +43,7 @@ def call(*words: object) -> int:
 @pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
 @pytest.mark.parametrize("order", [(), ("--order", "separate")])
 def test_crossplay_draws_the_saved_matrix_and_says_where(
-    crossplay_folder: Path,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    ending: str,
-    order: tuple[str, ...],
+    crossplay_folder: Path, tmp_path: Path, capfd, ending: str, order: tuple[str, ...]
 ):
     out = tmp_path / "figures" / f"matrix.{ending}"
     assert call("crossplay", crossplay_folder, "--out", out, *order) == 0
@@ -76,7 +72,7 @@ def test_a_forged_order_is_not_drawn(crossplay_folder: Path, tmp_path: Path):
     assert drawn[0] == drawn[1] == drawn[2]
 
 
-def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+def failure(capfd, code: int) -> str:
     captured = capfd.readouterr()
     assert code == 1
     assert captured.out == ""
@@ -86,10 +82,7 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
 
 
 def test_wrong_folders_and_names_get_one_line(
-    crossplay_folder: Path,
-    evaluation_folder: Path,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    crossplay_folder: Path, evaluation_folder: Path, tmp_path: Path, capfd
 ):
     out = tmp_path / "x.png"
     gone = tmp_path / "gone"
@@ -110,14 +103,12 @@ def test_wrong_folders_and_names_get_one_line(
     assert not out.exists()
 
 
-def test_a_place_that_cannot_be_written_gets_one_line(
-    crossplay_folder: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_a_place_that_cannot_be_written_gets_one_line(crossplay_folder: Path, capfd):
     out = crossplay_folder / tables.SUMMARY_FILE / "x.png"
     assert "summary.json" in failure(capfd, call("crossplay", crossplay_folder, "--out", out))
 
 
-def test_wrong_usage_has_code_2(crossplay_folder: Path, capfd: pytest.CaptureFixture[str]):
+def test_wrong_usage_has_code_2(crossplay_folder: Path, capfd):
     assert call("crossplay", crossplay_folder) == 2
     assert call("crossplay", crossplay_folder, "--out", "x.png", "--order", "mixed") == 2
     assert "Traceback" not in capfd.readouterr().err
@@ -154,7 +145,7 @@ def test_curves_of_a_run(tmp_path: Path):
     assert (tmp_path / "curves.png").stat().st_size > 5_000
 
 
-def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_population_of_a_registry(tmp_path: Path, capfd):
     registry = tmp_path / "registry.json"
     population = [
         trained_team(disability=disability, seed=seed)
@@ -167,7 +158,7 @@ def test_population_of_a_registry(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert capfd.readouterr().out == f"{tmp_path / 'population.png'}\n"
 
 
-def test_a_sweep_is_drawn_with_ranges_and_values(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_sweep_is_drawn_with_ranges_and_values(tmp_path: Path, capfd):
     rng = np.random.default_rng(0)
     table = pl.DataFrame(
         {

@@ -29,7 +29,7 @@ def call(
     )
 
 
-def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+def failure(capfd, code: int) -> str:
     printed = capfd.readouterr()
     assert code == 1
     assert printed.out == ""
@@ -37,7 +37,7 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
     return printed.err
 
 
-def test_a_png_has_four_moments_two_by_two(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_a_png_has_four_moments_two_by_two(tmp_path: Path, capfd):
     out = tmp_path / "new" / "strip.png"
     assert call("--out", out, "--steps", 20, *SMALL) == 0
     assert capfd.readouterr().out == f"{out}\n"
@@ -130,19 +130,13 @@ def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
         (("--out", "x.png", "--disability", "d10"), "disability setting is 'd10'; allowed are d1"),
     ],
 )
-def test_wrong_values_get_one_line(
-    words: tuple,
-    message: str,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-):
+def test_wrong_values_get_one_line(words: tuple, message: str, tmp_path: Path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert message in failure(capfd, call(*words))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd):
     out = ("--out", tmp_path / "x.png")
     assert "policy 'best' has an unknown form; allowed are an id such as" in failure(
         capfd, call(*out, robot="best")
@@ -153,9 +147,7 @@ def test_unknown_policies_and_tasks_get_one_line(tmp_path: Path, capfd: pytest.C
     assert "task is 'swim'; allowed are scratch" in failure(capfd, call(*out, task="swim"))
 
 
-def test_unwritable_place_is_refused_before_work(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_unwritable_place_is_refused_before_work(tmp_path: Path, capfd, monkeypatch):
     monkeypatch.setattr("assistax_envs.make", lambda *_: pytest.fail("work was done"))
     (tmp_path / "file").touch()
     assert "x.png cannot be written" in failure(capfd, call("--out", tmp_path / "file" / "x.png"))
@@ -165,25 +157,21 @@ def test_unwritable_place_is_refused_before_work(
     )
 
 
-def test_an_mp4_without_its_package_names_the_extra(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_an_mp4_without_its_package_names_the_extra(tmp_path: Path, capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     assert "pip install 'assistax-zoo[video]', or write .gif" in failure(
         capfd, call("--out", tmp_path / "x.mp4")
     )
 
 
-def test_an_mp4_of_odd_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_an_mp4_of_odd_size_is_refused(tmp_path: Path, capfd):
     assert "the size is 161x120; an .mp4 needs an even width" in failure(
         capfd, call("--out", tmp_path / "x.mp4", "--width", 161, "--height", 120)
     )
     assert os.listdir(tmp_path) == []
 
 
-def test_a_machine_without_opengl_gets_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_a_machine_without_opengl_gets_one_line(tmp_path: Path, capfd, monkeypatch):
     from assistax_envs.drawing import gl
 
     def broken(width: int, height: int):
@@ -196,18 +184,14 @@ def test_a_machine_without_opengl_gets_one_line(
     assert os.listdir(tmp_path) == []
 
 
-def test_an_episode_needs_both_players(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_an_episode_needs_both_players(tmp_path: Path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(["render", "--task", "scratch", "--robot", "zero", "--out", "x.png"]) == 2
     assert "--human" in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_human_plays_under_the_named_preference(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_human_plays_under_the_named_preference(tmp_path: Path, capfd, monkeypatch):
     liked = []
 
     def played(*args: object, preference: str, **options: object):

@@ -27,7 +27,7 @@ STEPS = ("--steps", "4")
 
 
 @pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def no_display(monkeypatch, tmp_path: Path) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
@@ -67,9 +67,7 @@ class Window:
 
 
 @pytest.mark.slow
-def test_without_a_display_a_page_is_written(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_display_a_page_is_written(tmp_path: Path, capfd) -> None:
     assert run(["watch", "scratch", "random", "zero", *STEPS]) == 0
     assert capfd.readouterr().out == "watch.html\n"
     text = (tmp_path / "watch.html").read_text(encoding="utf-8")
@@ -78,7 +76,7 @@ def test_without_a_display_a_page_is_written(
 
 
 def test_a_recording_is_played_and_written_for_other_pages(
-    recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, capfd
 ) -> None:
     assert run(["watch", str(recording), "--out", "new/x.episode"]) == 0
     assert run(["watch", str(recording), "--out", "x.html"]) == 0
@@ -87,9 +85,7 @@ def test_a_recording_is_played_and_written_for_other_pages(
     assert (tmp_path / "x.html").stat().st_size < 1_000_000
 
 
-def test_with_a_display_a_window_opens(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_a_display_a_window_opens(recording: Path, tmp_path: Path, monkeypatch) -> None:
     window, find = Window(3), importlib.import_module
     display = SimpleNamespace(init=lambda: True, terminate=lambda: None)
     fakes = {"mujoco.viewer": window, "glfw": display}
@@ -104,7 +100,7 @@ def test_with_a_display_a_window_opens(
 
 
 def test_a_display_that_is_named_and_not_there_gives_a_page(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":4711")
     assert run(["watch", str(recording)]) == 0
@@ -146,7 +142,7 @@ def finished(folder: Path, zoo: Registry, robot: str = "", digest: str = "") -> 
 
 
 @pytest.fixture
-def asked(recording: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def asked(recording: Path, monkeypatch) -> list[Any]:
     """Stands for the simulation: notes which pair is played, and gives another's recording."""
     pairs: list[Any] = []
 
@@ -203,12 +199,7 @@ def test_a_page_plays_no_recording_that_it_was_given(zoo: Registry, tmp_path: Pa
     ],
 )
 def test_a_received_name_runs_and_reads_nothing_outside(
-    zoo: Registry,
-    tmp_path: Path,
-    asked: list[Any],
-    capsys: pytest.CaptureFixture[str],
-    robot: str,
-    message: str,
+    zoo: Registry, tmp_path: Path, asked: list[Any], capsys, robot: str, message: str
 ) -> None:
     """A policy file of that name lies in the reader's folder, and is not taken."""
     place = exported(zoo, tmp_path / "robot.safetensors")
@@ -235,7 +226,7 @@ def test_a_reader_may_trust_the_names_of_a_folder(
 
 
 def test_a_pair_of_another_registry_is_not_played(
-    zoo: Registry, tmp_path: Path, asked: list[Any], capsys: pytest.CaptureFixture[str]
+    zoo: Registry, tmp_path: Path, asked: list[Any], capsys
 ) -> None:
     """With the same ids and other parameters."""
     folder = finished(tmp_path / "xp", zoo)
@@ -260,7 +251,7 @@ def test_a_pair_of_another_registry_is_not_played(
     ],
 )
 def test_wrong_words_get_one_line(
-    words: tuple[str, ...], message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    words: tuple[str, ...], message: str, tmp_path: Path, capfd
 ) -> None:
     assert run(["watch", *words]) == 1
     printed = capfd.readouterr()

@@ -61,9 +61,7 @@ def write_run(folder: Path, disabilities=("d1", "d9"), seeds=4) -> Path:
 
 
 @pytest.fixture
-def zoo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Path:
+def zoo(tmp_path: Path, monkeypatch, capsys) -> Path:
     """A published registry, named by the environment variable."""
     path = tmp_path / "zoo" / "registry.json"
     monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(path))
@@ -77,13 +75,13 @@ def zoo(
     return path
 
 
-def answer(capsys: pytest.CaptureFixture[str], *words: str):
+def answer(capsys, *words: str):
     """Run a command with --json and return what it prints."""
     assert run([*words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *words: str, code: int = 1) -> str:
+def refusal(capsys, *words: str, code: int = 1) -> str:
     """Run a command that fails, and return its one line on standard error."""
     assert run(list(words)) == code
     captured = capsys.readouterr()

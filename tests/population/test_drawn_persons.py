@@ -29,9 +29,7 @@ def partners() -> DrawnPersons:
     return DrawnPersons(PersonPlayer(TASK), jnp.asarray(ROWS), "everybody")
 
 
-def test_episode_has_drawn_persons_body_and_wishes(
-    partners: DrawnPersons,
-) -> None:
+def test_episode_has_drawn_persons_body_and_wishes(partners: DrawnPersons) -> None:
     keys = jax.random.split(jax.random.key(3), 40)
     humans = partners.renewed(partners.humans(40), keys)
     met = np.asarray(humans.person)
@@ -112,7 +110,7 @@ def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 def test_person_changes_at_episode_end_and_survives_resume(
-    partners: DrawnPersons, torso: str, monkeypatch: pytest.MonkeyPatch
+    partners: DrawnPersons, torso: str, monkeypatch
 ) -> None:
     env = assistax_envs.make(TASK, "native")
     monkeypatch.setattr(env, "episode_length", 6)

@@ -42,7 +42,7 @@ def test_rows_are_methods_and_bounds(capsys) -> None:
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == known
 
 
-def test_registered_method_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registered_method_is_a_row(monkeypatch) -> None:
     monkeypatch.setitem(METHODS, "new", ("", {}))
     made = named("new")
     assert (made.algorithm, made.source, made.told) == ("new", "train", False)
@@ -104,7 +104,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_rows_from_nothing_and_their_page(
-    registry: Path, tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+    registry: Path, tmp_path: Path, capfd, monkeypatch
 ) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "cache"))
@@ -201,9 +201,7 @@ seeds = 4
 
 
 @pytest.mark.slow
-def test_a_told_best_response_of_a_gentle_task(
-    tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_told_best_response_of_a_gentle_task(tmp_path: Path, capfd, monkeypatch) -> None:
     """Robots observe what the human likes, so another environment trains and plays them."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))

@@ -541,9 +541,7 @@ def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
     return ["page", *common, "--registry", str(tmp_path / "registry.json")]
 
 
-def test_the_page_of_a_partial_release(
-    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_the_page_of_a_partial_release(words: list[str], tmp_path: Path, capfd):
     assert run(words) == 0
     text = (tmp_path / "page.md").read_text()
     message = capfd.readouterr().err
@@ -596,9 +594,7 @@ def test_the_same_tables_give_the_same_page(words: list[str], tmp_path: Path):
     assert made[0] == made[1]
 
 
-def test_check_finds_an_outdated_page(
-    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_check_finds_an_outdated_page(words: list[str], tmp_path: Path, capfd):
     assert run([*words, "--check"]) == 1
     assert "does not exist" in capfd.readouterr().err
     assert run(words) == 0
@@ -616,14 +612,14 @@ def test_check_finds_an_outdated_page(
     assert "lacks curves.png" in capfd.readouterr().err
 
 
-def test_tables_of_another_release_are_refused(words: list[str], capfd: pytest.CaptureFixture[str]):
+def test_tables_of_another_release_are_refused(words: list[str], capfd):
     place = words.index("v0")
     assert run([*words[:place], "v1", *words[place + 1 :]]) == 1
     assert "is of v1; give the data of v1" in capfd.readouterr().err
 
 
 def test_foreign_partners_are_refused_and_absent_ones_named(
-    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    words: list[str], tmp_path: Path, capfd
 ):
     registry = tmp_path / "registry.json"
     registry.unlink()
@@ -685,9 +681,7 @@ def test_pictures_are_those_that_the_data_allow():
     assert not figures(results())
 
 
-def test_committed_page_follows_from_its_tables(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-):
+def test_committed_page_follows_from_its_tables(monkeypatch, capfd):
     monkeypatch.chdir(ROOT)
     places = "--data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1"
     words = f"page --release v1 {places} --registry registry.json --check".split()

@@ -80,7 +80,7 @@ def test_a_picture_opens_at_its_own_size(built: Path) -> None:
     ],
 )
 def test_a_planted_defect_stops_the_build(
-    planted: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    planted: str, message: str, tmp_path: Path, monkeypatch
 ) -> None:
     # The defect is planted in a page between its source and the build.
     relink = site._relink
