@@ -16,7 +16,7 @@ from population.methods.diversity import log_mean_density
 from population.runs.train import train
 from population.trainers import experience
 from population.trainers.ppo import PPO
-from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, run, start
+from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, networks, run, start
 from tests.population.toy_env import ToyEnv, match
 from tests.workshop.test_plan import begin, finish, labels
 
@@ -96,10 +96,6 @@ def test_bonus_of_equal_humans_is_their_entropy():
     actor["Dense_2"]["bias"] = bias.at[1].add(1.0)
     _, logged = with_bonus(ppo, alike, first, hyper)
     assert 0.1 < logged["population_divergence"][0] <= math.log(2)
-
-
-def networks(state):
-    return {role: learner.networks for role, learner in state.members.learners.items()}
 
 
 @pytest.mark.slow
