@@ -60,9 +60,8 @@ def test_what_nobody_checked_is_said(tmp_path: Path, capfd):
     a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
     assert call("compare", a, b) == 0
     printed = capfd.readouterr().out
-    assert all(
-        f"note: {folder} has no manifest.json: nothing of it" in printed for folder in (a, b)
-    )
+    for folder in (a, b):
+        assert f"note: {folder} has no manifest.json: nothing of it" in printed
     provenance.seal(a)
     assert call("compare", a, b) == 0
     printed = capfd.readouterr().out
@@ -120,9 +119,8 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd):
     assert len(printed["clusters"]) == 2
     assert call("strategies", crossplay) == 0
     strategies = capfd.readouterr().out
-    assert all(
-        word in strategies for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
-    )
+    words = ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
+    assert all(word in strategies for word in words)
     table = strategies.partition("BR-Div")[0]
     assert "…" not in table and max(map(len, strategies.splitlines())) <= 80
     assert " ippo-d1-s" in table and "scratch/" not in table

@@ -9,19 +9,16 @@ from population.hyperparameters import preset
 # The paper's hyperparameters, as its tables print them.
 PAPER = {
     "ippo": {
-        "rollout_steps": 64, "num_envs": 1024, "epochs": 4, "minibatches": 4,
-        "learning_rate": 1e-3, "anneal_lr": False,
-        "entropy_coef": 1e-4, "clip_eps": 0.31, "gamma": 0.99, "gae_lambda": 0.95,
-        "value_coef": 1.0,
-        "max_grad_norm": 0.5, "adam_eps": 1e-8, "critic": "local", "hidden": (128, 128),
+        "rollout_steps": 64, "num_envs": 1024, "epochs": 4, "minibatches": 4, "gamma": 0.99,
+        "learning_rate": 1e-3, "anneal_lr": False, "entropy_coef": 1e-4, "clip_eps": 0.31,
+        "gae_lambda": 0.95, "value_coef": 1.0, "max_grad_norm": 0.5, "adam_eps": 1e-8,
+        "critic": "local", "hidden": (128, 128),
     },
     "mappo": {
-        "rollout_steps": 128, "num_envs": 1024, "epochs": 4, "minibatches": 4,
-        "learning_rate": 4.4e-3,
-        "anneal_lr": False, "entropy_coef": 2.7e-4, "clip_eps": 0.11, "gamma": 0.99,
-        "gae_lambda": 0.95,
-        "value_coef": 1.0, "max_grad_norm": 0.5, "adam_eps": 1e-8, "critic": "central",
-        "hidden": (128, 128),
+        "rollout_steps": 128, "num_envs": 1024, "epochs": 4, "minibatches": 4, "gamma": 0.99,
+        "learning_rate": 4.4e-3, "anneal_lr": False, "entropy_coef": 2.7e-4, "clip_eps": 0.11,
+        "gae_lambda": 0.95, "value_coef": 1.0, "max_grad_norm": 0.5, "adam_eps": 1e-8,
+        "critic": "central", "hidden": (128, 128),
     },
 }  # fmt: skip
 

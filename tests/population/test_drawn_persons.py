@@ -36,12 +36,8 @@ def test_episode_has_drawn_persons_body_and_wishes(partners: DrawnPersons) -> No
     assert len(set(met.tolist())) > 35  # of 7200
     expected = person_params(TASK, ROWS[met])
     for name in ("elbow_range", "preference"):
-        leaves = zip(
-            jax.tree.leaves(getattr(humans, name)),
-            jax.tree.leaves(getattr(expected, name)),
-            strict=True,
-        )
-        assert all(np.array_equal(here, there) for here, there in leaves)
+        pair = (jax.tree.leaves(getattr(params, name)) for params in (humans, expected))
+        assert all(map(np.array_equal, *pair))
     again = partners.renewed(humans, keys[:7])
     np.testing.assert_array_equal(again.person, met[:7])
 

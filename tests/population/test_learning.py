@@ -1,6 +1,4 @@
-"""Training learns the real task: IPPO on scratch, from a start that does nothing to a robot that
-scratches.
-"""
+"""Training learns the real task: IPPO on scratch."""
 
 import json
 
@@ -17,9 +15,7 @@ STEPS = 229_376  # of each member, with the tables' hyperparameters but few simu
 
 @pytest.mark.slow
 def test_ippo_learns_to_scratch(tmp_path):
-    """The second member is the start, and the planted defect: all the same but a learning rate of
-    0.
-    """
+    """The second member is the start and the planted defect: its learning rate is 0."""
     members = (Member(0, "d1"), Member(0, "d1", {"learning_rate": 0.0}))
     trainer = preset("ippo", num_envs=128, rollout_steps=64)
     config = TrainConfig(

@@ -129,9 +129,7 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
 
 
 class Coupled(PPO):
-    """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both
-    would make it.
-    """
+    """A planted defect: the human's clip shrinks with the robot's critic, as a shared one does."""
 
     def _learn_role(self, name, member, batch, hyper, key):
         if name == "human":

@@ -51,9 +51,7 @@ def whole(tmp_path_factory):
 
 
 def check(events, metrics, speeds):
-    """Hold all files against the metrics of the run: every step once, in order, with the same
-    values.
-    """
+    """Check that the files hold each step of the metrics once, in order, with its values."""
     table = pl.read_parquet(metrics)
     assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
     for member, name in enumerate(MEMBERS):
@@ -75,10 +73,7 @@ def test_event_files_hold_what_the_metrics_hold(whole):
 
 @pytest.mark.slow
 def test_resumed_run_shows_each_step_once(tmp_path, monkeypatch):
-    """Killed before its first checkpoint, which is of update 2; just after it; and an update later.
-
-    What was written last is torn each time.
-    """
+    """It is killed before, just after and an update after its first checkpoint; files are torn."""
     now = time.time()
     for second, update in enumerate((1, 2, 3)):
         monkeypatch.setattr(time, "time", lambda second=second: now + second)  # names the files

@@ -293,7 +293,10 @@ def test_another_configuration_is_refused_by_name(finished):
     assert RunFolder(finished).config() == CONFIG
 
 
-def test_a_folder_with_other_things_is_refused(tmp_path):
+def test_another_folder_or_environment_is_refused(tmp_path):
+    config = TrainConfig("scratch", "ippo", CONFIG.members, 480, PPO)
+    with pytest.raises(ValueError, match="the environment's task is 'toy', the run's is 'scratch'"):
+        train(config, ToyEnv(match), tmp_path)
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(ValueError, match="exists and is not the folder of a run"):
         train(CONFIG, ToyEnv(match), tmp_path)
@@ -330,12 +333,6 @@ def test_full_disk_stops_and_run_resumes_later(finished, tmp_path, monkeypatch):
         train(CONFIG, ToyEnv(match), tmp_path / "run")
     monkeypatch.undo()
     assert_same_policies(train(CONFIG, ToyEnv(match), tmp_path / "run"), finished)
-
-
-def test_the_environment_must_be_the_runs(tmp_path):
-    config = TrainConfig("scratch", "ippo", CONFIG.members, 480, PPO)
-    with pytest.raises(ValueError, match="the environment's task is 'toy', the run's is 'scratch'"):
-        train(config, ToyEnv(match), tmp_path / "run")
 
 
 @pytest.mark.slow
