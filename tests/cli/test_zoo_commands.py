@@ -19,7 +19,8 @@ def write_run(folder: Path, disabilities=("d1", "d9"), seeds=4) -> Path:
     folder.mkdir()
     names = [(disability, seed) for disability in disabilities for seed in range(seeds)]
     for place, (role, spec) in enumerate(SPECS.items()):
-        rows = [flatten(random_params(spec, 100 * place + row)) for row in range(len(names))]
+        first = 1000 * len(names) + 100 * place  # runs of other sizes have other parameters
+        rows = [flatten(random_params(spec, first + row)) for row in range(len(names))]
         leaves = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
         data = encode(leaves, {"spec": spec.to_json(), "rows": [f"{d}-{s}" for d, s in names]})
         (folder / f"{role}.safetensors").write_bytes(data)
