@@ -129,8 +129,9 @@ def test_a_reader_that_leaves_is_no_error() -> None:
         "main.COMMANDS['fake'] = 'fakes:fake'; sys.exit(main.run(['fake']))"
     )
     command = [sys.executable, "-c", script]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, cwd=ROOT, text=True, **pipes) as process:
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None and process.stderr is not None
         assert process.stdout.readline() == "0\n"
         process.stdout.close()

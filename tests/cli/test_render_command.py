@@ -111,7 +111,7 @@ def test_the_same_seed_gives_the_same_picture(tmp_path: Path):
 )
 def test_wrong_values_get_one_line(words: str, message: str, tmp_path: Path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    defaults = {"--task": "scratch", "--robot": "random", "--human": "zero"}
+    defaults = {"--task": "scratch", "--robot": "random", "--human": "zero", "--steps": "2"}
     missing = [word for option in defaults.items() if option[0] not in words for word in option]
     assert message in failure(capfd, run(["render", *words.split(), *missing]))
     assert list(tmp_path.iterdir()) == []

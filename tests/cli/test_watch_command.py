@@ -121,8 +121,9 @@ def finished(folder: Path, zoo: Registry, robot: str = "", digest: str = "") -> 
     robots, humans = ([f"{team_id(team)}/{role}" for team in teams(2)] for role in ROLES)
     egos = [[name, zoo.policy(name).sha256] for name in robots if name != worst]
     first = [robot or worst, digest or zoo.policy(worst).sha256]
-    identity = {"task": "scratch", "env_version": zoo.env_version(zoo.policies[0]), "seed": 7}
-    identity |= {"apart": True, "egos": [first, *egos]}
+    identity: dict[str, Any] = {"task": "scratch", "seed": 7, "apart": True}
+    identity["env_version"] = zoo.env_version(zoo.policies[0])
+    identity["egos"] = [first, *egos]
     identity["partners"] = [[name, "d1", None, zoo.policy(name).sha256, None] for name in humans]
     write_manifest(folder, {"identity": identity, "job": identity_digest(identity)})
     seal(folder)
