@@ -24,7 +24,7 @@ OURS = {  # by kind: a file of ours, and one that is not
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(tmp_path: Path, monkeypatch) -> Path:
     """A cache that lies in a folder of the user's, with files of both, and a data folder."""
     monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "mine"))
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "mine"))
@@ -45,9 +45,7 @@ def files(home: Path) -> set[str]:
     return {str(path.relative_to(home)) for path in home.rglob("*") if path.is_file()}
 
 
-def test_kinds_are_listed_with_place_and_size(
-    home: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_kinds_are_listed_with_place_and_size(home: Path, capsys) -> None:
     assert main.run(["cache", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [kind["kind"] for kind in answer["kinds"]] == list(OURS)
@@ -57,16 +55,7 @@ def test_kinds_are_listed_with_place_and_size(
     assert str(home / "mine/xla") in capsys.readouterr().out
 
 
-def test_clean_without_yes_removes_nothing(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = files(home)
-    assert main.run(["cache", "clean"]) == 0
-    assert "add --yes to remove" in capsys.readouterr().out
-    assert files(home) == before
-
-
-def test_clean_keeps_foreign_files_and_registries(
-    home: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_clean_keeps_foreign_files_and_registries(home: Path, capsys) -> None:
     before = files(home)
     assert main.run(["cache", "clean", "--yes", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -81,18 +70,16 @@ def test_clean_keeps_foreign_files_and_registries(
     assert before - files(home) == {*gone, "mine/registries/lab-0123abcd/registry.json"}
 
 
-def test_named_kind_is_removed_alone(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clean_needs_yes_and_a_known_kind(home: Path, capsys) -> None:
     before = files(home)
-    assert main.run(["cache", "clean", "--what", "xla", "--yes"]) == 0
-    assert before - files(home) == {"mine/xla/jit_step-0a1b-cache"}
-
-
-def test_unknown_kind_names_the_known_ones(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = files(home)
+    assert main.run(["cache", "clean"]) == 0
+    assert "add --yes to remove" in capsys.readouterr().out
     assert main.run(["cache", "clean", "--what", "data", "--yes"]) == 1
     printed = capsys.readouterr().err
     assert all(kind in printed for kind in OURS) and "'data'" in printed
     assert files(home) == before
+    assert main.run(["cache", "clean", "--what", "xla", "--yes"]) == 0
+    assert before - files(home) == {"mine/xla/jit_step-0a1b-cache"}
 
 
 def test_link_is_removed_without_its_target(home: Path) -> None:

@@ -30,7 +30,7 @@ WELL = {
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path: Path, monkeypatch) -> Path:
     """A registry of eight teams and empty folders, on a machine whose JAX runs."""
     put(trained_teams(), tmp_path / "registry.json")
     for variable in ("CACHE", "DATA"):
@@ -43,7 +43,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, list[dict[str, Any]]]:
+def examined(capsys, code: int = 0) -> dict[str, list[dict[str, Any]]]:
     """Run `doctor --json`; return its findings by topic."""
     try:
         status = main.run(["doctor", "--json"])
@@ -58,10 +58,12 @@ def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, lis
     return topics
 
 
-def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sound_installation_has_nothing_broken(here: Path, capsys) -> None:
+    before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
     topics = examined(capsys)
-    assert topics.keys() >= {"python", "packages", "extras", "jax", "backend", "compilers"}
-    assert topics.keys() >= {"cache", "disk", "registry", "added", "remote"}
+    assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before
+    expected = "python packages extras jax backend compilers cache disk registry added remote"
+    assert topics.keys() >= {*expected.split()}
     assert topics["backend"][0]["details"] == {"auto": "fused"}
     registry = topics["registry"][0]["details"]
     assert (registry["roots"], registry["absent_shards"]) == (True, 0)
@@ -70,15 +72,7 @@ def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[s
     assert kinds == ["shards", "registries", "references", "xla", "fused"]
 
 
-def test_doctor_changes_nothing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
-    examined(capsys)
-    assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before
-
-
-def test_problems_come_first_and_end_with_1(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_problems_come_first_and_end_with_1(here: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(doctor, "_probe", lambda: {"jax": {"error": "no devices"}})
     with pytest.raises(SystemExit) as ended:
         main.run(["doctor"])
@@ -94,78 +88,56 @@ def test_problems_come_first_and_end_with_1(
     "cuda", "docs", "lerobot", "sb3", "wandb", "sign", "ray", "minari", "tensorboard"
 )
 @pytest.mark.parametrize("name", sorted(PROJECT["optional-dependencies"]))
-def test_missing_extra_names_its_installation(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_extra_names_its_installation(name: str, monkeypatch, capsys) -> None:
     package = re.match(r"[\w-]+", PROJECT["optional-dependencies"][name][-1])
     assert package is not None
-    version_of = requirements.version_of
+    lacks, version_of = package[0].lower(), requirements.version_of
+
+    def found(name: str) -> str | None:
+        return None if name.lower() == lacks else version_of(name)
+
     monkeypatch.setattr(requirements, "ELSEWHERE", ())  # the board always needs some of them
-    monkeypatch.setattr(
-        requirements,
-        "version_of",
-        lambda name: None if name.lower() == package[0].lower() else version_of(name),
-    )
-    missing = {
-        finding["details"]["extra"]: finding["text"]
-        for finding in examined(capsys)["extras"]
-        if finding["state"] == "advice"
-    }
+    monkeypatch.setattr(requirements, "version_of", found)
+    advice = [f for f in examined(capsys)["extras"] if f["state"] == "advice"]
+    missing = {finding["details"]["extra"]: finding["text"] for finding in advice}
     if name in doctor.NOT_ADVISED:
         assert name not in missing
     else:
         assert missing[name].endswith(f"pip install 'assistax-zoo[{name}]'")
-        assert package[0].lower() in missing[name].lower()
+        assert lacks in missing[name].lower()
 
 
-def test_a_package_that_is_too_old_is_broken(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_package_that_is_too_old_is_broken(monkeypatch, capsys) -> None:
     version_of = requirements.version_of
-    old = {"polars": "1.0.0", "mujoco-mjx": "3.16.0"}
+    old = {"polars": "1.0.0", "mujoco-mjx": "3.16.0", "uvicorn": "0.1"}
     for module in (requirements, doctor):
         monkeypatch.setattr(module, "version_of", lambda name: old.get(name) or version_of(name))
-    broken = [
-        finding["text"]
-        for finding in examined(capsys, 1)["packages"]
-        if finding["state"] == "broken"
-    ]
-    assert broken[0] == "mujoco-mjx 3.16.0; install it with: pip install 'mujoco-mjx>=3.17'"
-    assert broken[1] == "polars 1.0.0; install it with: pip install 'polars>=2'"
-    assert broken[2].endswith("mujoco-mjx 3.16.0 must be of the same minor release")
+    findings = examined(capsys, 1)["packages"]
+    broken = [finding["text"] for finding in findings if finding["state"] == "broken"]
+    assert "mujoco-mjx 3.16.0; install it with: pip install 'mujoco-mjx>=3.17'" in broken
+    assert "polars 1.0.0; install it with: pip install 'polars>=2'" in broken
+    assert any(text.startswith("uvicorn 0.1; install it with: pip install ") for text in broken)
+    assert broken[-1].endswith("mujoco-mjx 3.16.0 must be of the same minor release")
+    assert len(broken) == 4
 
 
-def test_an_old_package_of_the_board_is_broken(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    version_of = requirements.version_of
-    monkeypatch.setattr(
-        requirements, "version_of", lambda name: {"uvicorn": "0.1"}.get(name) or version_of(name)
-    )
-    texts = [finding["text"] for finding in examined(capsys, 1)["packages"]]
-    assert texts[0].startswith("uvicorn 0.1; install it with: pip install 'uvicorn>=")
-
-
-def test_uninstalled_checkout_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_uninstalled_checkout_is_named(monkeypatch, capsys) -> None:
     def unknown(name: str) -> None:
         raise PackageNotFoundError(name)
 
     for name in ("metadata", "requires"):
         monkeypatch.setattr(requirements, name, unknown)
-    topics = examined(capsys, 1)
-    assert "pip install -e ." in topics["packages"][0]["text"]
+    assert "pip install -e ." in examined(capsys, 1)["packages"][0]["text"]
 
 
-def test_changed_registry_is_broken(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_changed_registry_is_broken(here: Path, capsys) -> None:
     path = here / "registry.json"
     path.write_text(path.read_text().replace("950.5", "951.5", 1))
     assert "expected root" in examined(capsys, 1)["registry"][0]["text"]
 
 
 @pytest.mark.slow
-def test_changed_added_zoo_is_broken(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_changed_added_zoo_is_broken(here: Path, capsys) -> None:
     shutil.copytree(here / "zoo", here / "lab/zoo")
     shutil.copy(here / "registry.json", here / "lab/registry.json")
     assert main.run(["add", str(here / "lab"), "--as", "lab"]) == 0
@@ -179,9 +151,7 @@ def test_changed_added_zoo_is_broken(here: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.slow
-def test_a_remote_matters_where_shards_are_missing(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_remote_matters_where_shards_are_missing(here: Path, monkeypatch, capsys) -> None:
     assert examined(capsys)["remote"][0]["state"] == "ok"
     shutil.move(here / "zoo", here / "elsewhere")
     remote = examined(capsys, 1)["remote"][0]
@@ -192,9 +162,7 @@ def test_a_remote_matters_where_shards_are_missing(
     assert examined(capsys)["remote"][0]["details"]["answers"] is True
 
 
-def test_a_remote_that_hangs_is_left(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_remote_that_hangs_is_left(monkeypatch, capsys) -> None:
     import socket
 
     monkeypatch.setattr(doctor, "REMOTE_SECONDS", 0.3)
@@ -205,9 +173,7 @@ def test_a_remote_that_hangs_is_left(
     assert remote["state"] == "advice" and "no answer within" in remote["text"]
 
 
-def test_unwritable_folder_names_its_variable(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unwritable_folder_names_its_variable(here: Path, monkeypatch, capsys) -> None:
     (here / "cache").write_text("a file in the place of a folder")
     [broken] = [finding for finding in examined(capsys, 1)["disk"] if finding["state"] == "broken"]
     assert "$ASSISTAX_ZOO_CACHE" in broken["text"]
@@ -215,58 +181,40 @@ def test_unwritable_folder_names_its_variable(
 
 @pytest.mark.parametrize(("free", "state", "code"), [(10**9, "advice", 0), (10**7, "broken", 1)])
 def test_a_disk_with_little_room_is_named(
-    free: int,
-    state: str,
-    code: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    free: int, state: str, code: int, monkeypatch, capsys
 ) -> None:
     usage = type("Usage", (), {"free": free})
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: usage)
     assert {finding["state"] for finding in examined(capsys, code)["disk"]} == {state}
 
 
-def test_programs_that_others_may_write_are_broken(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = compiled.folder()
-    folder.mkdir(parents=True)
-    folder.chmod(0o777)
-    compilers = examined(capsys, 1)["compilers"]
-    assert "XDG_CACHE_HOME" in compilers[0]["text"]
+def test_programs_that_others_may_write_are_broken(here: Path, capsys) -> None:
+    compiled.folder().mkdir(parents=True)
+    compiled.folder().chmod(0o777)
+    assert "XDG_CACHE_HOME" in examined(capsys, 1)["compilers"][0]["text"]
 
 
 @pytest.mark.parametrize(
-    ("variable", "value", "words"),
-    [
-        ("JAX_PLATFORMS", "nothing", "JAX_PLATFORMS=nothing"),
-        ("XLA_FLAGS", "--xla_of_no_kind=1", "xla_of_no_kind"),
-    ],
+    ("variable", "value"), [("JAX_PLATFORMS", "nothing"), ("XLA_FLAGS", "--xla_of_no_kind=1")]
 )
-def test_a_jax_that_does_not_start_is_one_line(
-    variable: str,
-    value: str,
-    words: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_jax_that_does_not_start_is_one_line(variable: str, value: str, monkeypatch) -> None:
     """XLA ends the process: not this one."""
     monkeypatch.undo()
     monkeypatch.setenv(variable, value)
     # The machine's part alone, whose process is a real one here.
-    findings = list(doctor._machine())
-    assert [(finding.topic, finding.state) for finding in findings] == [("jax", "broken")]
-    assert words in findings[0].text
+    [finding] = doctor._machine()
+    assert (finding.topic, finding.state) == ("jax", "broken")
+    assert value.strip("-=1") in finding.text
 
 
-def test_a_driver_that_hangs_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_hangs_is_left(monkeypatch) -> None:
     monkeypatch.undo()
     monkeypatch.setattr(doctor, "PROBE_SECONDS", 0.01)
     [finding] = doctor._machine()
     assert finding.state == "broken" and finding.text.startswith("JAX did not start within 0 s")
 
 
-def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compilers_really_compile(monkeypatch) -> None:
     """Planted: a compiler whose program gives another number."""
     from assistax_envs.physics.fused.runtime import toolchain
     from assistax_zoo.shell.probe import PARTS
@@ -274,17 +222,13 @@ def test_compilers_really_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     assert PARTS["clang"]() < 60
     compile_cpp = toolchain.compile_cpp
     monkeypatch.setattr(
-        toolchain,
-        "compile_cpp",
-        lambda text, *rest: compile_cpp(text.replace("42", "41"), *rest),
+        toolchain, "compile_cpp", lambda text, *rest: compile_cpp(text.replace("42", "41"), *rest)
     )
     with pytest.raises(RuntimeError, match="another number"):
         PARTS["clang"]()
 
 
-def test_a_gpu_that_jax_does_not_use_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_gpu_that_jax_does_not_use_is_named(monkeypatch, capsys) -> None:
     # The device's file of a GPU that this machine lacks.
     monkeypatch.setattr(doctor, "_GPU", Path("/proc/self/status"))
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
@@ -292,9 +236,7 @@ def test_a_gpu_that_jax_does_not_use_is_named(
     assert finding["state"] == "advice" and "assistax-zoo[cuda12]" in finding["text"]
 
 
-def test_no_secret_is_printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_secret_is_printed(monkeypatch, capsys) -> None:
     for name in ("ASSISTAX_ZOO_TOKEN", "HF_TOKEN"):
         monkeypatch.setenv(name, "azt_secret")
     examined(capsys)
@@ -303,31 +245,20 @@ def test_no_secret_is_printed(
     assert os.environ["HF_TOKEN"] == "azt_secret"
 
 
-def separately(monkeypatch: pytest.MonkeyPatch, **variables: str) -> None:
-    """Let `doctor` start its real probe, in a process with these variables."""
-    monkeypatch.setattr(doctor, "_probe", PROBE)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("variable", "value", "topic", "text"),
     [
         ("MUJOCO_GL", "nonsense", "backend", r"MUJOCO_GL is 'nonsense'.*; set it to egl or osmesa"),
         ("JAX_PLATFORMS", "nonsense", "jax", r"no device of JAX_PLATFORMS=nonsense.*; unset"),
-        (*("JAX_HIGH_DYNAMIC_RANGE_GUMBEL", "1"), "settings", r"do not run under it; unset it"),
+        ("JAX_HIGH_DYNAMIC_RANGE_GUMBEL", "1", "settings", r"do not run under it; unset it"),
     ],
 )
 def test_a_wrong_variable_is_one_clear_line(
-    variable: str,
-    value: str,
-    topic: str,
-    text: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    variable: str, value: str, topic: str, text: str, monkeypatch, capsys
 ) -> None:
-    separately(monkeypatch, **{variable: value})
+    monkeypatch.setattr(doctor, "_probe", PROBE)
+    monkeypatch.setenv(variable, value)
     topics = examined(capsys, 1)
     broken = [f["text"] for found in topics.values() for f in found if f["state"] == "broken"]
     assert len(broken) == 1 and broken[0] == topics[topic][0]["text"]
@@ -335,29 +266,18 @@ def test_a_wrong_variable_is_one_clear_line(
 
 
 @pytest.mark.slow
-def test_settings_are_named_with_what_they_matter(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    separately(monkeypatch, JAX_ENABLE_X64="1", JAX_OPTIMIZATION_LEVEL="O1")
+def test_settings_are_named_with_what_they_matter(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(doctor, "_probe", PROBE)
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    monkeypatch.setenv("JAX_OPTIMIZATION_LEVEL", "O1")
     found = {f["details"]["name"]: f for f in examined(capsys)["settings"]}
     assert "our programs run without it" in found["jax_enable_x64"]["text"]
     assert "manifests name it" in found["jax_optimization_level"]["text"]
     assert {f["state"] for f in found.values()} == {"ok"}
 
 
-def test_no_gpu_is_told_without_an_assertion(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = "JAX has no device of JAX_PLATFORMS=cuda; unset JAX_PLATFORMS"
-    monkeypatch.setattr(doctor, "_probe", lambda: {"jax": {"error": words}})
-    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    assert examined(capsys, 1)["jax"][0]["text"] == words
-
-
 @pytest.mark.parametrize("remote", ["https://127.0.0.1:9/zoo", "hf://org/name"])
-def test_a_proxy_of_another_protocol_names_its_package(
-    remote: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_proxy_of_another_protocol_names_its_package(remote: str, monkeypatch, capsys) -> None:
     from huggingface_hub.utils import close_session
 
     monkeypatch.setitem(sys.modules, "socksio", None)

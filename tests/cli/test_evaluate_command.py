@@ -20,6 +20,7 @@ from zoo.saving import dump_registry
 
 STEPS = 20
 FIGURE = {"mean", "iqm", "iqm_ci", "n"}
+SCRATCH = ("--task", "scratch", "--backend", "native")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def registry(published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def registry(published: Path, tmp_path: Path, monkeypatch) -> Path:
     """A copy of the registry to spoil, and episodes of few steps."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", STEPS)
     return Path(shutil.copytree(published.parent, tmp_path / "zoo")) / "registry.json"
@@ -46,7 +47,7 @@ def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-
     return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
 
 
-def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
+def failure(capfd, code: int) -> str:
     """Return the one line of an error."""
     printed = capfd.readouterr()
     assert code == 1
@@ -56,24 +57,12 @@ def failure(capfd: pytest.CaptureFixture[str], code: int) -> str:
     return printed.err
 
 
-def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureFixture[str]):
+def test_json_is_the_object_of_the_design(registry: Path, capfd):
     assert evaluate(registry, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
-    expected = {
-        *(
-            "task",
-            "split",
-            "m_test",
-            "m_train",
-            "gap",
-            "by_algorithm",
-            "by_disability",
-            "worst_partner",
-            "episodes",
-        ),
-        *("nonfinite", "env_steps_per_second", "release", "env_version", "backend"),
-    }
-    assert expected <= set(summary)
+    expected = "task split m_test m_train gap by_algorithm by_disability worst_partner episodes"
+    expected += " nonfinite env_steps_per_second release env_version backend"
+    assert {*expected.split()} <= set(summary)
     assert set(summary["m_test"]) >= FIGURE
     assert summary["m_test"]["n"] == 3  # of four, one is the robot's own human
     assert summary["m_train"] is None
@@ -83,19 +72,13 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd: pytest.CaptureF
 
 
 @pytest.mark.slow
-def test_both_sides_give_the_gap_and_keep_the_tables(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: Path, capfd):
     assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
     printed = capfd.readouterr().out
-    assert all(
-        word in printed
-        for word in ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
-    )
-    printed = printed.replace("\n", " ")
-    assert (
-        "not new to it, left out of the figures, kept in the tables: scratch/ippo-d1-s0" in printed
-    )
+    words = ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
+    assert all(word in printed for word in words)
+    note = "not new to it, left out of the figures, kept in the tables: scratch/ippo-d1-s0"
+    assert note in printed.replace("\n", " ")
     table = pl.read_parquet(tmp_path / "out" / "episodes.parquet")
     assert table.height == 16
     assert sorted(table["side"].unique()) == ["test", "train"]
@@ -105,47 +88,28 @@ def test_both_sides_give_the_gap_and_keep_the_tables(
 
 @pytest.mark.slow
 def test_references_and_a_crossplay_put_returns_on_a_scale(
-    registry: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    registry: Path, tmp_path: Path, monkeypatch, capfd
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    words = ["--task", "scratch", "--episodes", 1, "--backend", "native", "--registry", registry]
-    for i in (2, 1, 2):
-        assert (
-            call(
-                "crossplay", *words, "--out", tmp_path / "xp", *(["--share", f"{i}/2"] if i else [])
-            )
-            == 0
-        )
-    assert call("crossplay", *words, "--out", tmp_path / "xp", "--json") == 0
+    crossplay = ["--episodes", 1, "--registry", registry, "--out", tmp_path / "xp"]
+    for share in (["--share", "2/2"], ["--share", "1/2"], ["--share", "2/2"], ["--json"]):
+        assert call("crossplay", *SCRATCH, *crossplay, *share) == 0
     capfd.readouterr()
     options = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
     assert evaluate(registry, *options, "--json") == 0
     result = json.loads(capfd.readouterr().out)
-    assert set(result["references"]) == {
-        "zero_action",
-        "uniform_random",
-        "self_play",
-        "best_response",
-        "script",
-        "passive_human",
-        "script_with_passive_human",
-    }
+    players = "zero_action uniform_random self_play best_response script passive_human"
+    assert set(result["references"]) == {*players.split(), "script_with_passive_human"}
     assert [figure["n"] for figure in result["references"].values()] == [3] * 5 + [1] * 2
-    assert (
-        result["references"]["best_response"]["mean"] >= result["references"]["self_play"]["mean"]
-    )
+    means = {name: figure["mean"] for name, figure in result["references"].items()}
+    assert means["best_response"] >= means["self_play"]
     assert sum(result["relative"]["bounds"]["best"].values()) == 3
-    bounds = pl.read_parquet(tmp_path / "out" / "bounds.parquet")
-    assert bounds.height == 4
+    assert pl.read_parquet(tmp_path / "out" / "bounds.parquet").height == 4
     assert pl.read_parquet(tmp_path / "out" / "references.parquet").height == (4 * 4 + 2) * 2
     # zero, random and the script; self-play; the robot and the script with the passive human
     assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 3
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["command"].startswith(
-        "assistax-zoo evaluate"
-    )
+    run_of = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run_of["command"].startswith("assistax-zoo evaluate")
     assert evaluate(registry, *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
     printed = capfd.readouterr()
     assert "zero action" in printed.out
@@ -153,9 +117,7 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
 
 
 @pytest.mark.slow
-def test_robot_of_unknown_code_needs_replace(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_robot_of_unknown_code_needs_replace(registry: Path, tmp_path: Path, capfd):
     code, policy = tmp_path / "mine.py", f"python:{tmp_path / 'mine.py'}:make"
     text = "import numpy as np\ndef make():\n    return lambda obs: np.{}((len(obs), 7))\n"
     code.write_text(text.format("zeros"))
@@ -174,41 +136,21 @@ def test_robot_of_unknown_code_needs_replace(
     assert call("verify", tmp_path / "out") == 0
 
 
-def test_a_share_does_not_replace_the_others(tmp_path: Path, capfd: Any):
-    words = ["--task", "scratch", "--out", tmp_path, "--share", "1/2", "--replace"]
-    assert "parts of the other shares" in failure(capfd, call("crossplay", *words))
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        *((["--share", share], "expected i/n with i from 1 to n") for share in ("0/2", "3/2", "a")),
+        (["--share", "1/2", "--replace"], "parts of the other shares"),
+    ],
+)
+def test_a_wrong_share_is_refused(registry: Path, tmp_path: Path, words, message: str, capfd):
+    out = ["--registry", registry, "--out", tmp_path / "x"]
+    assert message in failure(capfd, call("crossplay", *SCRATCH, *out, *words))
 
 
-@pytest.mark.parametrize("share", ["0/2", "3/2", "1", "a/b"])
-def test_a_share_is_one_of_n(
-    registry: Path, tmp_path: Path, share: str, capfd: pytest.CaptureFixture[str]
-):
-    code = call(
-        "crossplay",
-        "--task",
-        "scratch",
-        "--registry",
-        registry,
-        "--out",
-        tmp_path / "x",
-        "--share",
-        share,
-    )
-    assert "expected i/n with i from 1 to n" in failure(capfd, code)
-
-
-def test_several_policies_are_seeds_of_one_method(
-    registry: Path, capfd: pytest.CaptureFixture[str]
-):
-    words = [
-        "--policy",
-        "zoo:scratch/ippo-d1-s1-v0/robot",
-        "--partners",
-        "scratch/ippo-d9-*",
-        "--split",
-        "test",
-    ]
-    assert evaluate(registry, *words, "--json") == 0
+def test_several_policies_are_seeds_of_one_method(registry: Path, capfd):
+    words = ["--policy", "zoo:scratch/ippo-d1-s1-v0/robot", "--partners", "scratch/ippo-d9-*"]
+    assert evaluate(registry, *words, "--split", "test", "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     assert len(summary["egos"]) == 2
     assert list(summary["by_disability"]) == ["d9"]
@@ -216,73 +158,34 @@ def test_several_policies_are_seeds_of_one_method(
 
 
 @pytest.mark.slow
-def test_crossplay_diagonal_is_self_play(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_crossplay_diagonal_is_self_play(registry: Path, tmp_path: Path, capfd):
     """Two teams of each setting; self-play is what `evaluate` gives for a robot's own human."""
     out, teams = tmp_path / "xp", "scratch/ippo-d?-s[01]-v0"
-    words = ["--task", "scratch", "--episodes", 2, "--backend", "native", "--registry", registry]
-    globs = ["--egos", f"{teams}/robot", "--partners", f"{teams}/human"]
-    assert call("crossplay", *words, *globs, "--out", out, "--json") == 0
+    words = [*SCRATCH, "--episodes", 2, "--registry", registry, "--out", out]
+    words += ["--egos", f"{teams}/robot", "--partners", f"{teams}/human"]
+    assert call("crossplay", *words, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     assert set(summary["self_play"]) >= FIGURE
     assert (summary["egos"], summary["partners"], summary["episodes"]) == (4, 4, 32)
-    for name in (
-        "episodes.parquet",
-        "pairs.parquet",
-        "order.json",
-        "summary.json",
-        "crossplay.png",
-    ):
-        assert (out / name).stat().st_size > 0
+    tables = ["episodes.parquet", "pairs.parquet", "order.json", "summary.json", "crossplay.png"]
+    assert all((out / name).stat().st_size > 0 for name in tables)
     pairs = pl.read_parquet(out / "pairs.parquet")
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
     assert own["return"].mean() == pytest.approx(summary["self_play"]["mean"])
-    assert sorted(json.loads((out / "order.json").read_text())["teams"]["order"]) == sorted(
-        own["ego_team"]
-    )
+    order = json.loads((out / "order.json").read_text())["teams"]["order"]
+    assert sorted(order) == sorted(own["ego_team"])
     team = "scratch/ippo-d9-s1-v0"
-    assert (
-        evaluate(
-            registry,
-            *("--partners", f"{team}/human", "--split", "both", "--include-own", "--json"),
-            policy=f"zoo:{team}/robot",
-        )
-        == 0
-    )
-    alone = json.loads(capfd.readouterr().out)["worst_partner"]["mean"]
-    assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(alone, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_a_finished_crossplay_is_summarised_again_without_running(
-    registry: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
-    words = [
-        "--task",
-        "scratch",
-        "--episodes",
-        1,
-        "--backend",
-        "native",
-        "--registry",
-        registry,
-        "--out",
-        tmp_path / "x",
-    ]
-    globs = ["--egos", "scratch/ippo-d1-s[01]-*", "--partners", "scratch/ippo-d1-s[01]-*"]
-    assert call("crossplay", *words, *globs) == 0
-    before = (tmp_path / "x" / "episodes.parquet").stat().st_mtime_ns
-    assert call("crossplay", *words, *globs) == 0
+    alone = ["--partners", f"{team}/human", "--split", "both", "--include-own", "--json"]
+    assert evaluate(registry, *alone, policy=f"zoo:{team}/robot") == 0
+    mean = json.loads(capfd.readouterr().out)["worst_partner"]["mean"]
+    assert own.filter(pl.col("ego_team") == team)["return"].item() == pytest.approx(mean, rel=1e-6)
+    before = (out / "episodes.parquet").stat().st_mtime_ns
+    assert call("crossplay", *words) == 0
     assert "found finished" in capfd.readouterr().out
-    assert (tmp_path / "x" / "episodes.parquet").stat().st_mtime_ns == before
-    assert call("crossplay", *words[:3], 3, *words[4:], *globs) == 1
-    assert "holds another job (episodes 1 there, 3 here)" in capfd.readouterr().err
+    assert (out / "episodes.parquet").stat().st_mtime_ns == before
 
 
-def test_a_robot_in_plain_numpy(
-    registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
-):
+def test_a_robot_in_plain_numpy(registry: Path, tmp_path: Path, monkeypatch, capfd):
     (tmp_path / "numpy_robot_of_a_test.py").write_text(
         "import numpy as np\n"
         "def zero():\n    return lambda obs: np.zeros((len(obs), 7))\n"
@@ -292,23 +195,20 @@ def test_a_robot_in_plain_numpy(
     monkeypatch.setattr(sys, "path", [*sys.path])
     assert evaluate(registry, "--json", policy="python:numpy_robot_of_a_test:zero") == 0
     assert json.loads(capfd.readouterr().out)["egos"] == ["python:numpy_robot_of_a_test:zero"]
-    code = evaluate(registry, policy="python:numpy_robot_of_a_test:wrong")
-    message = failure(capfd, code)
+    message = failure(capfd, evaluate(registry, policy="python:numpy_robot_of_a_test:wrong"))
     assert "zeros it returned float64 of shape (2, 6); expected floats of shape (2, 7)" in message
     assert "the robot of task scratch reads observations [N, 34] and gives actions" in message
 
 
-def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, capfd: Any):
-    write_policy_file(tmp_path / "mine.safetensors", ROBOT, params_of(ROBOT, 1))
-    assert evaluate(registry, "--json", policy=tmp_path / "mine.safetensors") == 0
+def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, capfd):
+    mine, other = tmp_path / "mine.safetensors", tmp_path / "other.safetensors"
+    write_policy_file(mine, ROBOT, params_of(ROBOT, 1))
+    assert evaluate(registry, "--json", policy=mine) == 0
     capfd.readouterr()
-    other = PolicySpec("robot", observation_size=47, action_size=7, hidden=(8,))
-    write_policy_file(tmp_path / "other.safetensors", other, params_of(other, 1))
-    message = failure(capfd, evaluate(registry, policy=tmp_path / "other.safetensors"))
-    assert (
-        "other.safetensors reads observations of 47 numbers; the robot of task scratch has 34"
-        in message
-    )
+    spec = PolicySpec("robot", observation_size=47, action_size=7, hidden=(8,))
+    write_policy_file(other, spec, params_of(spec, 1))
+    expected = "other.safetensors reads observations of 47 numbers; the robot of task scratch has"
+    assert expected in failure(capfd, evaluate(registry, policy=other))
 
 
 @pytest.mark.parametrize(
@@ -330,31 +230,14 @@ def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, 
         (["--policy", "robot.py:make"], "did you mean python:robot.py:make?"),
         (["--policy", "bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
         (["--policy", "robot.onnx"], "there is no file robot.onnx"),
+        (["--policy", "python:never_imported:f", "--out", "/dev/null/x"], "choose another folder"),
     ],
 )
-def test_bad_input_gets_one_clear_line(
-    registry: Path, words: list[str], message: str, capfd: pytest.CaptureFixture[str]
-):
+def test_bad_input_gets_one_clear_line(registry: Path, words: list[str], message: str, capfd):
     assert message in failure(capfd, evaluate(registry, *words))
 
 
-def test_corrupted_shard_names_both_hashes(registry: Path, capfd: pytest.CaptureFixture[str]):
-    shard = next((registry.parent / "zoo").rglob("*human*.safetensors"))
-    data = bytearray(shard.read_bytes())
-    expected = json.loads(registry.read_text())["shards"][
-        shard.relative_to(registry.parent).as_posix()
-    ]["sha256"]
-    data[-5] ^= 1
-    shard.chmod(0o644)
-    shard.write_bytes(bytes(data))
-    message = failure(capfd, evaluate(registry))
-    assert expected in message
-    assert shard.name in message
-
-
-def test_a_release_of_another_environment_version_is_refused(
-    registry: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_a_release_of_another_environment_version_is_refused(registry: Path, capfd):
     text = registry.read_text()
     changed = text.replace('"environments": {"scratch": 1}', '"environments": {"scratch": 2}')
     assert changed != text
@@ -364,19 +247,16 @@ def test_a_release_of_another_environment_version_is_refused(
     assert "release v0, trained on version 2" in message
 
 
-def test_unwritable_output_folder_is_refused_first(registry: Path, tmp_path: Path, capfd: Any):
-    (tmp_path / "file").write_text("in the way")
-    message = failure(
-        capfd,
-        evaluate(registry, "--out", tmp_path / "file" / "out", policy="python:never_imported:f"),
+def run_apart(published: Path, folder: Path, code: str, *words: str, **variables: str) -> Any:
+    """Evaluate a robot of a registry in a process of its own."""
+    evaluation = ["evaluate", "--task", "scratch", "--policy", "scratch/ippo-d9-s2-v0/robot"]
+    return subprocess.run(
+        [sys.executable, "-c", code, *evaluation, "--registry", str(published), *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **variables},
+        capture_output=True,
+        text=True,
     )
-    assert "cannot write to" in message
-    assert "choose another folder" in message
-
-
-def test_a_missing_task_is_wrong_usage(capfd: pytest.CaptureFixture[str]):
-    assert call("evaluate", "--policy", "zoo:x") == 2
-    assert "--task" in capfd.readouterr().err
 
 
 @pytest.mark.slow
@@ -388,25 +268,9 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
         "from assistax_zoo.shell.main import run\n"
         "sys.exit(run(sys.argv[1:]))\n"
     )
-    words = [
-        "evaluate",
-        "--task",
-        "scratch",
-        "--policy",
-        "zoo:scratch/ippo-d9-s2-v0/robot",
-        "--episodes",
-        "1",
-    ]
-    words += ["--registry", str(published), "--backend", "native", "--json"]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(root)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    words = ["--episodes", "1", "--backend", "native", "--json"]
+    done = run_apart(published, tmp_path, code, *words)
+    assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["episodes"] == 3
 
 
@@ -415,21 +279,9 @@ def test_standard_output_of_a_process_is_one_json_object(published: Path, tmp_pa
 def test_missing_devices_get_one_line(
     published: Path, tmp_path: Path, platform: str, backend: str
 ) -> None:
-    words = ["evaluate", "--task", "scratch", "--policy", "scratch/ippo-d9-s2-v0/robot"]
-    words += ["--registry", str(published), "--backend", backend]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(
-        [sys.executable, "-m", "assistax_zoo", *words],
-        cwd=tmp_path,
-        env={
-            **os.environ,
-            "PYTHONPATH": str(root),
-            "JAX_PLATFORMS": platform,
-            "CUDA_VISIBLE_DEVICES": "",
-        },
-        capture_output=True,
-        text=True,
-    )
+    code = "from assistax_zoo.__main__ import start; import sys; sys.exit(start())"
+    variables = {"JAX_PLATFORMS": platform, "CUDA_VISIBLE_DEVICES": ""}
+    done = run_apart(published, tmp_path, code, "--backend", backend, **variables)
     [line] = [line for line in done.stderr.splitlines() if not line.startswith("WARNING")]
     assert done.returncode == 1
     assert line.startswith(f"error: JAX has no device of JAX_PLATFORMS={platform}")

@@ -1,7 +1,6 @@
 """export, show --card, verify --deep."""
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,75 +18,40 @@ ROOT = Path(__file__).parents[2]
 TEAM = "scratch/ippo-d1-s0-v1"
 
 
-@pytest.fixture
-def zoo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Path:
-    """A published registry, named by the environment variable."""
-    path = tmp_path / "zoo" / "registry.json"
-    monkeypatch.setenv("ASSISTAX_ZOO_REGISTRY", str(path))
-    assert (
-        run(
-            ["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--date", "2027-01-31"]
-        )
-        == 0
-    )
-    capsys.readouterr()
-    return path
+def export(name: str, kind: str, out: Path) -> tuple[str, ...]:
+    return ("export", name, "--format", kind, "--out", str(out))
 
 
 def test_the_same_export_again_writes_nothing(zoo: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "robot.safetensors"
-    words = ("export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))
+    words = export(f"{FIRST}/robot", "safetensors", out)
     assert answer(capsys, *words)["written"] is True
     before = out.stat().st_mtime_ns
     assert answer(capsys, *words)["written"] is False and out.stat().st_mtime_ns == before
-    words = ("export", f"{FIRST}/human", *words[2:])
-    assert "--force" in refusal(capsys, *words)
+    for other in (("human", "safetensors"), ("robot", "torch")):
+        assert "--force" in refusal(capsys, *export(f"{FIRST}/{other[0]}", other[1], out))
+        assert out.stat().st_mtime_ns == before
 
 
 def test_export_to_safetensors_and_torch(zoo: Path, tmp_path: Path, capsys) -> None:
-    out = tmp_path / "robot.safetensors"
-    done = answer(capsys, "export", f"{FIRST}/robot", "--format", "safetensors", "--out", str(out))
+    out, torch = tmp_path / "robot.safetensors", tmp_path / "torch.safetensors"
+    done = answer(capsys, *export(f"{FIRST}/robot", "safetensors", out))
     read = read_policy_file(out)
     assert done["bytes"] == out.stat().st_size and read.metadata["id"] == f"{FIRST}/robot"
     assert read.params["Dense_0"]["kernel"].shape == (5, 4) and read.metadata["disability"] == "d1"
-    assert "--force" in refusal(
-        capsys, "export", f"{FIRST}/robot", "--format", "torch", "--out", str(out)
-    )
-    assert read_policy_file(out).metadata == read.metadata
-    assert (
-        run(["export", str(out), "--format", "torch", "--out", str(tmp_path / "torch.safetensors")])
-        == 0
-    )
-    assert run(["export", f"{FIRST}/robot", "--format", "torch", "--out", str(out), "--force"]) == 0
-    assert (
-        out.read_bytes() == (tmp_path / "torch.safetensors").read_bytes()
-    )  # the file knows its origin
+    assert run([*export(str(out), "torch", torch)]) == 0
+    assert run([*export(f"{FIRST}/robot", "torch", out), "--force"]) == 0
+    assert out.read_bytes() == torch.read_bytes()  # the file knows its origin
     capsys.readouterr()
-    assert f"{FIRST}/robot" in refusal(
-        capsys, "export", FIRST, "--format", "torch", "--out", str(tmp_path / "x")
-    )
-    refusal(
-        capsys,
-        "export",
-        f"{FIRST}/robot",
-        "--format",
-        "pickle",
-        "--out",
-        str(tmp_path / "x"),
-        code=2,
-    )
+    assert f"{FIRST}/robot" in refusal(capsys, *export(FIRST, "torch", tmp_path / "x"))
+    refusal(capsys, *export(f"{FIRST}/robot", "pickle", tmp_path / "x"), code=2)
 
 
 def test_exported_onnx_robot_runs(zoo: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("onnx")
     onnxruntime = pytest.importorskip("onnxruntime")
     out = tmp_path / "robot.onnx"
-    assert (
-        answer(capsys, "export", f"{FIRST}/robot", "--format", "onnx", "--out", str(out))["format"]
-        == "onnx"
-    )
+    assert answer(capsys, *export(f"{FIRST}/robot", "onnx", out))["format"] == "onnx"
     session = onnxruntime.InferenceSession(str(out), providers=["CPUExecutionProvider"])
     assert session.run(["action"], {"obs": np.zeros((3, 5), np.float32)})[0].shape == (3, 2)
 
@@ -96,23 +60,23 @@ def test_export_without_onnx_names_the_extra(
     zoo: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)
-    words = ("export", f"{FIRST}/robot", "--format", "onnx", "--out", str(tmp_path / "x"))
-    assert "pip install 'assistax-zoo[export]'" in refusal(capsys, *words)
+    message = refusal(capsys, *export(f"{FIRST}/robot", "onnx", tmp_path / "x"))
+    assert "pip install 'assistax-zoo[export]'" in message
     assert not (tmp_path / "x").exists()
 
 
 def test_a_card_is_written_with_its_picture(zoo: Path, tmp_path: Path, capsys) -> None:
-    (tmp_path / "cards").mkdir()
     (tmp_path / "robot.png").write_bytes(b"")
     card = tmp_path / "cards" / "README.md"
-    assert run(["show", FIRST, "--card", str(card), "--image", str(tmp_path / "robot.png")]) == 0
+    card.parent.mkdir()
+    image = ("--image", str(tmp_path / "robot.png"))
+    assert run(["show", FIRST, "--card", str(card), *image]) == 0
     capsys.readouterr()
     text = card.read_text()
     assert f"![{FIRST}](<../robot.png>)" in text and f"export {FIRST}/human" in text
-    assert "no picture at" in refusal(
-        capsys, "show", FIRST, "--card", str(card), "--image", "none.png"
-    )
-    assert "--card" in refusal(capsys, "show", FIRST, "--image", str(tmp_path / "robot.png"))
+    absent = ("--image", "none.png")
+    assert "no picture at" in refusal(capsys, "show", FIRST, "--card", str(card), *absent)
+    assert "--card" in refusal(capsys, "show", FIRST, *image)
 
 
 def test_card_has_m_test_of_its_robot(zoo: Path, tmp_path: Path, capsys) -> None:
@@ -130,10 +94,8 @@ def test_card_has_m_test_of_its_robot(zoo: Path, tmp_path: Path, capsys) -> None
 def test_robot_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
     """As docs/publish.md says."""
     mine = tmp_path / "my-zoo"
-    assert (
-        run(["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)])
-        == 0
-    )
+    words = ["publish", str(write_run(tmp_path / "run")), "--release", "v0", "--to", str(mine)]
+    assert run(words) == 0
     registry = ("--registry", str(mine / "registry.json"))
     assert run(["show", FIRST, *registry, "--card", str(mine / "cards" / "first.md")]) == 0
     card = (mine / "cards" / "first.md").read_text()
@@ -143,20 +105,14 @@ def test_robot_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
     assert answer(capsys, "verify", *registry)["ok"] is True
 
 
-def test_a_pattern_without_deep_is_refused(zoo: Path, capsys) -> None:
-    assert "add --deep" in refusal(capsys, "verify", "scratch/*")
-    assert "add --deep" in refusal(capsys, "verify", "--release", "v0")
-
-
 def test_deep_names_policies_that_do_not_fit_the_environment(zoo: Path, capsys) -> None:
     with pytest.raises(SystemExit, match="1"):
         run(["verify", FIRST, "--deep", "--json"])
     report = json.loads(capsys.readouterr().out)
-    assert (
-        report["ok"] is False
-        and report["problems"] == []
-        and "reads observations of 5 numbers" in report["deep"]["problems"][0]
-    )
+    assert report["ok"] is False and report["problems"] == []
+    assert "reads observations of 5 numbers" in report["deep"]["problems"][0]
+    for words in (["scratch/*"], ["--release", "v0"]):
+        assert "add --deep" in refusal(capsys, "verify", *words)
 
 
 def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeypatch) -> None:
@@ -173,35 +129,22 @@ def test_split_verify_reports_partners_that_act_alike(zoo: Path, capsys, monkeyp
 def test_split_create_names_the_twins_that_it_leaves_out(zoo: Path, capsys, monkeypatch) -> None:
     twin = Pair("scratch/ippo-d1-s2-v0", "scratch/ippo-d9-s0-v0", 0.01)
     monkeypatch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [twin])
-    assert (
-        run(
-            [
-                "split",
-                "create",
-                "--task",
-                "scratch",
-                "--rule",
-                "leave-one-disability-out",
-                "--held-out",
-                "d9",
-            ]
-        )
-        == 0
-    )
+    words = "split create --task scratch --rule leave-one-disability-out --held-out d9"
+    assert run(words.split()) == 0
     assert f"as a test partner does: {twin.train}\n" in capsys.readouterr().out
 
 
 def test_looking_at_policies_imports_nothing_heavy(zoo: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys\nfrom assistax_zoo.shell.main import run\n"
-        f"for words in (['list'], ['verify'], ['show', {FIRST!r}, '--card', "
-        f"{str(tmp_path / 'c.md')!r}]): assert run(words) == "
-        "0\nprint(sorted({'jax', 'mujoco', 'flax', 'matplotlib', 'polars', 'scipy'} & "
-        "set(sys.modules)))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
+    code = f"""
+import sys
+from assistax_zoo.shell.main import run
+card = ["show", {FIRST!r}, "--card", {str(tmp_path / "c.md")!r}]
+for words in (["list"], ["verify"], ["show", {FIRST!r}], ["split", "list"], card):
+    assert run(words) == 0
+print(sorted({{"jax", "mujoco", "flax", "matplotlib", "polars", "scipy"}} & set(sys.modules)))
+"""
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -210,11 +153,8 @@ def test_deep_replays_a_published_team(capsys, monkeypatch) -> None:
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     assert run(["verify", TEAM, "--deep", "--episodes", "1"]) == 0
     out = capsys.readouterr().out
-    assert (
-        "mujoco 3." in out
-        and f"ok      {TEAM}" in out
-        and "replayed 1 team of 1 episode on native" in out
-    )
+    assert "mujoco 3." in out and f"ok      {TEAM}" in out
+    assert "replayed 1 team of 1 episode on native" in out
 
 
 @pytest.mark.slow
@@ -222,32 +162,19 @@ def test_onnx_robot_earns_its_originals_return(tmp_path: Path, capsys, monkeypat
     pytest.importorskip("onnxruntime")
     monkeypatch.delenv("ASSISTAX_ZOO_REGISTRY", raising=False)
     robot = tmp_path / "robot.onnx"
-    assert run(["export", f"{TEAM}/robot", "--format", "onnx", "--out", str(robot)]) == 0
+    assert run([*export(f"{TEAM}/robot", "onnx", robot)]) == 0
     capsys.readouterr()
-    shutil.rmtree(tmp_path / "out", ignore_errors=True)
-    common = (
-        "--task",
-        "scratch",
-        "--partners",
-        f"{TEAM}/human",
-        "--episodes",
-        "2",
-        "--include-own",
-    )
-    means = [
-        answer(capsys, "evaluate", *common, "--policy", policy, "--out", str(tmp_path / name))
-        for name, policy in (("ours", f"zoo:{TEAM}/robot"), ("onnx", f"onnx:{robot}"))
-    ]
-    ours, theirs = (
-        next(figures[side]["mean"] for side in ("m_train", "m_test") if figures[side])
-        for figures in means
-    )
+    words = ("evaluate", "--task", "scratch", "--partners", f"{TEAM}/human", "--episodes", "2")
+    means = []
+    for name, policy in (("ours", f"zoo:{TEAM}/robot"), ("onnx", f"onnx:{robot}")):
+        out = ("--include-own", "--policy", policy, "--out", str(tmp_path / name))
+        figures = answer(capsys, *words, *out)
+        means.append((figures["m_train"] or figures["m_test"])["mean"])
+    ours, theirs = means
     assert theirs == pytest.approx(ours, rel=0.02)
 
 
-def test_a_remotes_name_commands_no_terminal(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_remotes_name_commands_no_terminal(monkeypatch, capfd) -> None:
     monkeypatch.setenv("ASSISTAX_ZOO_REMOTE", "hf://a\x1b]0;owned\x07/b")
     assert run(["config", "remote"]) == 0
     assert capfd.readouterr().out == "hf://a ]0;owned /b\n"

@@ -13,31 +13,12 @@ import pytest
 from assistax_zoo.shell.interrupts import CONTINUED
 
 ROOT = Path(__file__).parents[2]
-EVALUATE = [
-    "evaluate",
-    "--task",
-    "scratch",
-    "--policy",
-    "zoo:scratch/ippo-d1-s0-v1/robot",
-    "--backend",
-    "native",
-]
-TRAIN = ["train", "--task", "scratch", "--steps", "2M", "--num-envs", "64", "--backend", "native"]
-CROSSPLAY = ["crossplay", "--task", "scratch", "--episodes", "8", "--backend", "native"]
-RENDER = [
-    "render",
-    "--task",
-    "scratch",
-    "--robot",
-    "random",
-    "--human",
-    "zoo:scratch/ippo-d1-s0-v1/human",
-]
+TEAM = "zoo:scratch/ippo-d1-s0-v1"
 COMMANDS = {
-    "evaluate": [*EVALUATE, "--episodes", "200", "--no-references", "--out"],
-    "crossplay": [*CROSSPLAY, "--out"],
-    "train": [*TRAIN, "--out"],
-    "render": [*RENDER, "--out"],
+    "evaluate": f"--policy {TEAM}/robot --backend native --episodes 200 --no-references",
+    "crossplay": "--episodes 8 --backend native",
+    "train": "--steps 2M --num-envs 64 --backend native",
+    "render": f"--robot random --human {TEAM}/human",
 }
 # From the key press to the end of the process: what two cores compute in two seconds, since a
 # machine may be busy with other things, and how long it may take on such a machine.
@@ -85,7 +66,8 @@ def last_line(command: str) -> str:
 
 def interrupt(command: str, seconds: float, folder: Path) -> None:
     name = "film.gif" if command == "render" else "out"
-    with begin([*COMMANDS[command], str(folder / name)], folder) as process:
+    words = [command, "--task", "scratch", *COMMANDS[command].split(), "--out"]
+    with begin([*words, str(folder / name)], folder) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         others = computed_by_children()
         time.sleep(seconds)
@@ -162,25 +144,36 @@ def test_a_function_raises_and_leaves_the_interpreter_alive(tmp_path: Path) -> N
     assert done.stdout == "interrupted\n" * 2 + "3 0\n"
 
 
+TERMINAL = """
+import atexit, enum, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+"""
+
+
+def interrupted_with_one_line(program: str, *arguments: str) -> None:
+    words = [sys.executable, "-c", TERMINAL + program, *arguments]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+
+
 def test_ctrl_c_while_jax_is_loaded_is_one_line() -> None:
     """Its C++ makes an enumeration in Python, and would abort at an exception from there."""
-    program = """
-import enum, os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+    interrupted_with_one_line("""
 from assistax_zoo.shell.interrupts import ended_by_interrupts
 
-def press(frame, event, argument):
+def profile(frame, event, argument):
     caller = frame.f_back and frame.f_back.f_code.co_name
     if frame.f_code.co_filename == enum.__file__ and caller == "_call_with_frames_removed":
         sys.setprofile(None)
-        os.kill(os.getpid(), signal.SIGINT)
+        press()
 
 with ended_by_interrupts():
-    sys.setprofile(press)
+    sys.setprofile(profile)
     import jax
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+""")
 
 
 LAST_MOMENTS = {
@@ -201,12 +194,7 @@ work = lambda: Lost() and None
 def test_ctrl_c_in_the_last_moments_is_one_line(moment: str) -> None:
     """The work is done, the answer printed, and the interpreter on its way out."""
     program = """
-import atexit, os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
 from assistax_zoo.shell import main
-
-def press():
-    os.kill(os.getpid(), signal.SIGINT)
 
 ended = main.ended_by_interrupts
 
@@ -223,24 +211,18 @@ main.build_app = lambda: type("App", (), {{"__call__": lambda *words, **options:
 main._complete_help = lambda app, arguments: None
 sys.exit(main.run())
 """
-    words = [sys.executable, "-c", program.format(moment=LAST_MOMENTS[moment])]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+    interrupted_with_one_line(program.format(moment=LAST_MOMENTS[moment]))
 
 
 def test_ctrl_c_during_import_is_one_line() -> None:
-    press = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-
+    program = """
 class Press:
     def find_spec(self, name, path=None, target=None):
         if name == "assistax_zoo.shell.main":
-            os.kill(os.getpid(), signal.SIGINT)
+            press()
 
 sys.meta_path.insert(0, Press())
 from assistax_zoo.__main__ import start
 sys.exit(start())
 """
-    done = subprocess.run([sys.executable, "-c", press, "list"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+    interrupted_with_one_line(program, "list")

@@ -1,10 +1,8 @@
-"""Each command that reads something kept is given another job's, and says so.
-
-`python -m tests.cli.test_kept` writes the table of docs/reliability.md anew from what they say.
-"""
+"""Each command that reads something kept is given another job's, and says what the table says."""
 
 import contextlib
 import csv
+import functools
 import io
 import shutil
 import tempfile
@@ -26,6 +24,9 @@ from zoo.registry import load_registry
 
 TABLE = Path(__file__).parents[2] / "docs" / "tables" / "kept.csv"
 ROBOTS = "scratch/ippo-d1-s*-v0/robot"
+EVALUATE = ("evaluate", "--task", "scratch", "--policy", f"zoo:{ROBOTS}", "--split", "both")
+EVALUATE += ("--episodes", "2", "--include-own", "--backend", "native")
+CROSSPLAY = ("crossplay", "--task", "scratch", "--episodes", "2", "--backend", "native")
 TINY = ("--num-envs", "4", "--set", "rollout_steps=2", "--set", "minibatches=1")
 TINY += ("--set", "hidden=(4, 4)", "--backend", "native")
 STEPS = {"train": ("--disability", "d1", "--self-play-episodes", "0"), "train-ego": ()}
@@ -39,27 +40,24 @@ class Home:
         self.mine = small_zoo(folder / "mine")
         self.other = published(halved(teams_of(2, ROBOT, HUMAN)), folder / "other")
 
-    def play(self, out: str, *more: str, zoo: Path | None = None, robots: str = ROBOTS) -> Path:
+    def play(self, out: str, *more: str, zoo: Path | None = None) -> Path:
         """Evaluate robots of a zoo, unless that was done before."""
-        words = ["evaluate", "--task", "scratch", "--policy", f"zoo:{robots}", "--split", "both"]
-        words += ["--episodes", "2", "--include-own", "--backend", "native", *more]
-        return self._made(words, out, zoo)
+        return self._made([*EVALUATE, *more], out, zoo)
 
     def crossplay(self, out: str, *more: str, zoo: Path | None = None) -> Path:
         """Play all robots of a zoo with all humans, unless that was done before."""
-        words = ["crossplay", "--task", "scratch", "--episodes", "2", "--backend", "native", *more]
-        return self._made(words, out, zoo)
+        return self._made([*CROSSPLAY, *more], out, zoo)
 
     def train(self, kind: str, out: str, *more: str, zoo: Path | None = None) -> Path:
         """Train teams or robots, unless that was done before."""
         words = [kind, "--task", "scratch", *STEPS[kind], *TINY, "--steps", "8", *more]
         return self._made(words, out, zoo if kind == "train-ego" else False)
 
-    def copy(self, source: Path, *parts: str) -> Path:
+    def copy(self, source: Path) -> Path:
         """Return a copy of a folder, under a name of its own."""
         place = Path(tempfile.mkdtemp(dir=self.folder)) / source.name
         shutil.copytree(source, place)
-        return place.joinpath(*parts)
+        return place
 
     def _made(self, words: list[str], out: str, zoo: Any) -> Path:
         place = self.folder / out
@@ -82,247 +80,139 @@ def said_by(words: list[str]) -> str | None:
     return None if code == 0 else " ".join(lines) or out.getvalue()
 
 
-Case = tuple[str, str, Callable[[Home], list[str]], str]  # reads, given, words, what it says
-CASES: dict[str, Case] = {}
+CASES: dict[tuple[str, str, str], Callable[[Home], list[str]]] = {}
 
 
-def case(name: str, reads: str, given: str, says: str) -> Callable[..., Any]:
-    """Register a case: the words of a command, and the expected message."""
+def case(command: str, reads: str, given: str, **arguments: Any) -> Callable[..., None]:
+    """Register the words of a row of the table, as a function and its arguments."""
 
-    def note(words: Callable[[Home], list[str]]) -> Callable[[Home], list[str]]:
-        CASES[f"{name}: {reads}, {given}"] = (name, f"{reads}|{given}", words, says)
-        return words
+    def register(words: Callable[..., list[str]]) -> None:
+        CASES[command, reads, given] = functools.partial(words, **arguments)
 
-    return note
-
-
-def with_parts(home: Home, theirs: Path) -> Path:
-    """Return an unfinished cross-play beside whose part another's lies."""
-    place = home.copy(home.crossplay("half", "--share", "1/2", "--max-envs", "4"))
-    shutil.copytree(theirs / PARTS_FOLDER, place / PARTS_FOLDER, dirs_exist_ok=True)
-    return place
+    return register
 
 
-def merge(home: Home, place: Path, *more: str) -> list[str]:
-    words = ["crossplay", "--task", "scratch", "--episodes", "2", "--backend", "native", *more]
-    return [*words, "--max-envs", "4", "--registry", str(home.mine), "--out", str(place)]
+def again(home: Home, place: Path, *more: str, references: bool = False) -> list[str]:
+    """Return the words of the evaluation that `Home.play` makes, into another folder."""
+    words = [*EVALUATE, *more] if more or references else [*EVALUATE, "--no-references"]
+    return [*words, "--registry", str(home.mine), "--out", str(place)]
 
 
-@case("evaluate", "a finished folder", "of another seed", "holds another job (seed 1 there, 0 here")
+@case("evaluate", "a finished folder", "of another seed")
 def _(home: Home) -> list[str]:
     return again(home, home.copy(home.play("seed", "--seed", "1", "--no-references")))
 
 
-@case(
-    "evaluate", "a finished folder", "of a registry of equal ids", "holds another job (other egos"
-)
+@case("evaluate", "a finished folder", "of a registry of equal ids")
 def _(home: Home) -> list[str]:
     return again(home, home.copy(home.play("theirs", "--no-references", zoo=home.other)))
 
 
-def again(home: Home, place: Path, *more: str) -> list[str]:
-    """Return the words of the evaluation that `Home.play` makes, into another folder."""
-    words = ["evaluate", "--task", "scratch", "--policy", f"zoo:{ROBOTS}", "--split", "both"]
-    words += ["--episodes", "2", "--include-own", "--backend", "native", *more]
-    words += [] if "--crossplay" in more or "--references" in more else ["--no-references"]
-    words = [word for word in words if word != "--references"]
-    return [*words, "--registry", str(home.mine), "--out", str(place)]
-
-
-@case(
-    "evaluate",
-    "a cross-play's best responses",
-    "of a registry of equal ids",
-    "digest of partner scratch/ippo-d1-s0-v0/human is",
-)
+@case("evaluate", "a cross-play's best responses", "of a registry of equal ids")
 def _(home: Home) -> list[str]:
-    return again(
-        home, home.folder / "responses", "--crossplay", str(home.crossplay("xp2", zoo=home.other))
-    )
+    theirs = home.crossplay("xp2", zoo=home.other)
+    return again(home, home.folder / "responses", "--crossplay", str(theirs))
 
 
-@case("evaluate", "a cross-play's best responses", "of drawn actions", "stochastic is true in")
+@case("evaluate", "a cross-play's best responses", "of drawn actions")
 def _(home: Home) -> list[str]:
     drawn = home.crossplay("drawn", "--stochastic")
     return again(home, home.folder / "responses2", "--crossplay", str(drawn))
 
 
-@case(
-    "crossplay",
-    "parts of shares",
-    "of another seed",
-    "other policies, settings or versions played them",
-)
-def _(home: Home) -> list[str]:
-    half = ("--seed", "1", "--share", "1/2", "--max-envs", "4")
-    return merge(home, with_parts(home, home.crossplay("half-seed", *half)))
-
-
-@case(
-    "crossplay",
-    "parts of shares",
-    "of a registry of equal ids",
-    "other policies, settings or versions played them",
-)
-def _(home: Home) -> list[str]:
+def merged(
+    home: Home, other: str, options: tuple[str, ...] = (), theirs: bool = False
+) -> list[str]:
+    """Return the words that go on with a cross-play beside whose part another's lies."""
     half = ("--share", "1/2", "--max-envs", "4")
-    return merge(home, with_parts(home, home.crossplay("half-other", *half, zoo=home.other)))
+    seed = () if theirs else ("--seed", "1")
+    parts = home.crossplay(other, *seed, *half, zoo=home.other if theirs else None) / PARTS_FOLDER
+    place = home.copy(home.crossplay("half", *half))
+    shutil.copytree(parts, place / PARTS_FOLDER, dirs_exist_ok=True)
+    words = [*CROSSPLAY, *options, "--max-envs", "4", "--registry", str(home.mine)]
+    return [*words, "--out", str(place)]
 
 
-@case(
-    "crossplay --share",
-    "parts of shares",
-    "of another seed",
-    "other policies, settings or versions played them",
-)
-def _(home: Home) -> list[str]:
-    half = ("--seed", "1", "--share", "1/2", "--max-envs", "4")
-    return merge(home, with_parts(home, home.crossplay("half-seed", *half)), "--share", "2/2")
+PARTS = "parts of shares"
+case("crossplay", PARTS, "of another seed", other="half-seed")(merged)
+case("crossplay", PARTS, "of a registry of equal ids", other="half-other", theirs=True)(merged)
+share = ("--share", "2/2")
+case("crossplay --share", PARTS, "of another seed", other="half-seed", options=share)(merged)
 
 
-@case("compare", "two evaluations", "of registries of equal ids", "digest of partner")
-def _(home: Home) -> list[str]:
-    return ["compare", *both(home, "theirs", zoo=home.other)]
-
-
-@case("compare", "two evaluations", "one of drawn actions", "stochastic is")
-def _(home: Home) -> list[str]:
-    return ["compare", *both(home, "drawn-one", "--stochastic")]
-
-
-@case("compare", "two evaluations", "of other seeds", "seed is")
-def _(home: Home) -> list[str]:
-    return ["compare", *both(home, "seed", "--seed", "1")]
-
-
-@case("plot zsc", "two evaluations", "of registries of equal ids", "digest of partner")
-def _(home: Home) -> list[str]:
-    figure = ["--out", str(home.folder / "figure.png")]
-    return ["plot", "zsc", *both(home, "theirs", zoo=home.other), *figure]
-
-
-@case("plot profile", "two evaluations", "one of drawn actions", "stochastic is")
-def _(home: Home) -> list[str]:
-    figure = ["--out", str(home.folder / "figure.png")]
-    return ["plot", "profile", *both(home, "drawn-one", "--stochastic"), *figure]
-
-
-@case("plot disability", "two evaluations", "of other seeds", "seed is")
-def _(home: Home) -> list[str]:
-    figure = ["--out", str(home.folder / "figure.png")]
-    return ["plot", "disability", *both(home, "seed", "--seed", "1"), *figure]
-
-
-def both(home: Home, other: str, *more: str, zoo: Path | None = None) -> list[str]:
+def both(home: Home, given: str) -> list[str]:
+    """Return the folders of an evaluation, and of one that was played otherwise."""
     first = home.play("own", "--no-references")
-    return [str(first), str(home.play(other, "--no-references", *more, zoo=zoo))]
+    if given == "of registries of equal ids":
+        return [str(first), str(home.play("theirs", "--no-references", zoo=home.other))]
+    if given == "one of drawn actions":
+        return [str(first), str(home.play("drawn-one", "--no-references", "--stochastic"))]
+    return [str(first), str(home.play("seed", "--no-references", "--seed", "1"))]
 
 
-@case("report", "a league's rows", "one of another seed", "seed is")
+def compared(home: Home, words: list[str], other: str) -> list[str]:
+    figure = [] if words == ["compare"] else ["--out", str(home.folder / "figure.png")]
+    return [*words, *both(home, other), *figure]
+
+
+for command, given in (
+    ("compare", "of registries of equal ids"),
+    ("compare", "one of drawn actions"),
+    ("compare", "of other seeds"),
+    ("plot zsc", "of registries of equal ids"),
+    ("plot profile", "one of drawn actions"),
+    ("plot disability", "of other seeds"),
+):
+    case(command, "two evaluations", given, words=command.split(), other=given)(compared)
+
+
+@case("report", "a league's rows", "one of another seed")
 def _(home: Home) -> list[str]:
     league = Path(tempfile.mkdtemp(dir=home.folder))
-    for row, place in zip(("ppo", "gru"), both(home, "seed", "--seed", "1"), strict=True):
+    for row, place in zip(("ppo", "gru"), both(home, "of other seeds"), strict=True):
         shutil.copytree(place, league / row)
     return ["report", str(league), "--out", str(home.folder / "page.html")]
 
 
-def with_their_pairs(home: Home) -> Path:
-    """Return a cross-play whose table of pairs is another folder's."""
+def with_their_pairs(home: Home, words: list[str]) -> list[str]:
+    """Give a command a cross-play whose table of pairs is another folder's."""
     place = home.copy(home.crossplay("xp"))
     shutil.copy(home.crossplay("xp2", zoo=home.other) / tables.PAIRS_FILE, place)
-    return place
+    out = {"report": "page.html", "plot": "figure.png"}.get(words[0])
+    return [*words, str(place), *(["--out", str(home.folder / out)] if out else [])]
 
 
-@case("report", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
-def _(home: Home) -> list[str]:
-    place = with_their_pairs(home)
-    return ["report", str(place), "--out", str(home.folder / "page.html")]
+for command in ("report", "plot crossplay", "strategies"):
+    words = command.split()
+    case(command, "a folder's table", "of another folder", words=words)(with_their_pairs)
 
 
-@case("plot crossplay", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
-def _(home: Home) -> list[str]:
-    place = with_their_pairs(home)
-    return ["plot", "crossplay", str(place), "--out", str(home.folder / "figure.png")]
-
-
-@case("strategies", "a folder's table", "of another folder", "pairs.parquet: expected sha256")
-def _(home: Home) -> list[str]:
-    place = with_their_pairs(home)
-    return ["strategies", str(place)]
-
-
-@case("report --watch", "a registry", "of equal ids", "is not the one that played")
-def _(home: Home) -> list[str]:
+def with_their_registry(home: Home, words: list[str]) -> list[str]:
     place = home.play("own", "--no-references")
-    page = ["--out", str(home.folder / "page.html"), "--watch"]
-    return ["report", str(place), *page, "--registry", str(home.other)]
+    page = ["--out", str(home.folder / "page.html")] if words[0] == "report" else []
+    return [words[0], str(place), *page, *words[1:], "--registry", str(home.other)]
 
 
-@case("verify", "a registry", "of equal ids", "is not what the figures are of")
-def _(home: Home) -> list[str]:
-    return ["verify", str(home.play("own", "--no-references")), "--registry", str(home.other)]
+for command in ("report --watch", "verify", "replay"):
+    case(command, "a registry", "of equal ids", words=command.split())(with_their_registry)
 
 
-@case("replay", "a registry", "of equal ids", "is not the one that played")
-def _(home: Home) -> list[str]:
-    return ["replay", str(home.play("own", "--no-references")), "--registry", str(home.other)]
-
-
-@case(
-    "replay",
-    "a cross-play's best responses",
-    "of a registry of equal ids",
-    "is not the one that played",
-)
+@case("replay", "a cross-play's best responses", "of a registry of equal ids")
 def _(home: Home) -> list[str]:
     place = home.play("with-responses", "--crossplay", str(home.crossplay("xp")))
     theirs = home.crossplay("xp2", zoo=home.other)
     return ["replay", str(place), "--crossplay", str(theirs), "--registry", str(home.mine)]
 
 
-@case(
-    "split create",
-    "conventions",
-    "of a registry of equal ids",
-    "was played with other partners than this registry's",
-)
-def _(home: Home) -> list[str]:
+def with_their_crossplay(home: Home, option: str) -> list[str]:
     theirs = str(home.crossplay("xp2", zoo=home.other))
     words = ["split", "create", "--task", "scratch", "--rule", "three-sides"]
-    return [*words, "--conventions", theirs, "--registry", str(home.mine)]
+    return [*words, option, theirs, "--registry", str(home.mine)]
 
 
-@case(
-    "split create",
-    "best responses",
-    "of a registry of equal ids",
-    "was played with other partners than this registry's",
-)
-def _(home: Home) -> list[str]:
-    theirs = str(home.crossplay("xp2", zoo=home.other))
-    words = ["split", "create", "--task", "scratch", "--rule", "three-sides"]
-    return [*words, "--best-responses", theirs, "--registry", str(home.mine)]
-
-
-@case(
-    "train-ego",
-    "a finished run",
-    "of a registry of equal ids",
-    "its partners have other parameters or settings",
-)
-def _(home: Home) -> list[str]:
-    return more_training(home, "train-ego", home.copy(home.train("train-ego", "ego")), home.other)
-
-
-@case(
-    "train-ego",
-    "a finished run",
-    "of another seed",
-    "holds a run with another configuration: members is",
-)
-def _(home: Home) -> list[str]:
-    place = home.copy(home.train("train-ego", "ego"))
-    return [*more_training(home, "train-ego", place, home.mine), "--seeds", "5-6"]
+for reads in ("conventions", "best responses"):
+    option = f"--{reads.replace(' ', '-')}"
+    case("split create", reads, "of a registry of equal ids", option=option)(with_their_crossplay)
 
 
 def more_training(home: Home, kind: str, place: Path, zoo: Path | None = None) -> list[str]:
@@ -330,16 +220,15 @@ def more_training(home: Home, kind: str, place: Path, zoo: Path | None = None) -
     return [*words, "--steps", "8", "--registry", str(zoo)] if zoo else words
 
 
-@case(
-    "train", "checkpoints", "of another seed", "is of another run than the folder's configuration"
-)
+@case("train-ego", "a finished run", "of a registry of equal ids")
 def _(home: Home) -> list[str]:
-    return longer(home, "checkpoints")
+    return more_training(home, "train-ego", home.copy(home.train("train-ego", "ego")), home.other)
 
 
-@case("train", "metrics", "of another seed", "is of another run than config.json beside it")
+@case("train-ego", "a finished run", "of another seed")
 def _(home: Home) -> list[str]:
-    return longer(home, "metrics.parquet")
+    place = home.copy(home.train("train-ego", "ego"))
+    return [*more_training(home, "train-ego", place, home.mine), "--seeds", "5-6"]
 
 
 STEADY = ("--set", "anneal_lr=false", "--set", "anneal_entropy=false")  # such a run can go on
@@ -357,7 +246,11 @@ def longer(home: Home, name: str) -> list[str]:
     return [*more_training(home, "train", place), *STEADY, "--steps", "16"]
 
 
-@case("publish", "parameters of a run", "of another run", "another run's in robot.safetensors")
+case("train", "checkpoints", "of another seed", name="checkpoints")(longer)
+case("train", "metrics", "of another seed", name="metrics.parquet")(longer)
+
+
+@case("publish", "parameters of a run", "of another run")
 def _(home: Home) -> list[str]:
     place = home.copy(home.train("train", "plain"))
     shutil.copy(home.train("train", "plain-of-5", "--seeds", "5-5") / "robot.safetensors", place)
@@ -365,7 +258,7 @@ def _(home: Home) -> list[str]:
     return ["publish", str(place), "--release", "v1", "--registry", new]
 
 
-@case("publish", "the split of a run", "of another split", "split of the run")
+@case("publish", "the split of a run", "of another split")
 def _(home: Home) -> list[str]:
     place = home.copy(home.train("train-ego", "ego"))
     split = load_registry(home.mine).splits[0]
@@ -377,18 +270,15 @@ def _(home: Home) -> list[str]:
     return ["publish", str(place), "--release", "v1", "--registry", out]
 
 
-@case("evaluate", "kept references", "of another job", "are of another job; remove that folder")
+@case("evaluate", "kept references", "of another job")
 def _(home: Home) -> list[str]:
     home.play("referred")
     kept = sorted((cache_root() / "references").iterdir(), key=lambda path: path.stat().st_mtime)
-    for place, source in zip(kept, reversed(home_copies(home, kept)), strict=True):
+    copies = [home.copy(place) for place in kept]
+    for place, source in zip(kept, reversed(copies), strict=True):
         shutil.rmtree(place)
         shutil.copytree(source, place)
-    return again(home, home.folder / "referring", "--references")
-
-
-def home_copies(home: Home, places: list[Path]) -> list[Path]:
-    return [home.copy(place) for place in places]
+    return again(home, home.folder / "referring", references=True)
 
 
 @pytest.fixture(scope="module")
@@ -409,25 +299,18 @@ def prepared(folder: Path) -> Generator[Home]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(CASES))
-def test_a_command_notices_another_job(home: Home, name: str) -> None:
-    _, _, words, says = CASES[name]
-    said = said_by(words(home))
+@pytest.mark.parametrize("row", list(CASES), ids=", ".join)
+def test_a_command_notices_another_job(home: Home, row: tuple[str, str, str]) -> None:
+    said = said_by(CASES[row](home))
     assert said is not None, "another job was taken without a word"
-    assert says in said, said
+    assert read_table()[row] in said, said
 
 
-def rows() -> list[list[str]]:
-    """Return the table's rows: command, input, its replacement, the message."""
-    return [[name, *what.split("|"), says] for name, what, _, says in CASES.values()]
-
-
-def test_the_table_of_the_docs_is_what_is_tested() -> None:
+def read_table() -> dict[tuple[str, ...], str]:
+    """Return the messages of the table by command, input and its replacement."""
     with TABLE.open(newline="", encoding="utf-8") as file:
-        assert list(csv.reader(file)) == [["command", "reads", "given", "says"], *rows()]
+        return {tuple(row): message for *row, message in list(csv.reader(file))[1:]}
 
 
-if __name__ == "__main__":
-    with TABLE.open("w", newline="", encoding="utf-8") as table:
-        lines = csv.writer(table, lineterminator="\n")
-        lines.writerows([["command", "reads", "given", "says"], *rows()])
+def test_every_row_of_the_table_is_tested() -> None:
+    assert set(read_table()) == set(CASES)

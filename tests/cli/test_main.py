@@ -23,7 +23,7 @@ ALL_COMMANDS = [tuple(name.split(".")) for name in main.all_commands()]
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], None]:
+def fake(monkeypatch) -> Callable[[Callable[[], None]], None]:
     """Make `assistax-zoo fake` run a function."""
 
     def install(work: Callable[[], None]) -> None:
@@ -46,47 +46,32 @@ def raises(error: BaseException) -> Callable[[], None]:
     return work
 
 
-def test_a_command_that_ends_well_exits_0(
-    fake: Callable, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fake(lambda: print("done"))
-    assert main.run(["fake"]) == 0
-    assert capsys.readouterr() == ("done\n", "")
+OF_THE_ZOO = ZooError(
+    "unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list"
+)
 
 
 @pytest.mark.parametrize(
-    ("error", "message"),
+    ("error", "code", "message"),
     [
-        (
-            ValueError("--episodes is 0; 1 or more is needed"),
-            "error: --episodes is 0; 1 or more is needed\n",
-        ),
-        (TypeError("a list is needed"), "error: a list is needed\n"),
-        (OSError("the folder is full"), "error: the folder is full\n"),
-        (PermissionError(13, "Permission denied", "/out"), "error: Permission denied: /out\n"),
+        (ValueError("--episodes is 0; 1 or more is needed"), 1, None),
+        (TypeError("a list is needed"), 1, None),
+        (OSError("the folder is full"), 1, None),
+        (OF_THE_ZOO, 1, None),
+        (PermissionError(13, "Permission denied", "/out"), 1, "Permission denied: /out"),
+        (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
 def test_an_expected_error_is_its_message(
-    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, message: str
+    fake: Callable, capsys, error: BaseException, code: int, message: str | None
 ) -> None:
     fake(raises(error))
-    assert main.run(["fake"]) == 1
-    assert capsys.readouterr() == ("", message)
-
-
-def test_an_error_of_the_zoo_is_its_message(
-    fake: Callable, capsys: pytest.CaptureFixture[str]
-) -> None:
-    error = ZooError(
-        "unknown policy", expected="an id", found="x", done="nothing was done", next_step="run list"
-    )
-    fake(raises(error))
-    assert main.run(["fake"]) == 1
-    assert capsys.readouterr() == ("", f"error: {error}\n")
+    assert main.run(["fake"]) == code
+    assert capsys.readouterr() == ("", f"error: {message or error}\n")
 
 
 def test_an_unexpected_error_is_named_without_a_traceback(
-    fake: Callable, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    fake: Callable, capsys, monkeypatch
 ) -> None:
     monkeypatch.delenv(main.DEBUG_VARIABLE, raising=False)
     fake(raises(RuntimeError("a shape is wrong\nframes\nof the compiler")))
@@ -94,6 +79,9 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     first, second = capsys.readouterr().err.splitlines()
     assert first == "error: RuntimeError: a shape is wrong"
     assert "ASSISTAX_ZOO_DEBUG=1" in second
+    monkeypatch.setenv(main.DEBUG_VARIABLE, "1")
+    with pytest.raises(RuntimeError, match="a shape is wrong"):
+        main.run(["fake"])
 
 
 @pytest.mark.parametrize(
@@ -101,27 +89,17 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     [
         (MemoryError(), ""),
         (MemoryError("table.parquet was not read"), " (table.parquet was not read)"),
-        (
-            RuntimeError("RESOURCE_EXHAUSTED: out of memory\nframes"),
-            " (RESOURCE_EXHAUSTED: out of ",
-        ),
+        (RuntimeError("RESOURCE_EXHAUSTED: out of memory\nf"), " (RESOURCE_EXHAUSTED: out of "),
         (OSError(12, "Cannot allocate memory", "/out"), " ([Errno 12] Cannot allocate memory"),
     ],
 )
 def test_too_little_memory_is_expected(
-    fake: Callable, capsys: pytest.CaptureFixture[str], error: Exception, reason: str
+    fake: Callable, capsys, error: Exception, reason: str
 ) -> None:
     fake(raises(error))
     assert main.run(["fake"]) == 1
     text = "error: this process may take no more memory, or start no more threads; see `ulimit -a`"
     assert capsys.readouterr().err.startswith(f"{text}{reason}")
-
-
-def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(main.DEBUG_VARIABLE, "1")
-    fake(raises(ValueError("bad")))
-    with pytest.raises(ValueError, match="bad"):
-        main.run(["fake"])
 
 
 @pytest.mark.parametrize(
@@ -134,21 +112,13 @@ def test_debugging_raises_the_error(fake: Callable, monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_wrong_usage_exits_2(
-    fake: Callable, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str, hint: str
+    fake: Callable, capsys, arguments: list[str], words: str, hint: str
 ) -> None:
     fake(lambda: None)
     assert main.run(arguments) == 2
     out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("error: ")
-    assert words in err
+    assert out == "" and err.startswith("error: ") and words in err
     assert err.splitlines()[-1] == hint
-
-
-def test_an_interrupt_exits_130(fake: Callable, capsys: pytest.CaptureFixture[str]) -> None:
-    fake(raises(KeyboardInterrupt()))
-    assert main.run(["fake"]) == 130
-    assert capsys.readouterr() == ("", "error: interrupted\n")
 
 
 def test_a_reader_that_leaves_is_no_error() -> None:
@@ -162,8 +132,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
+        assert process.stdout is not None and process.stderr is not None
         assert process.stdout.readline() == "0\n"
         process.stdout.close()
         assert process.stderr.read() == ""
@@ -177,31 +146,20 @@ def test_a_closed_standard_output_is_told() -> None:
     assert done.stderr.startswith("error: standard output is closed; direct it to a file")
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.run(["--help"]) == 0
-    lines = [line.strip("│ ").split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
-    summaries = {words[0]: words[1:] for words in lines if words}
-    assert summaries.keys() >= FIRST_WORDS
-    assert all(summaries[name] for name in FIRST_WORDS)
-
-
-def test_help_groups_commands_by_what_somebody_came_for(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_help_groups_all_commands_by_audience(capsys) -> None:
     assert main.run(["--help"]) == 0
     boxes = re.findall(r"╭─ ([\w ,]+) ─+╮\n(.*?)╰─", capsys.readouterr().out, re.DOTALL)
     assert [title for title, _ in boxes] == list(main.AUDIENCES)  # none left for "Commands"
     for title, box in boxes:
-        words = {line.strip("│ ").split()[0] for line in box.splitlines()}
-        assert set(main.AUDIENCES[title].split()) <= words, title
+        lines = [line.strip("│ ").split(maxsplit=1) for line in box.splitlines()]
+        summaries = {words[0]: words[1:] for words in lines}
+        assert all(summaries[name] for name in main.AUDIENCES[title].split()), title
     named = [word for names in main.AUDIENCES.values() for word in names.split()]
     assert len(named) == len(set(named)) and set(named) >= FIRST_WORDS
 
 
 @pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)
-def test_help_of_a_command_ends_with_an_example(
-    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_of_a_command_ends_with_an_example(command: tuple[str, ...], capsys) -> None:
     assert main.run([*command, "--help"]) == 0
     usage, _, rest = capsys.readouterr().out.partition("\n")
     assert usage.startswith(f"Usage: assistax-zoo {' '.join(command)}")
@@ -209,10 +167,7 @@ def test_help_of_a_command_ends_with_an_example(
 
 
 def test_a_distribution_without_its_package_fails_its_own_commands_alone(
-    fake: Callable,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    fake: Callable, tmp_path: Path, monkeypatch, capsys
 ) -> None:
     about = tmp_path / "assistax_zoo_board-0.1.0.dist-info"  # stands before the installed one
     about.mkdir()
@@ -236,7 +191,7 @@ def test_a_distribution_without_its_package_fails_its_own_commands_alone(
 
 @pytest.mark.parametrize("name", ["evaluate", "plot.zsc", "plot"])
 def test_a_package_cannot_replace_a_command(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], name: str
+    install_package: Callable[..., None], capsys, name: str
 ) -> None:
     group = extensions.HEADS if name in main.GROUPS else extensions.COMMANDS
     install_package(group, name, "textwrap:dedent")
@@ -246,7 +201,7 @@ def test_a_package_cannot_replace_a_command(
 
 
 def test_a_broken_command_names_its_package(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    install_package: Callable[..., None], capsys, tmp_path: Path
 ) -> None:
     (tmp_path / "outside_commands.py").write_text("import no_such_module\n")
     install_package(extensions.COMMANDS, "plot.forces", "outside_commands:forces")
@@ -260,7 +215,7 @@ def test_a_broken_command_names_its_package(
 
 
 def test_a_package_adds_a_figure_command(
-    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    install_package: Callable[..., None], capsys, tmp_path: Path
 ) -> None:
     (tmp_path / "outside_figures.py").write_text("def forces(): print('drawn')\n")
     install_package(extensions.COMMANDS, "plot.forces", "outside_figures:forces")
@@ -268,14 +223,7 @@ def test_a_package_adds_a_figure_command(
     assert capsys.readouterr().out == "drawn\n"
 
 
-def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.run(["--version"]) == 0
-    assert capsys.readouterr().out.strip()
-
-
-def test_the_compilation_cache_is_set_but_never_overridden(
-    fake: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_compilation_cache_is_set_but_never_overridden(fake: Callable, monkeypatch) -> None:
     fake(lambda: None)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/mine")
     main.run(["fake"])
@@ -286,64 +234,28 @@ def test_the_compilation_cache_is_set_but_never_overridden(
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "/caches/assistax-zoo/xla"
 
 
-def test_print_json_prints_one_document(capsys: pytest.CaptureFixture[str]) -> None:
-    value = {
-        "mean": np.float32(1.5),
-        "ci": np.array([0, 1]),
-        "none": float("nan"),
-        "path": Path("a"),
-        1: ("é", {2, 1}),
-    }
-    console.print_json(value)
+def test_print_json_prints_one_document(capsys) -> None:
+    value = {"ci": np.array([0, 1]), "none": float("nan"), "path": Path("a"), 1: ("é", {2, 1})}
+    console.print_json({"mean": np.float32(1.5), **value})
     out = capsys.readouterr().out
-    assert json.loads(out) == {
-        "mean": 1.5,
-        "ci": [0, 1],
-        "none": None,
-        "path": "a",
-        "1": ["é", [1, 2]],
-    }
+    expected = {"ci": [0, 1], "none": None, "path": "a", "1": ["é", [1, 2]]}
+    assert json.loads(out) == {"mean": 1.5, **expected}
     assert "NaN" not in out
 
 
-def test_noise_goes_to_standard_error_while_stdout_is_data(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    with console.stdout_is_data():
+def test_noise_goes_to_standard_error_while_stdout_is_data(capfd) -> None:
+    with pytest.raises(ValueError, match="bad"), console.stdout_is_data():
         print("from Python")
         os.write(1, b"from a descriptor\n")
         ctypes.CDLL(None).puts(b"from C")
-    print("the result")
+        raise ValueError("bad")
+    os.write(1, b"the result\n")
     out, err = capfd.readouterr()
     assert out == "the result\n"
     assert {"from Python", "from a descriptor", "from C"} <= set(err.splitlines())
 
 
-def test_standard_output_comes_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(ValueError, match="bad"), console.stdout_is_data():
-        raise ValueError("bad")
-    os.write(1, b"back\n")
-    assert capfd.readouterr().out == "back\n"
-
-
-def test_progress_off_a_terminal_is_lines_on_standard_error(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
-    with console.progress("evaluate scratch", 4) as advance:
-        advance(1)
-        advance(3)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert [line.split(",")[0] for line in err.splitlines()] == [
-        "evaluate scratch: 1/4",
-        "evaluate scratch: 4/4",
-    ]
-
-
-def test_the_time_left_does_not_count_compilation(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_time_left_does_not_count_compilation(capsys, monkeypatch) -> None:
     """Nor is it said of so little work that another compilation would count for hours of it."""
     monkeypatch.setattr(console, "SECONDS_BETWEEN_LINES", 0.0)
     clock = iter([0.0, 1.0, 60.0, 62.0, 64.0, 66.0])
@@ -353,7 +265,9 @@ def test_the_time_left_does_not_count_compilation(
         for count in (0, 1, 1, 98, 900):  # that it begins, then work
             now[0] = next(clock)
             advance(count)
-    assert capsys.readouterr().err.splitlines() == [
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
         "evaluate scratch: 0/1000, 1 s",
         "evaluate scratch: 1/1000, 60 s",
         "evaluate scratch: 2/1000, 62 s",
@@ -364,14 +278,10 @@ def test_the_time_left_does_not_count_compilation(
 
 def test_completion_is_installed_and_knows_the_commands(tmp_path: Path) -> None:
     """In bash: a word that has begun is completed to what there is."""
-    done = subprocess.run(
-        [sys.executable, "-m", "assistax_zoo", "--install-completion", "--shell", "bash"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"},
-    )
-    assert done.returncode == 0, done.stderr
+    words = ["--install-completion", "--shell", "bash"]
+    variables = {**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"}
+    program = [sys.executable, "-m", "assistax_zoo"]
+    subprocess.run([*program, *words], capture_output=True, check=True, cwd=ROOT, env=variables)
     script = """
         source ~/.bashrc
         words() {
@@ -384,6 +294,5 @@ def test_completion_is_installed_and_knows_the_commands(tmp_path: Path) -> None:
     completions = subprocess.run(
         ["bash", "-c", script], capture_output=True, text=True, env={"HOME": str(tmp_path)}
     )
-    assert completions.stdout.split("\n")[:3] == ["trajectories", "crossplay", "--task"], (
-        completions.stderr
-    )
+    expected = ["trajectories", "crossplay", "--task"]
+    assert completions.stdout.splitlines()[:3] == expected, completions.stderr

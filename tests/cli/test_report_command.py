@@ -39,7 +39,7 @@ def crossplay(tmp_path: Path) -> Path:
     return tmp_path / "xp"
 
 
-def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_compare_prints_the_paired_difference(tmp_path: Path, capfd):
     a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
     assert call("compare", a, b, "--json") == 0
     figures = json.loads(capfd.readouterr().out)
@@ -56,13 +56,12 @@ def test_compare_prints_the_paired_difference(tmp_path: Path, capfd: pytest.Capt
     assert f"means {second:.1f} and {first:.1f}, 1 and 1 seeds, 4 partners" in printed
 
 
-def test_what_nobody_checked_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_what_nobody_checked_is_said(tmp_path: Path, capfd):
     a, b = evaluated(tmp_path / "a", 10.0), evaluated(tmp_path / "b")
     assert call("compare", a, b) == 0
     printed = capfd.readouterr().out
-    assert all(
-        f"note: {folder} has no manifest.json: nothing of it" in printed for folder in (a, b)
-    )
+    for folder in (a, b):
+        assert f"note: {folder} has no manifest.json: nothing of it" in printed
     provenance.seal(a)
     assert call("compare", a, b) == 0
     printed = capfd.readouterr().out
@@ -75,7 +74,7 @@ def test_what_nobody_checked_is_said(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize("column", ["key", "steps", "episode"])
-def test_numbers_that_numpy_lacks_get_one_line(tmp_path: Path, column: str, capfd: Any):
+def test_numbers_that_numpy_lacks_get_one_line(tmp_path: Path, column: str, capfd):
     a = evaluated(tmp_path / "a")
     table = pl.read_parquet(a / tables.EPISODES_FILE).with_columns(pl.col(column).cast(pl.Int128))
     tables.write_parquet(table, a / tables.EPISODES_FILE)
@@ -87,9 +86,7 @@ def test_numbers_that_numpy_lacks_get_one_line(tmp_path: Path, column: str, capf
         assert error.count("\n") == 1
 
 
-def test_names_of_a_received_folder_command_no_terminal(
-    tmp_path: Path, crossplay: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_names_of_a_received_folder_command_no_terminal(tmp_path: Path, crossplay: Path, capfd):
     table = episode_table(clustered_matrix(6, 2)[:, :, None], teams(6), teams(6))
     evil = pl.col("partner") + HOSTILE
     table = table.with_columns(partner=evil, partner_team=evil)
@@ -100,7 +97,7 @@ def test_names_of_a_received_folder_command_no_terminal(
     assert "\nverified" not in printed
 
 
-def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd: Any):
+def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Path, capfd):
     a, b = evaluated(tmp_path / "a"), evaluated(tmp_path / "b", backend="mjx")
     engine = {"name": "native", "version": "another"}
     for other, message in (
@@ -115,16 +112,15 @@ def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Pa
         assert error.count("\n") == 1
 
 
-def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture[str]):
+def test_strategies_of_a_crossplay(crossplay: Path, capfd):
     assert call("strategies", crossplay, "--json") == 0
     printed = json.loads(capfd.readouterr().out)
     assert printed == tables.read_json(crossplay / tables.STRATEGIES_FILE)
     assert len(printed["clusters"]) == 2
     assert call("strategies", crossplay) == 0
     strategies = capfd.readouterr().out
-    assert all(
-        word in strategies for word in ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
-    )
+    words = ("BR-Div: rank 1 of 6", "most incompatible", "medoid")
+    assert all(word in strategies for word in words)
     table = strategies.partition("BR-Div")[0]
     assert "…" not in table and max(map(len, strategies.splitlines())) <= 80
     assert " ippo-d1-s" in table and "scratch/" not in table
@@ -132,9 +128,7 @@ def test_strategies_of_a_crossplay(crossplay: Path, capfd: pytest.CaptureFixture
     assert "does not exist" in capfd.readouterr().err
 
 
-def test_report_writes_a_page_and_says_where(
-    crossplay: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-):
+def test_report_writes_a_page_and_says_where(crossplay: Path, tmp_path: Path, capfd):
     assert call("report", crossplay, "--out", tmp_path / "r.html") == 0
     assert capfd.readouterr().out == f"{tmp_path / 'r.html'}\n"
     assert (tmp_path / "r.html").read_text().startswith("<!doctype html>")

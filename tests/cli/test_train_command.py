@@ -1,22 +1,16 @@
 import json
 
+import polars as pl
 import pytest
 
+from assistax_workshop.press.trained_runs import read_run
 from assistax_zoo.commands.options import parse_changes, parse_seeds, parse_steps
 from assistax_zoo.shell.console import TrainingLine
 from assistax_zoo.shell.main import run
+from population.runs.train import Progress
 
-TINY = [
-    "--num-envs",
-    "4",
-    "--set",
-    "rollout_steps=8",
-    "--set",
-    "minibatches=2",
-    "--set",
-    "hidden=(8, 8)",
-]
-TINY += ["--self-play-episodes", "0"]
+TINY = ["--set", "rollout_steps=8", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
+TINY += ["--num-envs", "4", "--self-play-episodes", "0"]
 
 
 @pytest.mark.parametrize(
@@ -58,36 +52,31 @@ def test_hyperparameters_are_read_as_values():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--task", "swim"], "task is 'swim'; allowed are scratch"),
-        (
-            ["--task", "scratch", "--algorithm", "sac"],
-            "algorithm is 'sac'; allowed are ippo, mappo, isac, masac, mep",
-        ),
-        (
-            ["--task", "scratch", "--disability", "d1,d10"],
-            "disability is 'd10'; allowed are d1, d2",
-        ),
-        (["--task", "scratch", "--steps", "0"], "steps is '0'"),
-        (["--task", "scratch", "--num-envs", "7"], "choose num_envs as a multiple of minibatches"),
-        (
-            ["--task", "scratch", "--set", "speed=9"],
-            "unknown hyperparameter speed of ippo; allowed are",
-        ),
+        ("--task swim", "task is 'swim'; allowed are scratch"),
+        ("--algorithm sac", "algorithm is 'sac'; allowed are ippo, mappo, isac, masac, mep"),
+        ("--disability d1,d10", "disability is 'd10'; allowed are d1, d2"),
+        ("--steps 0", "steps is '0'"),
+        ("--num-envs 7", "choose num_envs as a multiple of minibatches"),
+        ("--set speed=9", "unknown hyperparameter speed of ippo; allowed are"),
     ],
 )
 def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
-    assert run(["train", *words, "--out", str(tmp_path / "run")]) == 1
+    task = [] if "--task" in words else ["--task", "scratch"]
+    assert run(["train", *task, *words.split(), "--out", str(tmp_path / "run")]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1 and message in captured.err
     assert not (tmp_path / "run").exists()
 
 
-def test_a_live_line_says_how_far_the_run_is(capsys):
-    import polars as pl
-
-    from population.runs.train import Progress
-
+def test_training_line_has_no_time_before_an_episode_ends(capsys):
+    """The first update counts compilation, so it promises no time."""
+    line = TrainingLine("scratch ippo")
+    rows = pl.DataFrame({"return": [None], "reward": [0.5]}, schema_overrides={"return": float})
+    line(Progress(1, 4, 500_000, 2_000_000, 37.0, None, rows))
+    assert capsys.readouterr().err == (
+        "scratch ippo: 500.00k of 2.00M steps, reward 0.50 a step, no whole episode yet\n"
+    )
     rows = pl.DataFrame({"return": [480.25, None], "reward": [0.5, 0.5]})
     line = TrainingLine("scratch ippo")
     line(Progress(3, 4, 1_500_000, 2_000_000, 15_200.4, 33.0, rows))
@@ -96,50 +85,22 @@ def test_a_live_line_says_how_far_the_run_is(capsys):
     )
 
 
-def test_the_first_line_promises_no_time_since_it_counts_compilation(capsys):
-    import polars as pl
-
-    from population.runs.train import Progress
-
-    rows = pl.DataFrame({"return": [None], "reward": [0.5]}, schema_overrides={"return": float})
-    TrainingLine("scratch ippo")(Progress(1, 4, 500_000, 2_000_000, 37.0, None, rows))
-    assert capsys.readouterr().err == (
-        "scratch ippo: 500.00k of 2.00M steps, reward 0.50 a step, no whole episode yet\n"
-    )
-
-
 @pytest.mark.slow
 def test_a_tiny_run_on_the_real_task_can_be_published(tmp_path, capfd):
-    from assistax_workshop.press.trained_runs import read_run
-
-    words = [
-        "train",
-        "--task",
-        "scratch",
-        "--disability",
-        "d1,d9",
-        "--seeds",
-        "0,4",
-        "--steps",
-        "96",
-        *TINY,
-    ]
+    words = ["train", "--task", "scratch", "--disability", "d1,d9", "--seeds", "0,4", *TINY]
+    words += ["--steps", "96"]
+    members = [("d1", 0), ("d1", 4), ("d9", 0), ("d9", 4)]
     assert run([*words, "--out", str(tmp_path / "run"), "--json-lines"]) == 0
     lines = [json.loads(line) for line in capfd.readouterr().out.splitlines()]
     assert [line["update"] for line in lines[:-1]] == [1, 2, 3]
     assert [team["seed"] for team in lines[-1]["teams"]] == [0, 4, 0, 4]
     teams = read_run(tmp_path / "run")
-    assert [(team.disability, team.seed) for team in teams] == [
-        ("d1", 0),
-        ("d1", 4),
-        ("d9", 0),
-        ("d9", 4),
-    ]
+    assert [(team.disability, team.seed) for team in teams] == members
     assert teams[0].specs["robot"].observation_size == 34
     events = tmp_path / "events"
     assert run([*words, "--out", str(tmp_path / "run"), "--json", "--log", str(events)]) == 0
     assert len(json.loads(capfd.readouterr().out)["teams"]) == 4
-    expected = [f"scratch-ippo-{setting}-s{seed}" for setting in ("d1", "d9") for seed in (0, 4)]
+    expected = [f"scratch-ippo-{setting}-s{seed}" for setting, seed in members]
     assert sorted(path.name for path in events.iterdir() if any(path.iterdir())) == expected
     assert run([*words, "--out", str(tmp_path / "other"), "--log", str(events)]) == 1
     assert "holds event files of another run" in capfd.readouterr().err

@@ -4,19 +4,12 @@ import re
 import pytest
 
 from assistax_zoo.shell.main import run
+from evaluation.cast.egos import read_egos
 from zoo.parameters import storage
 from zoo.registry import load_registry
 
-TINY = [
-    "--num-envs",
-    "16",
-    "--set",
-    "rollout_steps=4",
-    "--set",
-    "minibatches=2",
-    "--set",
-    "hidden=(8, 8)",
-]
+TINY = ["--set", "rollout_steps=4", "--set", "minibatches=2", "--set", "hidden=(8, 8)"]
+TINY += ["--num-envs", "16"]
 
 
 @pytest.mark.parametrize(
@@ -41,29 +34,13 @@ def test_wrong_values_get_one_line(words, message, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
-    from evaluation.cast.egos import read_egos
-
-    words = [
-        "train-ego",
-        "--task",
-        "scratch",
-        "--split",
-        "small-5",
-        "--seeds",
-        "2",
-        "--steps",
-        "160",
-        *TINY,
-        "--num-envs",
-        "20",
-    ]
+    words = ["train-ego", "--task", "scratch", "--split", "small-5", "--seeds", "2", *TINY]
+    words += ["--steps", "160", "--num-envs", "20"]
     assert run([*words, "--out", str(tmp_path / "ego"), "--backend", "native", "--json"]) == 0
     result = json.loads(capfd.readouterr().out)
     assert result["partners"] == 5
-    assert [path.rpartition("/")[2] for path in result["policies"]] == [
-        "ppo-s0.safetensors",
-        "ppo-s1.safetensors",
-    ]
+    names = [path.rpartition("/")[2] for path in result["policies"]]
+    assert names == ["ppo-s0.safetensors", "ppo-s1.safetensors"]
     recorded = (tmp_path / "ego" / "run.json").read_bytes()
     command = json.loads(recorded)["command"]
     assert command.startswith("assistax-zoo train-ego --task scratch --split small-5 --seeds 2")
@@ -79,14 +56,8 @@ def test_trained_robots_are_policy_files_that_can_be_evaluated(tmp_path, capfd):
     split = load_registry().split("scratch", metadata["split"])
     humans = {team: load_registry().policy(f"{team}/human").sha256 for team in split.train}
     assert metadata["met"]["partners"] == humans and not metadata["met"]["own"]
-    words = [
-        "publish",
-        str(tmp_path / "ego"),
-        "--release",
-        "v9",
-        "--registry",
-        str(tmp_path / "registry.json"),
-    ]
+    words = ["publish", str(tmp_path / "ego"), "--release", "v9", "--registry"]
+    words.append(str(tmp_path / "registry.json"))
     assert run(words) == 0
     published = load_registry(tmp_path / "registry.json")
     ego = published.policy("scratch/ppo-ego-s1-v9/robot")

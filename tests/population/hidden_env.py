@@ -20,8 +20,7 @@ SETTINGS = dict(zip(PARTNERS, ("d1", "d3", "d7", "d9"), strict=True))
 class HiddenBit(ToyEnv):
     """The human always sees its bit and acts on it; the robot sees it in the second step alone.
 
-    Feed-forward robots earn nothing on average in the steps after; one that remembers earns 1 a
-    step.
+    In the steps after, a feed-forward robot earns 0 on average, and one with a memory 1 a step.
     """
 
     sight = 1  # the step in which the robot sees it

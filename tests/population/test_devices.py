@@ -15,19 +15,17 @@ import pytest
 import safetensors.numpy
 
 from assistax_envs import make
-from assistax_envs.disability import DISABILITY_SETTINGS
 from assistax_envs.persons import PersonPlayer, persons
 from population.config import MIXED, Member, TrainConfig
 from population.devices import DeviceShares
 from population.hyperparameters import preset
-from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
-from population.networks.stack import PolicyStack
 from population.runs import train as training
 from population.runs.checkpoints import Checkpoints
 from population.runs.train import initial_state, make_trainer, train
 from population.trainers.drawn_persons import OnePersonEach
-from population.trainers.frozen_partners import FrozenPartners
+from tests.population.test_frozen_partners import frozen, stack
+from tests.population.test_train import Killed
 from tests.population.toy_env import ToyEnv, match
 
 HOST_DEVICES = 4
@@ -46,31 +44,12 @@ TRAINERS = {
 }  # fmt: skip
 
 
-class Killed(Exception):
-    """Stands for a killed process."""
-
-
 def population():
     """Return four partners: two recurrent with carries [partner, member x simulation], two not."""
-    specs = [
-        PolicySpec("human", 3, 2, torso="gru", hidden=(8,)),
-        PolicySpec("human", 3, 2, hidden=(4,)),
-    ]
-    names = [("a", "b"), ("c", "d")]
-    groups = []
-    for seed, (spec, pair) in enumerate(zip(specs, names, strict=True)):
-        trees = [
-            Policy(spec).init(key) for key in jax.random.split(jax.random.key(seed), len(pair))
-        ]
-        groups.append(
-            PolicyStack(spec, pair, jax.tree.map(lambda *leaves: np.stack(leaves), *trees))
-        )
-    settings = {
-        name: DISABILITY_SETTINGS[setting]
-        for pair in names
-        for name, setting in zip(pair, ("d1", "d3"), strict=True)
-    }
-    return FrozenPartners(groups, settings)
+    recurrent = PolicySpec("human", 3, 2, torso="gru", hidden=(8,))
+    plain = PolicySpec("human", 3, 2, hidden=(4,))
+    stacks = [stack(recurrent, ("a", "b")), stack(plain, ("c", "d"), seed=1)]
+    return frozen(stacks, {"a": "d1", "b": "d3", "c": "d1", "d": "d3"})
 
 
 def arguments(case, members=4):

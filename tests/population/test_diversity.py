@@ -15,8 +15,7 @@ from population.methods import diversity
 from population.methods.diversity import log_mean_density
 from population.runs.train import train
 from population.trainers import experience
-from population.trainers.ppo import PPO
-from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, run, start
+from tests.population.test_ppo import FAST_COMPILE, SMALL, assert_same, networks, run, start
 from tests.population.toy_env import ToyEnv, match
 from tests.workshop.test_plan import begin, finish, labels
 
@@ -96,10 +95,6 @@ def test_bonus_of_equal_humans_is_their_entropy():
     actor["Dense_2"]["bias"] = bias.at[1].add(1.0)
     _, logged = with_bonus(ppo, alike, first, hyper)
     assert 0.1 < logged["population_divergence"][0] <= math.log(2)
-
-
-def networks(state):
-    return {role: learner.networks for role, learner in state.members.learners.items()}
 
 
 @pytest.mark.slow
@@ -211,8 +206,3 @@ def test_a_population_stays_on_one_device(weight, shares, tmp_path, monkeypatch)
     config = make_run("toy", "mep", PAIR, 320, trainer)
     with pytest.raises(InterruptedError, match=str(shares)):
         train(config, ToyEnv(match), tmp_path / "run")
-
-
-def test_ppo_of_independent_teams_knows_of_no_peers():
-    ppo = PPO(preset("ippo", **SMALL), ToyEnv(match), 1)
-    assert "peers" not in ppo.hyper(PAIR)

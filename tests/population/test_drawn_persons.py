@@ -29,21 +29,15 @@ def partners() -> DrawnPersons:
     return DrawnPersons(PersonPlayer(TASK), jnp.asarray(ROWS), "everybody")
 
 
-def test_episode_has_drawn_persons_body_and_wishes(
-    partners: DrawnPersons,
-) -> None:
+def test_episode_has_drawn_persons_body_and_wishes(partners: DrawnPersons) -> None:
     keys = jax.random.split(jax.random.key(3), 40)
     humans = partners.renewed(partners.humans(40), keys)
     met = np.asarray(humans.person)
     assert len(set(met.tolist())) > 35  # of 7200
     expected = person_params(TASK, ROWS[met])
     for name in ("elbow_range", "preference"):
-        leaves = zip(
-            jax.tree.leaves(getattr(humans, name)),
-            jax.tree.leaves(getattr(expected, name)),
-            strict=True,
-        )
-        assert all(np.array_equal(here, there) for here, there in leaves)
+        pair = (jax.tree.leaves(getattr(params, name)) for params in (humans, expected))
+        assert all(map(np.array_equal, *pair))
     again = partners.renewed(humans, keys[:7])
     np.testing.assert_array_equal(again.person, met[:7])
 
@@ -112,7 +106,7 @@ def test_what_does_not_fit_is_refused(partners: DrawnPersons) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 def test_person_changes_at_episode_end_and_survives_resume(
-    partners: DrawnPersons, torso: str, monkeypatch: pytest.MonkeyPatch
+    partners: DrawnPersons, torso: str, monkeypatch
 ) -> None:
     env = assistax_envs.make(TASK, "native")
     monkeypatch.setattr(env, "episode_length", 6)

@@ -35,12 +35,13 @@ def stack(spec, names, seed=0):
     return PolicyStack(spec, tuple(names), params)
 
 
+def frozen(stacks, settings):
+    return FrozenPartners(stacks, {name: DISABILITY_SETTINGS[d] for name, d in settings.items()})
+
+
 def population(first="a"):
     stacks = [stack(PLAIN, (first, "b")), stack(SQUASHED, ("c",), seed=1)]
-    names = {first: "d1", "b": "d3", "c": "d9"}
-    return FrozenPartners(
-        stacks, {name: DISABILITY_SETTINGS[setting] for name, setting in names.items()}
-    )
+    return frozen(stacks, {first: "d1", "b": "d3", "c": "d9"})
 
 
 def config(kind, members=2, **changes):
@@ -67,33 +68,23 @@ def test_partner_acts_in_its_share_alone(platform, monkeypatch):
     assert action.shape == (12, 2)
     for row in range(len(obs)):
         name = partners.ids[row // share % 3]
-        [(spec, params)] = [
-            (g.spec, jax.tree.map(itemgetter(g.ids.index(name)), g.params))
-            for g in partners.stacks
-            if name in g.ids
-        ]
-        _, expected = Policy(spec).act(params, (), obs[row], first[row])
+        [group] = [group for group in partners.stacks if name in group.ids]
+        params = jax.tree.map(itemgetter(group.ids.index(name)), group.params)
+        _, expected = Policy(group.spec).act(params, (), obs[row], first[row])
         np.testing.assert_allclose(action[row], expected, rtol=1e-5, atol=1e-6)
 
 
-def test_every_partner_plays_under_its_own_disability():
-    run = config(PPO)
-    env = ToyEnv(match)
-    state = initial_state(run, PPO(run.trainer, env, 1, population()))
+def test_partners_have_their_disability_and_named_preferences():
+    run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
+    state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
+    # Axes: member, partner, simulation.
+    likes = state.simulations.env.params.preference_code.reshape(2, 3, 4)
+    expected = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
+    np.testing.assert_array_equal(likes, [expected, expected])
     settings = np.tile(np.repeat(["d1", "d3", "d9"], 4), 2).tolist()
     expected, found = disability_params(settings), state.simulations.env.params
     for name in ("strength", "elbow_range"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_partners_rotate_through_the_named_preferences():
-    run = dataclasses.replace(config(PPO), task="gentle_lift", preferences=("p2", "p9", "p4"))
-    state = initial_state(run, PPO(run.trainer, ToyEnv(match), 1, population()))
-    likes = state.simulations.env.params.preference_code.reshape(
-        2, 3, 4
-    )  # member, partner, simulation
-    expected = [[2, 9, 4, 2], [9, 4, 2, 9], [4, 2, 9, 4]]
-    np.testing.assert_array_equal(likes, [expected, expected])
     drawn = initial_state(config(PPO), PPO(run.trainer, ToyEnv(match), 1, population()))
     assert not drawn.simulations.env.params.preference_code.any()
     assert TrainConfig.from_json(json.loads(json.dumps(run.to_json()))) == run
@@ -115,7 +106,7 @@ def test_preferences_that_nobody_can_have_are_refused(task, names, partners, mes
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [PPO, pytest.param(SAC, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [PPO, SAC])
 def test_ego_learns_while_partners_stay_frozen(kind):
     run, env, partners = config(kind, members=1), ToyEnv(match), population()
     updates = 100 if kind is PPO else 250
@@ -123,9 +114,8 @@ def test_ego_learns_while_partners_stay_frozen(kind):
     assert list(trainer.specs) == ["robot"]
     state, hyper = initial_state(run, trainer), trainer.hyper(run.members)
     step = lambda state, _: trainer.update(state, hyper, partners.params)  # noqa: E731
-    state, metrics = jax.jit(
-        partial(jax.lax.scan, step, length=updates), compiler_options=FAST_COMPILE
-    )(state)
+    scan = partial(jax.lax.scan, step, length=updates)
+    state, metrics = jax.jit(scan, compiler_options=FAST_COMPILE)(state)
     assert list(state.members.learners) == ["robot"]
     earned = np.asarray(metrics["term_robot"])[np.asarray(metrics["episodes"]) > 0]
     # Actions are drawn with the policy's noise.
@@ -135,12 +125,8 @@ def test_ego_learns_while_partners_stay_frozen(kind):
 @pytest.mark.parametrize(
     ("preset", "partners", "minibatches", "fitting"),
     [
-        (1024, 16, 4, 1024),
-        (1024, 99, 4, 1188),
-        (1024, 59, 4, 944),
-        (64, 99, 1, 99),
-        (64, 59, 1, 59),
-        (8, 99, 4, 396),
+        *((1024, 16, 4, 1024), (1024, 99, 4, 1188), (1024, 59, 4, 944)),
+        *((64, 99, 1, 99), (64, 59, 1, 59), (8, 99, 4, 396)),
     ],
 )
 def test_fitting_envs_is_nearest_to_the_preset(preset, partners, minibatches, fitting):
@@ -150,12 +136,9 @@ def test_fitting_envs_is_nearest_to_the_preset(preset, partners, minibatches, fi
 def test_with_more_partners_than_simulations_each_has_one():
     """99 partners of three specs, as egos of a zoo of several algorithms meet them."""
     specs = PLAIN, SQUASHED, dataclasses.replace(PLAIN, hidden=(5, 4))
-    stacks = [
-        stack(spec, [f"{index}-{row}" for row in range(33)], seed=index)
-        for index, spec in enumerate(specs)
-    ]
-    settings = {name: DISABILITY_SETTINGS["d1"] for stack in stacks for name in stack.ids}
-    partners = FrozenPartners(stacks, settings)
+    names = [[f"{index}-{row}" for row in range(33)] for index in range(3)]
+    stacks = [stack(specs[index], names[index], seed=index) for index in range(3)]
+    partners = frozen(stacks, dict.fromkeys([n for stack in stacks for n in stack.ids], "d1"))
     count = fitting_envs(64, len(partners))
     partners.check(ToyEnv(match), count)
     obs = jax.random.normal(jax.random.key(2), (2 * count, 3))
@@ -163,9 +146,8 @@ def test_with_more_partners_than_simulations_each_has_one():
     _, action = partners.act(partners.params, carry, obs, jnp.zeros(len(obs), bool), 2)
     for row in (0, 32, 33, 98, 99, 197):
         spec, params = specs[row % 99 // 33], stacks[row % 99 // 33].params
-        _, expected = Policy(spec).act(
-            jax.tree.map(itemgetter(row % 33), params), (), obs[row], jnp.zeros((), bool)
-        )
+        params = jax.tree.map(itemgetter(row % 33), params)
+        _, expected = Policy(spec).act(params, (), obs[row], jnp.zeros((), bool))
         np.testing.assert_allclose(action[row], expected, rtol=1e-5, atol=1e-6)
 
 

@@ -44,9 +44,7 @@ def test_nonfinite_value_after_termination_is_ignored():
 @pytest.mark.slow_for("gru")
 @pytest.mark.parametrize("torso", ["mlp", "gru"])
 def test_next_values_are_those_before_a_reset(torso):
-    """Against a critic stepped by hand along each simulation, with the final observation as one
-    more step.
-    """
+    """The oracle steps each simulation by hand; the final observation is one more step."""
     critic = Critic(CriticSpec(3, torso, (8, 8)))
     params = critic.init(jax.random.key(0))
     rng = np.random.default_rng(1)
@@ -56,11 +54,9 @@ def test_next_values_are_those_before_a_reset(torso):
     truncated[[3, 11, 0], [0, 1, 2]] = True
     first = np.concatenate([np.ones((1, SIMULATIONS), bool), truncated])
     carry0 = critic.initial_carry((SIMULATIONS,))
-    _, value, next_value = gae.values(
-        critic, params, carry0, obs[:-1], jnp.asarray(first[:-1]), jnp.asarray(truncated),
-        final_obs, obs[-1],
-        jnp.asarray(first[-1]),
-    )  # fmt: skip
+    flags = jnp.asarray(first[:-1]), jnp.asarray(truncated)
+    end = final_obs, obs[-1], jnp.asarray(first[-1])
+    _, value, next_value = gae.values(critic, params, carry0, obs[:-1], *flags, *end)
     for n in range(SIMULATIONS):
         carry = critic.initial_carry(())
         for t in range(STEPS):

@@ -13,6 +13,7 @@ from population.hyperparameters import PPOConfig, robot_preset
 from population.methods.method import Method, method_class, register
 from population.runs.folder import RunFolder
 
+PATIENT = "outside_methods:Patient"
 MODULE = """
 from population.methods.method import Method
 
@@ -26,52 +27,46 @@ class Wrong(Method):
 
 @pytest.fixture
 def install(install_package: Callable[..., None], tmp_path: Path) -> Iterator[Callable[..., None]]:
-    """Return a function that installs a package with a method of a class of `MODULE`."""
+    """Return a function that installs a package with a method, such as a class of `MODULE`."""
     (tmp_path / "outside_methods.py").write_text(MODULE)
-    yield lambda name, kind: install_package(METHODS, name, f"outside_methods:{kind}")
+    yield lambda name, place: install_package(METHODS, name, place)
     sys.modules.pop("outside_methods", None)
 
 
 def test_an_installed_method_has_a_preset(install: Callable[..., None]) -> None:
-    install("patient", "Patient")
+    install("patient", PATIENT)
     config = robot_preset("patient", num_envs=8)
     assert isinstance(config, PPOConfig)
     assert (config.method, config.latent, config.gamma) == ("patient", 4, 0.5)
     assert config.packages == {"outside": "0.3"} and robot_preset("liam").packages == {}
     assert issubclass(method_class("patient"), Method)
     assert hyperparameters.methods()[-1] == "patient"
+    with pytest.raises(ValueError, match="there is a method 'patient' already"):
+        register("patient", Method)
 
 
 def test_unknown_methods_list_the_installed_ones(install: Callable[..., None]) -> None:
-    install("patient", "Patient")
+    install("patient", PATIENT)
     with pytest.raises(ValueError, match=r"algorithm is 'sarsa'; allowed are ppo, .*rma, patient$"):
         robot_preset("sarsa")
     with pytest.raises(ValueError, match=r"method is 'sarsa'; allowed are gru, .*patient, and"):
         PPOConfig(method="sarsa")
 
 
-def test_a_package_cannot_replace_a_method(install: Callable[..., None]) -> None:
-    install("liam", "Patient")
-    with pytest.raises(ExtensionError, match=r"package outside 0\.3 .* method of assistax-zoo"):
-        robot_preset("liam")
-
-
-def test_a_registered_method_cannot_replace_an_installed_one(install: Callable[..., None]) -> None:
-    install("patient", "Patient")
-    with pytest.raises(ValueError, match="there is a method 'patient' already"):
-        register("patient", Method)
-
-
-def test_a_wrong_preset_names_its_package(install: Callable[..., None]) -> None:
-    install("wrong", "Wrong")
-    with pytest.raises(ExtensionError, match=r"outside 0\.3 .* unknown hyperparameter gama"):
-        robot_preset("wrong")
-
-
-def test_an_object_that_is_no_method_is_refused(install_package: Callable[..., None]) -> None:
-    install_package(METHODS, "pi", "math:pi")
-    with pytest.raises(ExtensionError, match=r"a subclass of .*Method`, found 3\.14"):
-        robot_preset("pi")
+@pytest.mark.parametrize(
+    ("name", "place", "message"),
+    [
+        ("liam", "outside_methods:Patient", r"package outside 0\.3 .* method of assistax-zoo"),
+        ("wrong", "outside_methods:Wrong", r"outside 0\.3 .* unknown hyperparameter gama"),
+        ("pi", "math:pi", r"a subclass of .*Method`, found 3\.14"),
+    ],
+)
+def test_unfit_method_is_refused_with_its_package(
+    install: Callable[..., None], name: str, place: str, message: str
+) -> None:
+    install(name, place)
+    with pytest.raises(ExtensionError, match=message):
+        robot_preset(name)
 
 
 def test_a_received_run_names_a_method_without_importing_it(
@@ -85,7 +80,7 @@ def test_a_received_run_names_a_method_without_importing_it(
     (run.folder / "config.json").write_text(text.replace('"method": ""', '"method": "patient"'))
     with pytest.raises(ValueError, match="method is 'patient'; allowed are gru"):
         run.config()
-    install("patient", "Patient")
+    install("patient", PATIENT)
     trainer = run.config().trainer
     assert isinstance(trainer, PPOConfig) and trainer.method == "patient"
     assert "outside_methods" not in sys.modules

@@ -1,6 +1,4 @@
-"""Training learns the real task: IPPO on scratch, from a start that does nothing to a robot that
-scratches.
-"""
+"""Training learns the real task: IPPO on scratch."""
 
 import json
 
@@ -17,9 +15,7 @@ STEPS = 229_376  # of each member, with the tables' hyperparameters but few simu
 
 @pytest.mark.slow
 def test_ippo_learns_to_scratch(tmp_path):
-    """The second member is the start, and the planted defect: all the same but a learning rate of
-    0.
-    """
+    """The second member is the start and the planted defect: its learning rate is 0."""
     members = (Member(0, "d1"), Member(0, "d1", {"learning_rate": 0.0}))
     trainer = preset("ippo", num_envs=128, rollout_steps=64)
     config = TrainConfig(
@@ -27,16 +23,11 @@ def test_ippo_learns_to_scratch(tmp_path):
     )
     run = train(config, make("scratch", backend="native"), tmp_path / "run")
     metrics = pl.read_parquet(run / "metrics.parquet")
-    returns = [
-        metrics.filter(pl.col("member") == member)["return"].drop_nulls().to_numpy()
-        for member in (0, 1)
-    ]
-    learned, start = (last.mean() for last in (returns[0][-3:], returns[1][-3:]))
-    played, idle = (
-        team["self_play"]["mean"] for team in json.loads((run / "teams.json").read_text())
-    )
+    rows = [metrics.filter(member=member)["return"].drop_nulls() for member in (0, 1)]
+    learned, start = (returns.to_numpy()[-3:].mean() for returns in rows)
+    teams = json.loads((run / "teams.json").read_text())
+    played, idle = (team["self_play"]["mean"] for team in teams)
     assert learned > max(400.0, 3.0 * start)
-    assert played > max(
-        400.0, 2.0 * idle
-    )  # without exploration: doing nothing earns more than trembling
+    # Without exploration doing nothing earns more than trembling.
+    assert played > max(400.0, 2.0 * idle)
     assert max(start, idle) < 400.0

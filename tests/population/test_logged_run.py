@@ -22,20 +22,12 @@ def toy(monkeypatch):
 
 @pytest.mark.slow
 def test_teams_come_back_with_paths_figures_and_policies(toy, tmp_path):
-    run = train(
-        "scratch",
-        progress=False,
-        folder=tmp_path / "run",
-        disabilities=("d1", "d9"),
-        seeds=2,
-        steps=160,
-        hyperparameters=SMALL,
-        self_play_episodes=3,
-    )
+    options = {"disabilities": ("d1", "d9"), "seeds": 2, "self_play_episodes": 3}
+    options |= {"folder": tmp_path / "run", "progress": False}
+    run = train("scratch", steps=160, hyperparameters=SMALL, **options)
     assert run.folder == tmp_path / "run" and run.config.steps == 160
-    assert run.names == tuple(
-        f"scratch/ippo-{name}" for name in ("d1-s0", "d1-s1", "d9-s0", "d9-s1")
-    )
+    names = ("d1-s0", "d1-s1", "d9-s0", "d9-s1")
+    assert run.names == tuple(f"scratch/ippo-{name}" for name in names)
     assert run.training["steps"] == 160 and run.training["backend"] == "jax"
     for figures in run.self_play:
         assert figures is not None
@@ -56,16 +48,14 @@ def test_run_without_folder_gets_a_temporary_one(toy, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"task": "swim"}, "task is 'swim'; allowed are scratch"),
-        ({"task": "scratch", "disabilities": ("d1", "d11")}, "disability is 'd11'; allowed are d1"),
-        ({"task": "scratch", "algorithm": "dqn"}, "algorithm is 'dqn'; allowed are ippo"),
-        ({"task": "scratch", "hyperparameters": {"speed": 1}}, "unknown hyperparameter speed"),
-        ({"task": "scratch", "seeds": 0}, "a run has no members"),
+        ({"disabilities": ("d1", "d11")}, "disability is 'd11'; allowed are d1"),
+        ({"hyperparameters": {"speed": 1}}, "unknown hyperparameter speed"),
+        ({"seeds": 0}, "a run has no members"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        train(**arguments, folder=tmp_path / "run", progress=False)
+        train("scratch", **arguments, folder=tmp_path / "run", progress=False)
     assert not (tmp_path / "run").exists()
 
 
@@ -76,7 +66,6 @@ def test_a_preset_file_stands_for_algorithm_and_hyperparameters(tmp_path):
     with pytest.raises(ValueError, match="is a preset of mappo; give that algorithm"):
         read_preset(path, "ippo")
     path.write_text("[1]")
-    with pytest.raises(
-        ValueError, match=r"preset\.json is not a preset .* give a JSON object with algorithm"
-    ):
+    message = r"preset\.json is not a preset .* give a JSON object with algorithm"
+    with pytest.raises(ValueError, match=message):
         read_preset(path)

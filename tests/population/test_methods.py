@@ -45,9 +45,8 @@ def run_of(algorithm, updates, members=1, **changes):
     config = robot_preset(algorithm, **{**PROBE, **changes})
     team = tuple(Member(seed, MIXED) for seed in range(members))
     steps = config.batch_steps * updates
-    return TrainConfig(
-        "toy", algorithm, team, steps, config, partners=PARTNERS, self_play_episodes=0
-    )
+    options = {"partners": PARTNERS, "self_play_episodes": 0}
+    return TrainConfig("toy", algorithm, team, steps, config, **options)
 
 
 def learn(env, algorithm, updates, others=None, **changes):
@@ -102,11 +101,7 @@ def test_a_student_does_what_its_teacher_is_told():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "seen"), [("ppo", 2), ("rma", 1)])
 def test_who_learns_no_more_reads_observations_as_before(name, seen):
-    """The policy stays as it is while the student acts, so what normalises observations does too.
-
-    Both are one update of two here. The variance of what was rarely seen but at the start of a
-    training would go on falling, and the policy would read ever larger numbers.
-    """
+    """While the student acts the policy stays, and so does what normalises observations."""
     more = {"student_share": 0.5} if name == "rma" else {}
     trainer, _, after, _ = learn(HiddenBit(), name, 2, **TINY, **more)
     batch = trainer.config.num_envs * trainer.config.rollout_steps

@@ -9,15 +9,10 @@ from population.networks.spec import PolicySpec
 from population.networks.unrolled import unroll_policy
 
 SPECS = [
-    PolicySpec(
-        "robot", 5, 2, torso=torso, hidden=(16, 8), squash=squash, std=std, normalise=normalise
-    )
-    for torso, squash, std, normalise in [
-        ("mlp", "clip", "parameter", True),
-        ("mlp", "tanh", "state", False),
-        ("gru", "clip", "parameter", True),
-        ("gru", "tanh", "state", True),
-    ]
+    PolicySpec("robot", 5, 2, "mlp", (16, 8), squash="clip", std="parameter"),
+    PolicySpec("robot", 5, 2, "mlp", (16, 8), squash="tanh", std="state", normalise=False),
+    PolicySpec("robot", 5, 2, "gru", (16, 8), squash="clip", std="parameter"),
+    PolicySpec("robot", 5, 2, "gru", (16, 8), squash="tanh", std="state"),
 ]
 
 
@@ -86,14 +81,14 @@ def test_carry_resets_at_first_alone(spec):
     _, whole = unroll_policy(policy, params, policy.initial_carry((2,)), obs, first)
     _, second = unroll_policy(policy, params, policy.initial_carry((2,)), obs[3:], first[3:])
     np.testing.assert_allclose(whole.mean[3:], second.mean, rtol=1e-5, atol=1e-7)
-    _, shifted = unroll_policy(
-        policy, params, policy.initial_carry((2,)), obs, jnp.roll(first, 1, axis=0)
-    )
+    late = jnp.roll(first, 1, axis=0)
+    _, shifted = unroll_policy(policy, params, policy.initial_carry((2,)), obs, late)
     assert jnp.abs(shifted.mean[3:] - second.mean).max() > 1e-5
 
 
 @pytest.mark.parametrize("squash", ["clip", "tanh"])
-def test_log_prob_against_scipy(squash):
+def test_log_prob_and_entropy_are_the_densitys(squash):
+    """SciPy's density, with the change of variables of tanh; entropy is its mean logarithm."""
     mean, log_std = jnp.array([[0.3, -0.7]]), jnp.array([[-0.5, 0.2]])
     gaussian = Gaussian(mean, log_std, squash)
     raw = gaussian.sample(jax.random.key(0))
@@ -101,19 +96,13 @@ def test_log_prob_against_scipy(squash):
     if squash == "tanh":
         expected = expected - np.log(1.0 - np.tanh(np.asarray(raw, np.float64)) ** 2)
     np.testing.assert_allclose(gaussian.log_prob(raw), expected.sum(-1), rtol=1e-4)
-
-
-@pytest.mark.parametrize("squash", ["clip", "tanh"])
-def test_entropy_is_the_mean_negative_log_prob(squash):
-    gaussian = Gaussian(jnp.full((200_000, 2), 0.4), jnp.full((200_000, 2), -0.3), squash)
-    drawn = -gaussian.log_prob(gaussian.sample(jax.random.key(0))).mean()
-    np.testing.assert_allclose(gaussian.entropy()[0], drawn, atol=0.01)
+    many = Gaussian(jnp.full((200_000, 2), 0.4), jnp.full((200_000, 2), -0.3), squash)
+    drawn = -many.log_prob(many.sample(jax.random.key(0))).mean()
+    np.testing.assert_allclose(many.entropy()[0], drawn, atol=0.01)
 
 
 def test_squashed_density_integrates_to_one():
-    """Without the slope of tanh it would not: the planted defect of an unsquashed log
-    probability.
-    """
+    """Without the slope of tanh, the planted defect, it would not."""
     action = np.linspace(-0.9999, 0.9999, 20_001)
     raw = jnp.asarray(np.arctanh(action)[:, None], jnp.float32)
     broad = jnp.zeros_like(raw)
@@ -128,10 +117,8 @@ def test_squashed_density_integrates_to_one():
 def test_policy_starts_with_given_standard_deviation(std, torso):
     policy = Policy(PolicySpec("robot", 5, 2, torso=torso, std=std, hidden=(8, 8)))
     obs, first = jnp.ones((3, 5)), jnp.ones(3, bool)
-    for params, log_std in (
-        (policy.init(jax.random.key(0)), -0.5),
-        (policy.init(jax.random.key(0), -2.0), -2.0),
-    ):
+    for given, log_std in (((), -0.5), ((-2.0,), -2.0)):
+        params = policy.init(jax.random.key(0), *given)
         _, gaussian = policy.step(params, policy.initial_carry((3,)), obs, first)
         np.testing.assert_allclose(gaussian.log_std, log_std, atol=0.05)
         assert jnp.abs(gaussian.mean).max() < 0.1

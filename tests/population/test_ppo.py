@@ -20,13 +20,8 @@ from tests.population.toy_env import ToyEnv, constant, match, together
 
 # Programs this small take longer to compile than to run.
 FAST_COMPILE = {"xla_backend_optimization_level": 0}
-SMALL: dict[str, Any] = {
-    "num_envs": 32,
-    "rollout_steps": 10,
-    "hidden": (16, 16),
-    "learning_rate": 1e-2,
-    "gamma": 0.9,
-}
+SMALL: dict[str, Any] = {"num_envs": 32, "rollout_steps": 10, "hidden": (16, 16)}
+SMALL |= {"learning_rate": 1e-2, "gamma": 0.9}
 MEMBER = Member(0, "d1")
 
 
@@ -44,6 +39,10 @@ def run(env, config, members=(MEMBER,), updates=100, kind=PPO):
     return ppo, *jax.jit(scan, compiler_options=FAST_COMPILE)(state)
 
 
+def networks(state):
+    return {role: learner.networks for role, learner in state.members.learners.items()}
+
+
 def assert_same(left, right):
     assert jax.tree.structure(left) == jax.tree.structure(right)
     for path, leaf in jax.tree_util.tree_leaves_with_path(left):
@@ -57,13 +56,7 @@ def deterministic_return(env, ppo, state, count=1):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "terminates",
-    [
-        pytest.param(False, id="time-limit"),
-        pytest.param(True, id="planted-termination", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("terminates", [False, True], ids=["time-limit", "planted-termination"])
 def test_constant_reward_value_bootstraps_at_time_limit(terminates):
     """The value is 1 / (1 - gamma) = 10 at a time limit; the planted termination lowers it."""
     env = ToyEnv(constant, terminates=terminates)
@@ -92,19 +85,13 @@ def test_success_at_any_step_counts(paid, share):
     np.testing.assert_array_equal(np.asarray(metrics["success"])[ended], share)
 
 
-@pytest.mark.slow_for("mappo")
+SQUASHED = {"squash": "tanh", "std": "state", "normalise": False}
+
+
+@pytest.mark.slow_for("mappo", "tanh")
 @pytest.mark.parametrize(
     ("algorithm", "reward", "changes"),
-    [
-        ("ippo", match, {}),
-        pytest.param(
-            "ippo",
-            match,
-            {"squash": "tanh", "std": "state", "normalise": False},
-            marks=pytest.mark.slow,
-        ),
-        ("mappo", together, {"clip_eps": 0.2}),
-    ],
+    [("ippo", match, {}), ("ippo", match, SQUASHED), ("mappo", together, {"clip_eps": 0.2})],
     ids=["ippo-match", "ippo-match-tanh", "mappo-together"],
 )
 def test_both_roles_learn_from_their_observations(algorithm, reward, changes):
@@ -120,21 +107,14 @@ def test_both_roles_learn_from_their_observations(algorithm, reward, changes):
 @pytest.mark.slow
 def test_recurrent_team_beats_feed_forward_at_memory():
     env = ToyEnv(match, episode_length=12, memory=True)
-    ppo, state, _ = run(
-        env, PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru"), updates=150
-    )
+    config = PPOConfig(**{**SMALL, "learning_rate": 3e-3}, torso="gru")
+    ppo, state, _ = run(env, config, updates=150)
     (figures,) = deterministic_return(env, ppo, state)
     assert figures["mean"] > 0.9 * env.episode_length  # without memory the best is half of it
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "planted",
-    [
-        pytest.param(False, id="aligned"),
-        pytest.param(True, id="planted-shift", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("planted", [False, True], ids=["aligned", "planted-shift"])
 def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
     """The first ratios of an update are 1: carries and `first` flags are those of the rollout."""
     if planted:
@@ -149,9 +129,7 @@ def test_learning_replays_the_policy_that_acted(planted, monkeypatch):
 
 
 class Coupled(PPO):
-    """A planted defect: the human's clip shrinks with what the robot learns, as one clip over both
-    would make it.
-    """
+    """A planted defect: the human's clip shrinks with the robot's critic, as a shared one does."""
 
     def _learn_role(self, name, member, batch, hyper, key):
         if name == "human":
@@ -173,10 +151,7 @@ def test_role_ignores_the_other_roles_gradients(kind):
     update = jax.jit(ppo.update, compiler_options=FAST_COMPILE)
     after, _ = update(state, hyper)
     after_louder, _ = update(dataclasses.replace(state, members=members), hyper)
-    same = [
-        after.members.learners["human"].networks,
-        after_louder.members.learners["human"].networks,
-    ]
+    same = [networks(state)["human"] for state in (after, after_louder)]
     if kind is PPO:
         assert_same(*same)
     else:
@@ -185,28 +160,22 @@ def test_role_ignores_the_other_roles_gradients(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("platform", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
 def test_member_ignores_other_members(platform, monkeypatch):
     """Taken in turn, as on a CPU, or vectorised, as on an accelerator."""
     config = PPOConfig(**SMALL)
-    members = (
-        Member(0, "d1"),
-        Member(4, "d9", {"learning_rate": 3e-3, "gamma": 0.8}),
-        Member(4, "d1"),
-    )
-    alone_config = dataclasses.replace(config, learning_rate=3e-3, gamma=0.8)
+    changes = {"learning_rate": 3e-3, "gamma": 0.8}
+    members = (Member(0, "d1"), Member(4, "d9", changes), Member(4, "d1"))
+    alone_config = dataclasses.replace(config, **changes)
     _, alone, _ = run(ToyEnv(match), alone_config, (Member(4, "d9"),), updates=3)
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     _, beside, _ = run(ToyEnv(match), config, members, updates=3)
-    networks = [
-        {role: learner.networks for role, learner in x.members.learners.items()}
-        for x in (beside, alone)
-    ]
+    both = [networks(state) for state in (beside, alone)]
     # Two programs round differently.
     assert_close = partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-5)
-    jax.tree.map(lambda many, alone: assert_close(many[1:2], alone), *networks)
+    jax.tree.map(lambda many, alone: assert_close(many[1:2], alone), *both)
     with pytest.raises(AssertionError):
-        jax.tree.map(lambda many, alone: assert_close(many[2:3], alone), *networks)
+        jax.tree.map(lambda many, alone: assert_close(many[2:3], alone), *both)
 
 
 class Diverging(ToyEnv):
@@ -237,7 +206,7 @@ def test_learning_rate_falls_to_nothing_when_annealed():
     ppo, state, hyper = start(ToyEnv(match), config, updates=4)
     state = dataclasses.replace(state, update=jnp.asarray(4, jnp.int32))
     after, _ = jax.jit(ppo.update, compiler_options=FAST_COMPILE)(state, hyper)
-    assert_same(after.members.learners["robot"].networks, state.members.learners["robot"].networks)
+    assert_same(networks(after)["robot"], networks(state)["robot"])
 
 
 @pytest.mark.slow

@@ -7,49 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs import disability_params
 from population.config import Member
 from population.hyperparameters import SACConfig, preset
 from population.networks import policy
-from population.play.self_play import self_play
-from population.runs.train import member_key
 from population.trainers import replay_buffer
 from population.trainers.sac import SAC
 from population.trainers.sac_losses import soft_target
+from tests.population import test_ppo
 from tests.population.toy_env import ToyEnv, constant, match, together
 
-# Programs this small take longer to compile than to run.
-FAST_COMPILE = {"xla_backend_optimization_level": 0}
-SMALL: dict[str, Any] = {
-    "num_envs": 8,
-    "rollout_steps": 5,
-    "replay_size": 2000,
-    "exploration_steps": 200,
-    "batch_size": 32,
-    "updates": 8,
-    "policy_delay": 2,
-    "hidden": (16, 16),
-    "policy_lr": 3e-3,
-    "q_lr": 1e-2,
-    "alpha_lr": 1e-2,
-    "gamma": 0.9,
-    "tau": 0.05,
-}
-MEMBER = Member(0, "d1")
-
-
-def start(env, config, members=(MEMBER,), updates=200, kind=SAC):
-    sac = kind(config, env, updates)
-    keys = jnp.stack([member_key(member) for member in members])
-    settings = [member.disability for member in members for _ in range(config.num_envs)]
-    initial = jax.jit(sac.initial, compiler_options=FAST_COMPILE)
-    return sac, initial(keys, disability_params(settings)), sac.hyper(members)
-
-
-def run(env, config, members=(MEMBER,), updates=200, kind=SAC):
-    sac, state, hyper = start(env, config, members, updates, kind)
-    scan = partial(jax.lax.scan, lambda state, _: sac.update(state, hyper), length=updates)
-    return sac, *jax.jit(scan, compiler_options=FAST_COMPILE)(state)
+SMALL: dict[str, Any] = {"num_envs": 8, "rollout_steps": 5, "hidden": (16, 16), "gamma": 0.9}
+SMALL |= {"replay_size": 2000, "exploration_steps": 200, "batch_size": 32, "updates": 8}
+SMALL |= {"policy_delay": 2, "policy_lr": 3e-3, "q_lr": 1e-2, "alpha_lr": 1e-2, "tau": 0.05}
+run = partial(test_ppo.run, kind=SAC)
 
 
 def values(sac, state, role, action):
@@ -79,18 +49,13 @@ def test_constant_reward_value_bootstraps_at_time_limit(terminates):
     assert not np.asarray(metrics["q_loss_robot"])[:4].any()  # exploring: nothing is learnt yet
 
 
-def unsquashed(raw):
-    """Stand for the log slope of tanh where it was forgotten."""
-    return jnp.zeros_like(raw)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("planted", [False, True], ids=["squashed", "planted-unsquashed"])
 def test_policy_without_reward_becomes_uniform(planted, monkeypatch):
     """The uniform density has the largest entropy in [-1, 1]: mean |a| is 1/2."""
     if planted:
         # The planted defect: the squash's slope left out.
-        monkeypatch.setattr(policy, "_log_slope", unsquashed)
+        monkeypatch.setattr(policy, "_log_slope", jnp.zeros_like)
     config = SACConfig(**SMALL, autotune=False, initial_alpha=0.5, critic="local")
     sac, state, _ = run(ToyEnv(constant), config, updates=150)
     member = jax.tree.map(lambda leaf: leaf[0], state.members)
@@ -123,9 +88,7 @@ def test_both_roles_learn_from_their_observations(algorithm, reward):
     sac, state, _ = run(
         env, preset(algorithm, **{**SMALL, "target_entropy_scale": 2.0}), updates=250
     )
-    keys = jax.random.split(jax.random.key(7), 1)
-    params = sac.policy_params(state.members)
-    (figures,) = self_play(env, sac.policies, params, disability_params(["d1"]), keys, 8)
+    (figures,) = test_ppo.deterministic_return(env, sac, state)
     assert figures["mean"] > 0.9 * env.episode_length
 
 
@@ -139,14 +102,6 @@ def test_soft_targets_are_those_of_the_formula():
         expected.append(reward[b] + (0.0 if terminated[b] else 0.9 * value))
     target = soft_target(*(jnp.asarray(x) for x in (reward, terminated, q, log_prob)), 0.3, 0.9)
     np.testing.assert_allclose(target, expected, rtol=1e-5)
-
-
-def test_squashed_log_density_follows_change_of_variables():
-    mean, std, raw = np.array([0.3, -1.2]), np.array([0.4, 0.9]), np.array([0.8, -2.0])
-    normal = np.exp(-0.5 * ((raw - mean) / std) ** 2) / (std * np.sqrt(2 * np.pi))
-    expected = np.log(normal / (1.0 - np.tanh(raw) ** 2)).sum()
-    gaussian = policy.Gaussian(jnp.asarray(mean), jnp.log(jnp.asarray(std)), "tanh")
-    np.testing.assert_allclose(gaussian.log_prob(jnp.asarray(raw)), expected, rtol=1e-5)
 
 
 class Misplaced(SAC):
@@ -186,14 +141,9 @@ def test_member_ignores_other_members(platform, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     members = (Member(0, "d1"), Member(4, "d9", {"q_lr": 3e-3}))
     _, beside, _ = run(ToyEnv(match), config, members, updates=7)
-    networks = [
-        {role: learner.networks for role, learner in x.members.learners.items()}
-        for x in (beside, alone)
-    ]
-    jax.tree.map(
-        lambda many, alone: np.testing.assert_allclose(many[1:2], alone, rtol=1e-3, atol=1e-5),
-        *networks,
-    )
+    networks = [test_ppo.networks(state) for state in (beside, alone)]
+    assert_close = partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-5)
+    jax.tree.map(lambda many, alone: assert_close(many[1:2], alone), *networks)
 
 
 @pytest.mark.parametrize(

@@ -16,17 +16,19 @@ POLICIES = {
 TEAMS = 3
 
 
-def play(reward, episodes=16, **changes):
-    keys = jax.random.split(jax.random.key(0), TEAMS)
-    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
-    return self_play(
-        ToyEnv(reward, **changes),
-        POLICIES,
-        params,
-        disability_params(["d1"] * TEAMS),
-        keys,
-        episodes,
-    )
+KEYS = jax.random.split(jax.random.key(0), TEAMS)
+
+
+def params_of_teams():
+    return {role: jax.vmap(policy.init)(KEYS) for role, policy in POLICIES.items()}
+
+
+def play(reward, teams=slice(None), **changes):
+    """Return the figures of some of the teams."""
+    params = jax.tree.map(lambda leaf: leaf[teams], params_of_teams())
+    keys = KEYS[teams]
+    humans = disability_params(["d1"] * len(keys))
+    return self_play(ToyEnv(reward, **changes), POLICIES, params, humans, keys, 16)
 
 
 @pytest.mark.parametrize("terminates", [False, True])
@@ -35,35 +37,20 @@ def test_constant_reward_returns_the_episode_length(terminates):
     assert play(constant, terminates=terminates) == [figures] * TEAMS
 
 
-def test_an_interval_holds_the_mean_and_figures_repeat():
+def test_figures_repeat_and_teams_play_their_own_parameters():
     results = play(match)
     for figures in results:
         assert figures["mean_ci"][0] <= figures["mean"] <= figures["mean_ci"][1]
     assert results == play(match)
     assert len({figures["mean"] for figures in results}) == TEAMS
-
-
-def test_teams_are_played_with_their_own_parameters():
-    """A team's figures are those it has when it is played alone, to rounding."""
-    keys = jax.random.split(jax.random.key(0), TEAMS)
-    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
-    alone = self_play(
-        ToyEnv(match),
-        POLICIES,
-        jax.tree.map(lambda leaf: leaf[1:2], params),
-        disability_params(["d1"]),
-        keys[1:2],
-        16,
-    )
-    np.testing.assert_allclose(alone[0]["mean"], play(match)[1]["mean"], rtol=1e-5)
+    [alone] = play(match, teams=slice(1, 2))
+    np.testing.assert_allclose(alone["mean"], results[1]["mean"], rtol=1e-5)
 
 
 def test_figures_are_those_of_a_plain_loop():
     """Oracle: one team, step by step, one policy at a time."""
-    keys = jax.random.split(jax.random.key(0), TEAMS)
-    env, team = ToyEnv(match), 2
-    params = {role: jax.vmap(policy.init)(keys) for role, policy in POLICIES.items()}
-    state = env.reset(jax.random.split(keys[team], 16), disability_params(["d1"] * 16))
+    env, team, params = ToyEnv(match), 2, params_of_teams()
+    state = env.reset(jax.random.split(KEYS[team], 16), disability_params(["d1"] * 16))
     carry, returns = dict.fromkeys(POLICIES, ()), np.zeros(16)
     for time in range(env.episode_length):
         action = {}

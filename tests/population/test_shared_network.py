@@ -25,9 +25,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 def pad(obs: jax.Array, role: str, width: int) -> jax.Array:
     """Return the shared network's input [..., width] of obs [..., O]."""
-    one_hot = jnp.broadcast_to(
-        jnp.eye(len(ROLES))[ROLES.index(role)], (*obs.shape[:-1], len(ROLES))
-    )
+    row = jnp.eye(len(ROLES))[ROLES.index(role)]
+    one_hot = jnp.broadcast_to(row, (*obs.shape[:-1], len(ROLES)))
     blank = jnp.zeros((*obs.shape[:-1], width - obs.shape[-1] - len(ROLES)))
     return jnp.concatenate([obs, blank, one_hot], axis=-1)
 
@@ -39,24 +38,16 @@ def test_exported_policy_equals_the_shared_network(role, variant):
     observation, action = SIZES[role]
     width = shared_network.padded_size({role: sizes[0] for role, sizes in SIZES.items()})
     assert width == 9
-    shared = Policy(
-        PolicySpec("robot", width, 3, hidden=(8, 6), normalise=False, **VARIANTS[variant])
-    )
-    own = Policy(
-        PolicySpec(role, observation, action, hidden=(8, 6), normalise=False, **VARIANTS[variant])
-    )
+    options = {"hidden": (8, 6), "normalise": False, **VARIANTS[variant]}
+    shared = Policy(PolicySpec("robot", width, 3, **options))
+    own = Policy(PolicySpec(role, observation, action, **options))
     keys = jax.random.split(jax.random.key(2), 3)
-    template = jax.eval_shape(shared.init, keys[0])
-    leaves, tree = jax.tree.flatten(template)
-    draws = [
-        jax.random.normal(k, leaf.shape)
-        for k, leaf in zip(jax.random.split(keys[1], 99), leaves, strict=False)
-    ]
-    params = jax.tree.unflatten(tree, draws)
+    leaves, tree = jax.tree.flatten(jax.eval_shape(shared.init, keys[0]))
+    draws = zip(jax.random.split(keys[1], len(leaves)), leaves, strict=True)
+    params = jax.tree.unflatten(tree, [jax.random.normal(key, leaf.shape) for key, leaf in draws])
     folded = shared_network.fold(params, role, observation, action)
-    assert jax.tree.map(jnp.shape, folded) == jax.tree.map(
-        lambda leaf: leaf.shape, jax.eval_shape(own.init, keys[0])
-    )
+    expected = jax.eval_shape(own.init, keys[0])
+    assert jax.tree.map(np.shape, folded) == jax.tree.map(np.shape, expected)
     obs, first = jax.random.normal(keys[2], (4, observation)), jnp.zeros(4, bool)
     _, expected = shared.step(params, shared.initial_carry((4,)), pad(obs, role, width), first)
     _, actual = own.step(folded, own.initial_carry((4,)), obs, first)

@@ -4,7 +4,6 @@ import contextlib
 import math
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from population.runs.tensorboard import EventFiles, tag
-from population.runs.train import train
+from population.runs.train import Progress, train
 from tests.population.test_train import CONFIG, Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
@@ -52,9 +51,7 @@ def whole(tmp_path_factory):
 
 
 def check(events, metrics, speeds):
-    """Hold all files against the metrics of the run: every step once, in order, with the same
-    values.
-    """
+    """Check that the files hold each step of the metrics once, in order, with its values."""
     table = pl.read_parquet(metrics)
     assert sorted(path.name for path in events.iterdir()) == sorted(MEMBERS)
     for member, name in enumerate(MEMBERS):
@@ -63,13 +60,8 @@ def check(events, metrics, speeds):
         assert len(series.pop("speed/steps_per_second")) == speeds
         logged = [column for column in rows.columns if tag(column) in series]
         assert set(map(tag, logged)) == set(series)
-        assert {
-            "return",
-            "term_robot",
-            "term_human",
-            "policy_loss_robot",
-            "value_loss_human",
-        } <= set(logged)
+        expected = "return term_robot term_human policy_loss_robot value_loss_human"
+        assert set(expected.split()) <= set(logged)
         for column in logged:
             expected = rows.select("steps", column).drop_nulls().to_numpy()
             np.testing.assert_allclose(series[tag(column)], expected, rtol=1e-6, err_msg=column)
@@ -81,10 +73,7 @@ def test_event_files_hold_what_the_metrics_hold(whole):
 
 @pytest.mark.slow
 def test_resumed_run_shows_each_step_once(tmp_path, monkeypatch):
-    """Killed before its first checkpoint, which is of update 2; just after it; and an update later.
-
-    What was written last is torn each time.
-    """
+    """It is killed before, just after and an update after its first checkpoint; files are torn."""
     now = time.time()
     for second, update in enumerate((1, 2, 3)):
         monkeypatch.setattr(time, "time", lambda second=second: now + second)  # names the files
@@ -104,31 +93,21 @@ def test_resumed_run_shows_each_step_once(tmp_path, monkeypatch):
 
 def test_a_run_without_files_gets_its_past_written(whole, tmp_path):
     run(whole / "run", tmp_path / "late")  # finished: nothing is trained
-    check_past = partial(scalars, tmp_path / "late" / MEMBERS[2])
-    assert check_past()["episode/return"] == scalars(whole / "tb" / MEMBERS[2])["episode/return"]
+    late, first = (scalars(folder / MEMBERS[2]) for folder in (tmp_path / "late", whole / "tb"))
+    assert late["episode/return"] == first["episode/return"]
 
 
 def test_files_of_another_run_are_refused(whole, tmp_path):
-    with pytest.raises(
-        ValueError,
-        match="holds event files of another run of toy-ippo-d1-s0; choose another folder",
-    ):
+    message = "holds event files of another run of toy-ippo-d1-s0; choose another folder"
+    with pytest.raises(ValueError, match=message):
         EventFiles(CONFIG, tmp_path / "new", whole / "tb")
     EventFiles(CONFIG, whole / "run", whole / "tb").close()  # the run itself
 
 
 def test_nonfinite_loss_is_written(tmp_path):
-    from population.runs.train import Progress
-
     files = EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")
-    row = {
-        "update": 1,
-        "steps": 80,
-        "seconds": 1.0,
-        "member": 0,
-        "return": None,
-        "policy_loss_robot": math.nan,
-    }
+    row = {"update": 1, "steps": 80, "seconds": 1.0, "member": 0, "return": None}
+    row["policy_loss_robot"] = math.nan
     files(Progress(1, 6, 320, 1920, 100.0, 16.0, pl.DataFrame([row])))
     files.close()
     logged = scalars(tmp_path / "tb" / MEMBERS[0])
@@ -138,7 +117,6 @@ def test_nonfinite_loss_is_written(tmp_path):
 
 def test_without_the_library_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX.event_file_writer", None)
-    with pytest.raises(
-        ValueError, match=r"install it with: pip install 'assistax-zoo\[tensorboard\]'"
-    ):
+    message = r"install it with: pip install 'assistax-zoo\[tensorboard\]'"
+    with pytest.raises(ValueError, match=message):
         EventFiles(CONFIG, tmp_path / "run", tmp_path / "tb")

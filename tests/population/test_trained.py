@@ -66,11 +66,10 @@ def test_a_hostile_folder_is_refused_for_every_user(
         read_trained_run(tmp_path / "run")
 
 
-def test_a_number_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_parameters_with_nan_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "run")
     path = tmp_path / "run" / "robot.safetensors"
-    data = path.read_bytes()
-    path.write_bytes(data[:-4] + np.float32(np.nan).tobytes())
+    path.write_bytes(path.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(FormatError, match="NaN"):
         read_trained_run(tmp_path / "run")
 

@@ -28,7 +28,7 @@ TWO = dataclasses.replace(CONFIG, members=make_members([0], ["d1", "d9"]))
 
 
 @pytest.fixture(autouse=True)
-def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def alone(tmp_path: Path, monkeypatch) -> Iterator[None]:
     """Keep W&B offline, and away from the user's own settings and key."""
     for name in ("HOME", "WANDB_CONFIG_DIR", "WANDB_CACHE_DIR", "WANDB_DATA_DIR"):
         monkeypatch.setenv(name, str(tmp_path / "home"))
@@ -123,16 +123,14 @@ def test_other_folder_gets_no_wandb_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_missing_key_says_how_to_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_key_says_how_to_log_in(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.delenv("WANDB_MODE")
     log = _log(TWO, tmp_path / "run", "wandb:study")
     with pytest.raises(ValueError, match=r"`wandb login`.*WANDB_MODE=offline"):
         train(TWO, ToyEnv(match), tmp_path / "run", progress=log)
 
 
-def test_without_the_package_it_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package_it_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(ValueError, match=r"assistax-zoo\[wandb\]"):
         WandbRuns(CONFIG, tmp_path, "study")

@@ -164,16 +164,12 @@ def match(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]
 
 
 def together(state: ToyState, action: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """Reward at most 1 a step, and only if both act on their cue: either alone earns 0 on
-    average.
-    """
+    """Reward at most 1 a step, if both act on their cue: either alone earns 0 on average."""
     return {"together": action["robot"] * state.cue["robot"] * action["human"] * state.cue["human"]}
 
 
 def numpy_gae(reward, value, next_value, terminated, truncated, gamma, lam) -> np.ndarray:
-    """Advantages by the definition: a sum of discounted errors up to the episode's end, step by
-    step.
-    """
+    """Return the sums of discounted errors up to each episode's end, by the definition."""
     steps, simulations = reward.shape
     result = np.zeros_like(reward)
     for n in range(simulations):

@@ -42,7 +42,7 @@ def test_rows_are_methods_and_bounds(capsys) -> None:
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == known
 
 
-def test_registered_method_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_registered_method_is_a_row(monkeypatch) -> None:
     monkeypatch.setitem(METHODS, "new", ("", {}))
     made = named("new")
     assert (made.algorithm, made.source, made.told) == ("new", "train", False)
@@ -56,33 +56,27 @@ def test_a_stage_is_told_with_its_place() -> None:
     assert known["best-response"].stage("evaluation") == "stage 2 of 2, evaluation of best-response"
 
 
+PERSONS = "gentle_lift --split persons --part"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["row", "dreamer", "scratch"], "row is 'dreamer'; allowed are best-fixed, ppo"),
-        (["row", "ppo", "swim"], "task is 'swim'"),
-        (["row", "ppo", "scratch", "--split", "half"], "has no validation side"),
-        (["row", "ppo", "scratch", "--part", "5/4"], "part is '5/4'; give its number and of how"),
+        ("row dreamer scratch", "row is 'dreamer'; allowed are best-fixed, ppo"),
+        ("row ppo swim", "task is 'swim'"),
+        ("row ppo scratch --split half", "has no validation side"),
+        ("row ppo scratch --part 5/4", "part is '5/4'; give its number and of how"),
+        (f"row gru {PERSONS} all/2", "lacks part-1-of-2, part-2-of-2; make"),
+        (f"row mirror {PERSONS} 1/2", "part is 1/2 for row 'mirror'; allowed"),
+        (f"row mirror {PERSONS} all/2", "'mirror' is not trained in parts"),
         (
-            ["row", "gru", "gentle_lift", "--split", "persons", "--part", "all/2"],
-            "lacks part-1-of-2, part-2-of-2; make",
-        ),
-        (
-            ["row", "mirror", "gentle_lift", "--split", "persons", "--part", "1/2"],
-            "part is 1/2 for row 'mirror'; allowed",
-        ),
-        (
-            ["row", "mirror", "gentle_lift", "--split", "persons", "--part", "all/2"],
-            "'mirror' is not trained in parts",
-        ),
-        (
-            ["row", "ppo", "gentle_scratch", "--split", "three-sides", "--side", "train"],
+            "row ppo gentle_scratch --split three-sides --side train",
             "only best responses are of another side",
         ),
     ],
 )
 def test_what_cannot_be_made_gets_one_line(words, message, tmp_path, capsys) -> None:
-    assert run([*words, "--out", str(tmp_path / "league")]) == 1
+    assert run([*words.split(), "--out", str(tmp_path / "league")]) == 1
     assert message in capsys.readouterr().err
     assert not (tmp_path / "league").exists()
 
@@ -104,7 +98,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_rows_from_nothing_and_their_page(
-    registry: Path, tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+    registry: Path, tmp_path: Path, capfd, monkeypatch
 ) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.setenv("ASSISTAX_ZOO_CACHE", str(tmp_path / "cache"))
@@ -201,9 +195,7 @@ seeds = 4
 
 
 @pytest.mark.slow
-def test_a_told_best_response_of_a_gentle_task(
-    tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_told_best_response_of_a_gentle_task(tmp_path: Path, capfd, monkeypatch) -> None:
     """Robots observe what the human likes, so another environment trains and plays them."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
@@ -224,18 +216,23 @@ def _partners(folder: Path) -> list[str]:
     return sorted(Record.read(folder).returns.partners["partner_team"])
 
 
+def written_page(tmp_path: Path, capsys, contrasts: str) -> str:
+    """Return the page of a league's rows."""
+    named, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
+    named.write_text(contrasts)
+    words = ["page", str(tmp_path / "league"), "--contrasts", str(named), "--text", str(text)]
+    places = ["--out", str(tmp_path / "docs/data"), "--images", str(tmp_path / "docs/images")]
+    assert run([*words, *places]) == 0, capsys.readouterr().err
+    return text.read_text()
+
+
 def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     put(tmp_path / "league/scratch", "ppo", np.full((4, 10), 200.0), baselines=True)
     put(tmp_path / "league/scratch", "gru", np.full((4, 10), 300.0))
     put(tmp_path / "league/scratch", "told-preference", np.full((4, 10), 350.0))
     put(tmp_path / "league/scratch/training-side", "gru", np.full((4, 10), 380.0))
     put(tmp_path / "league/scratch/training-side", "best-response", np.full((4, 10), 400.0))
-    contrasts, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
-    contrasts.write_text(NAMED)
-    words = ["page", str(tmp_path / "league"), "--contrasts", str(contrasts), "--text", str(text)]
-    places = ["--out", str(tmp_path / "docs/data"), "--images", str(tmp_path / "docs/images")]
-    assert run([*words, *places]) == 0, capsys.readouterr().err
-    page = text.read_text()
+    page = written_page(tmp_path, capsys, NAMED)
     [row] = [line for line in page.splitlines() if line.startswith("| `scratch` | `gru` |")]
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
@@ -270,24 +267,16 @@ def test_the_committed_page_is_what_the_tables_give() -> None:
 def test_validation_chooses_methods_and_contrasts_name_ppo(tmp_path: Path, capsys) -> None:
     """What is best with the test side is said, and no choice."""
     place = tmp_path / "league/scratch"
-    for name, test, validated in (
-        ("ppo", 200.0, 210.0),
-        ("gru", 300.0, 290.0),
-        ("liam", 280.0, 310.0),
-    ):
+    rows_of = ("ppo", 200.0, 210.0), ("gru", 300.0, 290.0), ("liam", 280.0, 310.0)
+    for name, test, validated in rows_of:
         put(place, name, np.full((4, 10), test), baselines=name == "ppo")
         curve = place / f"runs/{name}/training/validation.parquet"
         curve.parent.mkdir(parents=True)
         steps, seeds = [10, 20] * 4, np.repeat(range(4), 2)
         returns = [validated, validated - 400] * 4  # each seed's best checkpoint counts
         pl.DataFrame({"seed": seeds, "steps": steps, "return": returns}).write_parquet(curve)
-    contrasts, text = tmp_path / "contrasts.toml", tmp_path / "docs/results.md"
-    named = NAMED.replace('baseline = "ppo"', 'baseline = "liam"')
-    contrasts.write_text(named)
-    words = ["page", str(tmp_path / "league"), "--contrasts", str(contrasts), "--text", str(text)]
-    places = ["--out", str(tmp_path / "docs/data"), "--images", str(tmp_path / "docs/images")]
-    assert run([*words, *places]) == 0, capsys.readouterr().err
-    page = text.read_text()
+    contrasts = NAMED.replace('baseline = "ppo"', 'baseline = "liam"')
+    page = written_page(tmp_path, capsys, contrasts)
     assert "| `scratch` | `liam` | **280" in page
     assert "another method has a higher mean: `gru` in `scratch` (300, `liam` 280)" in page
     assert "| `gru` - `liam` | `scratch` | 20 " in page

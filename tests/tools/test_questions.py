@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 from tools.questions import DRAWN, draw_docstrings, lost_answers, main, read_questions
 
 
@@ -23,7 +21,7 @@ def test_lost_answer_is_found(tmp_path: Path) -> None:
     assert lost == ["here.py has no method: ?", "gone.py has no Found: ?"]
 
 
-def test_drawn_docstrings_hide_their_functions(capsys: pytest.CaptureFixture[str]) -> None:
+def test_drawn_docstrings_hide_their_functions(capsys) -> None:
     drawn = draw_docstrings(3)
     assert len(set(drawn)) == DRAWN and drawn == draw_docstrings(3) != draw_docstrings(4)
     assert main(["docstrings", "3"]) == 0
