@@ -1,11 +1,11 @@
 """The hidden half: what leaves the server, what an attempt costs, and that a reveal is proof."""
 
 import dataclasses
-import json
 import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import polars as pl
 import pytest
@@ -114,12 +114,8 @@ def test_nothing_hidden_is_in_any_answer(service: Service) -> None:
             answer = http.get(path.replace("{id}", name).replace("{task}", TASK))
             texts.append(answer.text)
     assert any('"panel":"A"' in text for text in texts)
+    assert any(word in '{"partner": "hidden-0007"}' for word in hidden), "a leak would be found"
     assert [word for word in hidden for text in texts if word in text] == []
-
-
-def test_a_planted_leak_is_found(service: Service) -> None:
-    open_season(service)
-    assert any(word in json.dumps({"partner": "hidden-0007"}) for word in hidden_words(service))
 
 
 def hidden_words(service: Service) -> list[str]:
@@ -223,15 +219,11 @@ def test_withdrawal_closes_a_season_in_one_transaction(
     id = service.submit(lab, draft(season=open_season(service)))
     service.close_season("spring")
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(closing_rules, "go_on", lambda *_: _interrupt())
+        patch.setattr(closing_rules, "go_on", Mock(side_effect=KeyboardInterrupt))
         service.withdraw(id, lab)
     assert (shown(service, id).state, state_of(service)) == ("queued", "closing")
     service.withdraw(id, lab)
     assert (shown(service, id).state, state_of(service)) == ("failed", "closed")
-
-
-def _interrupt() -> None:
-    raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("waits_for", ["its date", "the organiser"])
