@@ -228,11 +228,7 @@ class StillFilms(Films):
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
 def test_episode_plays_after_its_film(
-    browser: Browser,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    width: int,
-    scheme: str,
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, width: int, scheme: str
 ) -> None:
     """The page's policy lets the player run, and nothing of the page keeps anybody out."""
     monkeypatch.setattr(pages, "run_command", StillFilms())
