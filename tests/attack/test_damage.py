@@ -9,7 +9,7 @@ import functools
 import json
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -46,6 +46,15 @@ def told(error: BaseException) -> None:
     assert len(text) < 3000 and "\x1b" not in text, text[:200]
 
 
+@contextlib.contextmanager
+def refusable() -> Iterator[None]:
+    """Let a refusal pass if it is told well."""
+    try:
+        yield
+    except REFUSALS as error:
+        told(error)
+
+
 def spoil(
     ledger: Ledger, path: Path, count: int, check: Callable[[bytes, bytes], None], name: str
 ) -> None:
@@ -56,10 +65,8 @@ def spoil(
         data = damaged(ledger.random, whole, path.suffix)
         path.write_bytes(data)
         with ledger.trial(f"{name} {trial} {sys.getsizeof(data)}"):
-            try:
+            with refusable():
                 check(whole, data)
-            except REFUSALS as error:
-                told(error)
             assert not watch.outside, watch.outside
     watch.on = False
     path.write_bytes(whole)
@@ -135,10 +142,8 @@ def test_run_folders(made: Path, tmp_path: Path) -> None:
             folder.read_metrics(99)
 
         for read in (resume, lambda: read_run(run)):
-            try:
+            with refusable():
                 read()
-            except REFUSALS as error:
-                told(error)
 
     with attack("damaged run folders") as ledger:
         names = ("teams.json", "config.json", "robot.safetensors", "metrics.parquet")
@@ -159,11 +164,9 @@ def test_results(made: Path, tmp_path: Path) -> None:
         may_be_spaced = path.name == provenance.MANIFEST_FILE
         changed = data != whole and not (may_be_spaced and _same_json(whole, data))
         assert bool(verify_folder(result).problems) == changed
-        try:
+        with refusable():
             write_report(result, tmp_path / "page.html")
             assert not changed, "a page was made from a damaged file"
-        except REFUSALS as error:
-            told(error)
 
     def sealed(whole: bytes, data: bytes) -> None:
         try:
@@ -235,12 +238,9 @@ def test_checkpoints(tmp_path: Path) -> None:
 
 
 def _restore(folder: Path, states: dict[int, dict]) -> None:
-    try:
+    with refusable():
         with contextlib.closing(Checkpoints(folder)) as checkpoints:
             restored = checkpoints.restore_latest(states[1])
-    except REFUSALS as error:
-        told(error)
-    else:
         assert restored is not None
         expected = states[restored[0]]
         assert all(np.array_equal(restored[1][name], expected[name]) for name in expected)

@@ -90,11 +90,13 @@ def test_references_are_queued_once_and_last(service: Service, tmp_path: Path) -
 
 def test_a_job_done_twice_counts_once(service: Service) -> None:
     service.submit(new_submitter(service), draft())
-    scorer = FakeScorer()
     work = take(service)
-    table = encode_table(scorer.play(work, b"robot 1.0", None))
-    assert service.result(work.job, work.lease, table, 1.0)
-    assert not service.result(work.job, work.lease, table, 1.0)
+    table = FakeScorer().play(work, b"robot 1.0", None)
+    for wrong in (table.head(10), table.with_columns(partner=table["partner"] + "x")):
+        with pytest.raises(Problem, match="lacks episodes"):
+            service.result(work.job, work.lease, encode_table(wrong), 1.0)
+    assert service.result(work.job, work.lease, encode_table(table), 1.0)
+    assert not service.result(work.job, work.lease, encode_table(table), 1.0)
     work_off(service)
     assert service.queries.submissions()[0].state == "scored"
 
@@ -151,16 +153,6 @@ def test_a_withdrawn_submission_is_never_scored(service: Service) -> None:
     assert shown(service, id).reason == "withdrawn"
     with pytest.raises(Problem, match="has ended"):
         service.withdraw(id, submitter)
-
-
-def test_a_result_of_other_episodes_is_not_taken(service: Service) -> None:
-    service.submit(new_submitter(service), draft())
-    scorer = FakeScorer()
-    work = take(service)
-    table = scorer.play(work, b"robot 1.0", None)
-    for wrong in (table.head(10), table.with_columns(partner=table["partner"] + "x")):
-        with pytest.raises(Problem, match="lacks episodes"):
-            service.result(work.job, work.lease, encode_table(wrong), 1.0)
 
 
 def test_new_version_rescores_and_keeps_old_scores(service: Service, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 import polars as pl
 import pytest
 
@@ -69,13 +68,6 @@ def teams_from(first: int, count: int = 3) -> list[TrainedTeam]:
     ]
 
 
-@pytest.fixture
-def files() -> dict[str, bytes]:
-    """One robot in both formats."""
-    params = params_of(ROBOT, 7)
-    return {"safetensors": policy_bytes(ROBOT, params), "onnx": to_onnx(ROBOT, params)}
-
-
 @pytest.fixture(autouse=True, scope="module")
 def short_episodes() -> Iterator[None]:
     def short(*args: Any, **options: Any) -> Env:
@@ -94,19 +86,6 @@ def scorer_of(registry: Registry) -> ZooScorer:
 
 def work(partners: tuple[str, ...]) -> Work:
     return _try_work(TASK, "safetensors", partners)
-
-
-@pytest.mark.slow
-def test_scores_equal_across_formats_and_runs(registry: Registry, files: dict[str, bytes]) -> None:
-    partners = tuple(entry.id for entry in registry.select(task=TASK, role="human"))
-    tables = [
-        scorer_of(registry).play(work(partners), files[format], None)
-        for format in ("safetensors", "safetensors", "onnx")
-    ]
-    assert table_bytes(tables[0]) == table_bytes(tables[1])
-    returns = [table.sort("partner", "episode")["return"].to_numpy() for table in tables]
-    # The networks round differently in the last bit, and contacts amplify that.
-    np.testing.assert_allclose(returns[0], returns[2], rtol=0.05, atol=1.0)
 
 
 @pytest.mark.slow
@@ -193,11 +172,11 @@ def test_version_covers_all_inputs_of_a_table(registry: Registry) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("reference", [None, ZERO, SELF_PLAY])
 def test_private_release_is_played_under_ordinals(
-    registry: Registry, files: dict[str, bytes], tmp_path: Path, reference: str | None
+    registry: Registry, tmp_path: Path, reference: str | None
 ) -> None:
     """References measure panel B; self-play is with the release's own robots."""
     private = load_registry(published(teams_from(100), tmp_path))
-    packed, robot = pack(private.path.parent), files["safetensors"]
+    packed, robot = pack(private.path.parent), policy_bytes(ROBOT, params_of(ROBOT, 7))
     asked = work((ordinal(1),))
     if reference is not None:
         asked = dataclasses.replace(asked, kind="reference", format=reference)

@@ -113,17 +113,13 @@ def test_card_keeps_licence_and_film(hub: Hub, cache: Path, teams, tmp_path: Pat
         assert card.data.to_dict()["license"] == "cc-by-4.0"
         assert card.data.to_dict()["pipeline_tag"] == "reinforcement-learning"
         assert "](film.webp)" in card.text and place["film.webp"] == b"film"
+    (tmp_path / "zoo" / "README.md").write_text("# ours\n")
+    hub.put("org/zoo", tmp_path / "zoo")
+    for to in (ZOO, str(tmp_path / "zoo")):
+        put(teams(("mappo",)), to)
+    assert files(hub)["README.md"] == (tmp_path / "zoo" / "README.md").read_bytes() == b"# ours\n"
     with pytest.raises(ValueError, match=r"lift\.txt is no film; allowed are .gif, .webp, .mp4"):
         put(teams(), film=tmp_path / "lift.txt")
-
-
-def test_a_card_of_ones_own_stays(hub: Hub, cache: Path, teams, tmp_path: Path) -> None:
-    (tmp_path / "README.md").write_text("# ours\n")
-    hub.put("org/zoo", tmp_path)
-    put(teams())
-    assert files(hub)["README.md"] == b"# ours\n"
-    put(teams(), str(tmp_path))
-    assert (tmp_path / "README.md").read_text() == "# ours\n"
 
 
 def test_a_folder_has_the_layout_of_a_hub(hub: Hub, cache: Path, teams, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from assistax_zoo.shell.main import run
 from tests.population.toy_env import ToyEnv, constant
+from tests.workshop.test_publish import contents
 from zoo.registry import load_registry
 from zoo.verify import verify
 
@@ -47,12 +48,6 @@ def write_plan(place, *groups, release="v1"):
 def words(place, *more, out="runs"):
     return ["train", "population", "--plan", str(place / "plan.json"), "--out", str(place / out),
             "--registry", str(place / "registry.json"), *more]  # fmt: skip
-
-
-def contents(place):
-    return {
-        path.relative_to(place): path.read_bytes() for path in place.rglob("*") if path.is_file()
-    }
 
 
 def rows(capsys, place, *more):
