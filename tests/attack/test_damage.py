@@ -9,7 +9,7 @@ import functools
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ def told(error: BaseException) -> None:
 
 
 @contextlib.contextmanager
-def refusable() -> Iterator[None]:
+def refusable() -> Generator[None]:
     """Let a refusal pass if it is told well."""
     try:
         yield
