@@ -50,10 +50,7 @@ def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
             ["fetch", "--from", str(registry.parent)], files_of("cache", "**/*.safetensors")
         ),
         "report": Command(["report", str(result), "--out", "page.html"], files_of(".", "*.html")),
-        "render": Command(
-            RENDER.split(),
-            files_of(".", "*.png"),
-        ),
+        "render": Command(RENDER.split(), files_of(".", "*.png")),
     }
 
 

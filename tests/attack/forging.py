@@ -73,6 +73,34 @@ class Forger:
         provenance.write_manifest(self.folder, self.manifest)
         provenance.seal(self.folder)
 
+    def change(self, function: Callable[[pl.DataFrame], pl.DataFrame]) -> None:
+        """Change the episodes, and those of the references if there are any."""
+        self.table = function(self.table)
+        if self.references is not None:
+            self.references = function(self.references)
+
+    def rename(self, name: str, digest: str, **described: Any) -> None:
+        """Give the first robot another name; columns that describe it are as given, or empty."""
+        mine = self.identity["egos"][0][0]
+        self.identity["egos"][0] = [name, digest]
+        described, is_mine = {"ego": name, **described}, pl.col("ego") == mine
+        self.table = self.table.with_columns(
+            pl.when(is_mine)
+            .then(pl.lit(described.get(column), kind))
+            .otherwise(pl.col(column))
+            .alias(column)
+            for column, kind in self.table.schema.items()
+            if column.startswith("ego")
+        )
+        if self.references is not None:
+            self.references = self.references.with_columns(pl.col("ego").replace(mine, name))
+
+    def gain(self, rows: list[int], points: float) -> None:
+        """Raise the returns of some episodes, and one of their parts."""
+        gain = pl.int_range(pl.len()).is_in(rows).cast(pl.Float32) * points
+        names = ["return", next(iter(term_columns(self.table)))]
+        self.table = self.table.with_columns(pl.col(name) + gain for name in names)
+
     def any_of(self, column: str) -> str:
         """Return one of a column's values."""
         return self.rng.choice(sorted(set(self.table[column])))
@@ -124,11 +152,8 @@ def sides(forger: Forger) -> None:
     other = {"train": "test", "test": "train"}
     for row in forger.identity["partners"]:
         row[2] = other[row[2]]
-    replaced = pl.col("side").replace_strict(other)
-    forger.table = forger.table.with_columns(replaced.alias("side"))
-    if forger.references is not None:
-        named = pl.col("side").replace(other)
-        forger.references = forger.references.with_columns(named.alias("side"))
+    named = pl.col("side").replace(other).alias("side")
+    forger.change(lambda table: table.with_columns(named))
     forger.close()
 
 
@@ -167,10 +192,7 @@ def partner_dropped(forger: Forger, count: int = 1) -> None:
     forger.identity["partners"] = [
         row for row in forger.identity["partners"] if row[0] not in worst
     ]
-    kept = ~pl.col("partner").is_in(worst)
-    forger.table = forger.table.filter(kept)
-    if forger.references is not None:
-        forger.references = forger.references.filter(kept)
+    forger.change(lambda table: table.filter(~pl.col("partner").is_in(worst)))
     forger.close()
 
 
@@ -206,23 +228,14 @@ def robot_renamed(forger: Forger) -> None:
         and entry.id not in mine
     ]
     other = forger.rng.choice(others[:2])  # of few, so that few jobs are played
-    forger.identity["egos"][0] = [other.id, other.sha256]
-    human = other.setting is not None
-    described = {
-        "ego": other.id,
-        "ego_team": other.team,
-        "ego_algorithm": other.algorithm,
-        "ego_disability": other.disability if human else None,
-        "ego_seed": other.seed,
-    }
-    is_mine = pl.col("ego") == mine[0]
-    kinds = forger.table.schema
-    forger.table = forger.table.with_columns(
-        pl.when(is_mine).then(pl.lit(value, kinds[name])).otherwise(pl.col(name)).alias(name)
-        for name, value in described.items()
+    forger.rename(
+        other.id,
+        other.sha256,
+        ego_team=other.team,
+        ego_algorithm=other.algorithm,
+        ego_disability=other.disability if other.setting is not None else None,
+        ego_seed=other.seed,
     )
-    if forger.references is not None:
-        forger.references = forger.references.with_columns(pl.col("ego").replace(mine[0], other.id))
     forger.close()
 
 
@@ -245,17 +258,8 @@ def rename_robot(forger: Forger, name: str) -> None:
     """Give the first robot a name from outside, without resolving it here."""
     code = f"from pathlib import Path\nPath({str(forger.folder.parent / MARKER)!r}).touch()\n"
     (forger.folder.parent / "evil.py").write_text(f"{code}make = None\n")
-    mine, met = forger.identity["egos"][0][0], forger.met()
-    forger.identity["egos"][0] = [name, "0" * 64]
-    is_mine = pl.col("ego") == mine
-    forger.table = forger.table.with_columns(
-        pl.when(is_mine).then(pl.lit(value, kind)).otherwise(pl.col(column)).alias(column)
-        for column, kind in forger.table.schema.items()
-        if column.startswith("ego")
-        for value in [name if column == "ego" else None]
-    )
-    if forger.references is not None:
-        forger.references = forger.references.with_columns(pl.col("ego").replace(mine, name))
+    met = forger.met()
+    forger.rename(name, "0" * 64)
     forger.close(met)
 
 
@@ -275,10 +279,7 @@ def seed_changed(forger: Forger) -> None:
     """Say that the episodes are those of another seed, with its keys."""
     seed = forger.rng.randrange(1, 3)  # of few, so that few jobs are played
     forger.identity["seed"] = seed
-    for name in ("table", "references"):
-        table = getattr(forger, name)
-        if table is not None:
-            setattr(forger, name, forger.with_keys(table))
+    forger.change(forger.with_keys)
     forger.close()
 
 
@@ -302,11 +303,9 @@ def episode_left_out(forger: Forger) -> None:
     gone = forger.rng.randrange(last)
     forger.identity["episodes"] = last
     number = pl.col("episode") - (pl.col("episode") > gone).cast(pl.Int64)
-    for name in ("table", "references"):
-        table = getattr(forger, name)
-        if table is not None:
-            table = table.filter(pl.col("episode") != gone).with_columns(number.alias("episode"))
-            setattr(forger, name, forger.with_keys(table))
+    left = pl.col("episode") != gone
+    forger.change(lambda table: table.filter(left).with_columns(number.alias("episode")))
+    forger.change(forger.with_keys)
     forger.close()
 
 
@@ -358,9 +357,7 @@ def fifth_elsewhere(forger: Forger) -> None:
     """Name another machine, and raise a fifth of the episodes by much."""
     elsewhere(forger)
     rows = forger.rng.sample(range(forger.table.height), forger.table.height // 5)
-    gain = pl.int_range(pl.len()).is_in(rows).cast(pl.Float32) * forger.rng.choice((60.0, 600.0))
-    names = ["return", next(iter(term_columns(forger.table)))]
-    forger.table = forger.table.with_columns(pl.col(name) + gain for name in names)
+    forger.gain(rows, forger.rng.choice((60.0, 600.0)))
     forger.close()
 
 
@@ -393,9 +390,7 @@ def small_tiles(forger: Forger) -> None:
     forger.context = dataclasses.replace(forger.context, backend="mjx")
     forger.manifest["tile_envs"] = forger.manifest["max_envs"] = forger.rng.choice((1, 2, 4))
     rows = forger.rng.sample(range(forger.table.height), 2)
-    gain = pl.int_range(pl.len()).is_in(rows).cast(pl.Float32) * 20000
-    names = ["return", next(iter(term_columns(forger.table)))]
-    forger.table = forger.table.with_columns(pl.col(name) + gain for name in names)
+    forger.gain(rows, 20000.0)
     forger.close()
 
 

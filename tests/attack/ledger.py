@@ -65,6 +65,7 @@ class Ledger:
         self._excused += outcome.seconds
         self._computed += outcome.computed
         assert "Traceback" not in outcome.err, outcome.err[-400:]
+        assert "this is unexpected" not in outcome.err, outcome.err[-400:]
         assert not outcome.outside, f"written outside: {outcome.outside}"
         self._bounded(outcome.work, outcome.peak)
 

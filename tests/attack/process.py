@@ -242,11 +242,3 @@ def _environment(home: str) -> None:
 def _told(path: Path) -> str:
     """Return what the process wrote; one that was killed at once wrote nothing."""
     return path.read_text(errors="replace") if path.is_file() else ""
-
-
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait for something."""
-    ends = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < ends, "nothing happened"
-        time.sleep(0.01)

@@ -9,7 +9,7 @@ import functools
 import json
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from tests.attack.damage import BYTES, damaged, tensors
 from tests.attack.ledger import Ledger, attack
 from tests.attack.watch import Watch
 from tests.evaluation.matrix_game import MatrixGame
-from tests.evaluation.test_evaluator import make_job, unfinished
+from tests.evaluation.test_evaluator import make_job, mixed_job, unfinished
 from zoo.lock import read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks, read_policy_file, write_policy_file
@@ -46,10 +46,13 @@ def told(error: BaseException) -> None:
     assert len(text) < 3000 and "\x1b" not in text, text[:200]
 
 
-@pytest.fixture
-def inside(tmp_path: Path) -> Path:
-    """A folder; what is written elsewhere while the test runs is a failure."""
-    return tmp_path
+@contextlib.contextmanager
+def refusable() -> Generator[None]:
+    """Let a refusal pass if it is told well."""
+    try:
+        yield
+    except REFUSALS as error:
+        told(error)
 
 
 def spoil(
@@ -62,10 +65,8 @@ def spoil(
         data = damaged(ledger.random, whole, path.suffix)
         path.write_bytes(data)
         with ledger.trial(f"{name} {trial} {sys.getsizeof(data)}"):
-            try:
+            with refusable():
                 check(whole, data)
-            except REFUSALS as error:
-                told(error)
             assert not watch.outside, watch.outside
     watch.on = False
     path.write_bytes(whole)
@@ -76,8 +77,8 @@ def copied(registry_path: Path, folder: Path) -> Registry:
     return load_registry(folder / "zoo" / "registry.json")
 
 
-def test_registries(registry_path: Path, inside: Path) -> None:
-    true = copied(registry_path, inside)
+def test_registries(registry_path: Path, tmp_path: Path) -> None:
+    true = copied(registry_path, tmp_path)
 
     def check(whole: bytes, data: bytes) -> None:
         read = load_registry(true.path)
@@ -88,9 +89,9 @@ def test_registries(registry_path: Path, inside: Path) -> None:
         spoil(ledger, true.path, 1200, check, "registry")
 
 
-def test_locks(registry_path: Path, inside: Path) -> None:
+def test_locks(registry_path: Path, tmp_path: Path) -> None:
     registry = load_registry(registry_path)
-    path = inside / "mine.json"
+    path = tmp_path / "mine.json"
     true = make_lock(registry, registry.policies)
     write_lock(true, path)
 
@@ -101,8 +102,8 @@ def test_locks(registry_path: Path, inside: Path) -> None:
         spoil(ledger, path, 600, check, "lock")
 
 
-def test_shards(registry_path: Path, inside: Path) -> None:
-    registry = copied(registry_path, inside)
+def test_shards(registry_path: Path, tmp_path: Path) -> None:
+    registry = copied(registry_path, tmp_path)
     entry = registry.policies[0]
 
     def check(whole: bytes, data: bytes) -> None:
@@ -113,12 +114,12 @@ def test_shards(registry_path: Path, inside: Path) -> None:
         spoil(ledger, registry.shard_path(entry.shard), 1000, check, "shard")
 
 
-def test_policy_files(registry_path: Path, inside: Path) -> None:
+def test_policy_files(registry_path: Path, tmp_path: Path) -> None:
     registry = load_registry(registry_path)
     entry = registry.policies[0]
     (stack,) = load_stacks(registry, [entry])
     leaves = {name: value[0] for name, value in flatten(stack.params).items()}
-    path = inside / "policy.safetensors"
+    path = tmp_path / "policy.safetensors"
     write_policy_file(path, entry.spec, leaves)
 
     def check(whole: bytes, data: bytes) -> None:
@@ -129,8 +130,8 @@ def test_policy_files(registry_path: Path, inside: Path) -> None:
         spoil(ledger, path, 800, check, "policy")
 
 
-def test_run_folders(made: Path, inside: Path) -> None:
-    run = Path(shutil.copytree(made / "run", inside / "run"))
+def test_run_folders(made: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(made / "run", tmp_path / "run"))
     config = RunFolder(run).config()
 
     def check(whole: bytes, data: bytes) -> None:
@@ -141,10 +142,8 @@ def test_run_folders(made: Path, inside: Path) -> None:
             folder.read_metrics(99)
 
         for read in (resume, lambda: read_run(run)):
-            try:
+            with refusable():
                 read()
-            except REFUSALS as error:
-                told(error)
 
     with attack("damaged run folders") as ledger:
         names = ("teams.json", "config.json", "robot.safetensors", "metrics.parquet")
@@ -152,12 +151,12 @@ def test_run_folders(made: Path, inside: Path) -> None:
             spoil(ledger, run / name, 125, check, name)
 
 
-def test_results(made: Path, inside: Path) -> None:
+def test_results(made: Path, tmp_path: Path) -> None:
     """A damaged file is found by `verify`, and no page is made from it.
 
     Sealed anew, as whoever sends a folder can, it makes no harm.
     """
-    result = Path(shutil.copytree(made / "result", inside / "result"))
+    result = Path(shutil.copytree(made / "result", tmp_path / "result"))
     manifest = (result / provenance.MANIFEST_FILE).read_bytes()
 
     def check(path: Path, whole: bytes, data: bytes) -> None:
@@ -165,18 +164,16 @@ def test_results(made: Path, inside: Path) -> None:
         may_be_spaced = path.name == provenance.MANIFEST_FILE
         changed = data != whole and not (may_be_spaced and _same_json(whole, data))
         assert bool(verify_folder(result).problems) == changed
-        try:
-            write_report(result, inside / "page.html")
+        with refusable():
+            write_report(result, tmp_path / "page.html")
             assert not changed, "a page was made from a damaged file"
-        except REFUSALS as error:
-            told(error)
 
     def sealed(whole: bytes, data: bytes) -> None:
         try:
             provenance.seal(result)
             verify_folder(result)
-            write_report(result, inside / "page.html")
-            assert "<script>alert(1)" not in (inside / "page.html").read_text()
+            write_report(result, tmp_path / "page.html")
+            assert "<script>alert(1)" not in (tmp_path / "page.html").read_text()
         finally:
             (result / provenance.MANIFEST_FILE).write_bytes(manifest)
 
@@ -197,22 +194,22 @@ def _same_json(left: bytes, other: bytes) -> bool:
         return False
 
 
-def test_parts_and_tables(inside: Path) -> None:
+def test_parts_and_tables(tmp_path: Path) -> None:
     """What is damaged is played again; the answer is the same."""
     job = make_job()
-    true = run_job(MatrixGame(), job, inside / "whole").table
-    run_job(MatrixGame(), job, inside / "finished")
-    unfinished(inside / "parts")
-    mixed = run_job(MatrixGame(), _mixed(), inside / "mixed", max_envs=7).table
+    true = run_job(MatrixGame(), job, tmp_path / "whole").table
+    run_job(MatrixGame(), job, tmp_path / "finished")
+    unfinished(tmp_path / "parts")
+    mixed = run_job(MatrixGame(), mixed_job(), tmp_path / "mixed", max_envs=7).table
     with attack("damaged parts and tables") as ledger:
         for trial in range(ledger.wanted(100)):
             name, expected = ledger.random.choice((("finished", true), ("parts", mixed)))
-            folder = Path(shutil.copytree(inside / name, inside / f"{name}{trial}"))
+            folder = Path(shutil.copytree(tmp_path / name, tmp_path / f"{name}{trial}"))
             files = [path for path in folder.rglob("*.*") if path.suffix in (".json", ".parquet")]
             path = ledger.random.choice(files)
             path.write_bytes(damaged(ledger.random, path.read_bytes(), path.suffix))
             with ledger.trial(f"{name} {path.name}"):
-                again = job if name == "finished" else _mixed()
+                again = job if name == "finished" else mixed_job()
                 try:
                     assert run_job(MatrixGame(), again, folder).table.equals(expected)
                 except REFUSALS as error:
@@ -220,26 +217,18 @@ def test_parts_and_tables(inside: Path) -> None:
             shutil.rmtree(folder)
 
 
-def _mixed() -> object:
-    from tests.evaluation.test_evaluator import mixed_job
-
-    return mixed_job()
-
-
-@pytest.mark.filterwarnings("ignore:the checkpoint of update")
-@pytest.mark.filterwarnings(
-    "ignore:Exception ignored in"
-)  # Orbax's loops, after a read that failed
-def test_checkpoints(inside: Path) -> None:
+# Orbax's loops say so after a read that failed.
+@pytest.mark.filterwarnings("ignore:Exception ignored in", "ignore:the checkpoint of update")
+def test_checkpoints(tmp_path: Path) -> None:
     """The state is one that was saved, to the bit, or there is none."""
     states = {step: {"w": jnp.arange(200.0) * step, "step": jnp.asarray(step)} for step in (1, 2)}
-    saved = Checkpoints(inside / "whole")
+    saved = Checkpoints(tmp_path / "whole")
     for step, state in states.items():
         saved.save(step, state)
     saved.close()
     with attack("damaged checkpoints") as ledger:
         for trial in range(ledger.wanted(200)):
-            folder = Path(shutil.copytree(inside / "whole", inside / str(trial)))
+            folder = Path(shutil.copytree(tmp_path / "whole", tmp_path / str(trial)))
             files = [path for path in folder.rglob("*") if path.is_file() and path.stat().st_size]
             path = ledger.random.choice(files)
             path.write_bytes(ledger.random.choice(BYTES)(ledger.random, path.read_bytes()))
@@ -249,20 +238,17 @@ def test_checkpoints(inside: Path) -> None:
 
 
 def _restore(folder: Path, states: dict[int, dict]) -> None:
-    try:
+    with refusable():
         with contextlib.closing(Checkpoints(folder)) as checkpoints:
             restored = checkpoints.restore_latest(states[1])
-    except REFUSALS as error:
-        return told(error)
-    assert restored is not None
-    expected = states[restored[0]]
-    assert all(np.array_equal(restored[1][name], expected[name]) for name in expected)
-    return None
+        assert restored is not None
+        expected = states[restored[0]]
+        assert all(np.array_equal(restored[1][name], expected[name]) for name in expected)
 
 
-def test_the_harness_finds_what_it_looks_for(registry_path: Path, inside: Path) -> None:
+def test_the_harness_finds_what_it_looks_for(registry_path: Path, tmp_path: Path) -> None:
     """Planted: a loader that believes every shard, and a `verify` that believes every file."""
-    registry = copied(registry_path, inside)
+    registry = copied(registry_path, tmp_path)
     path = registry.shard_path(registry.policies[0].shard)
     ledger = Ledger("planted")
 

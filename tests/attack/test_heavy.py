@@ -22,7 +22,6 @@ READERS = {
 def ended_well(ledger: Ledger, outcome: Outcome) -> None:
     message = outcome.err[-300:]
     assert outcome.code in (0, 1), f"{outcome.code}: {message}"
-    assert "this is unexpected" not in outcome.err, message
     assert len(outcome.err) < 3000, f"{len(outcome.err)} characters: {outcome.err[:200]}"
     ledger.judge(outcome)
 

@@ -8,6 +8,7 @@ import pytest
 from tests.attack.commands import Command
 from tests.attack.ledger import Ledger, attack
 from tests.attack.process import Outcome, call
+from tests.attack.test_kills import check, undisturbed
 from tests.cli.test_interrupts import last_line
 
 INTERRUPTS = {  # of the whole attack: 60
@@ -37,10 +38,7 @@ def ended_well(ledger: Ledger, outcome: Outcome, name: str) -> None:
 @pytest.mark.parametrize("name", INTERRUPTS)
 def test_interrupted_commands(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     command = table[name]
-    call(command.words, tmp_path / "warm")
-    whole = call(command.words, tmp_path / "whole")
-    expected = command.figures(tmp_path / "whole")
-    assert whole.code == 0 and expected, whole.err
+    whole, expected = undisturbed(command, tmp_path)
     with attack(f"interrupts of {name}") as ledger:
         for trial in range(ledger.wanted(INTERRUPTS[name])):
             home = tmp_path / str(trial)
@@ -49,9 +47,4 @@ def test_interrupted_commands(name: str, table: dict[str, Command], tmp_path: Pa
                 pressed = call(command.words, home, press=(signal.SIGINT, moment))
                 ended_well(ledger, pressed, name)
                 ledger.struck += pressed.code == 130
-                left = command.figures(home)
-                assert left.items() <= expected.items(), "a file is not of an undisturbed run"
-                again = call(command.words, home)
-                ledger.judge(again)
-                assert again.code == 0, again.err[-300:]
-                assert command.figures(home) == expected
+                check(ledger, command, home, expected)

@@ -36,21 +36,27 @@ def strike(ledger: Ledger, command: Command, home: Path, whole: Outcome, trial: 
 def check(ledger: Ledger, command: Command, home: Path, expected: Figures) -> None:
     left = command.figures(home)
     wrong = [name for name, digest in left.items() if expected.get(name) != digest]
-    assert not wrong, f"after the kill {wrong} are not those of an undisturbed run"
+    assert not wrong, f"after the strike {wrong} are not those of an undisturbed run"
     again = call(command.words, home)
     ledger.judge(again)
     assert again.code == 0, f"the next run ended with {again.code}: {again.err[-300:]}"
     assert command.figures(home) == expected, "the next run's figures are others"
 
 
+def undisturbed(command: Command, folder: Path) -> tuple[Outcome, Figures]:
+    """Run a command twice, so that no strike falls into a compilation; return the second end."""
+    call(command.words, folder / "warm")
+    whole = call(command.words, folder / "whole")
+    expected = command.figures(folder / "whole")
+    assert whole.code == 0 and expected and not whole.outside, (whole, expected)
+    return whole, expected
+
+
 @pytest.mark.attack
 @pytest.mark.parametrize("name", KILLS)
 def test_killed_commands_go_on(name: str, table: dict[str, Command], tmp_path: Path) -> None:
     command = table[name]
-    call(command.words, tmp_path / "warm")  # so that kills do not fall into a compilation
-    whole = call(command.words, tmp_path / "whole")
-    expected = command.figures(tmp_path / "whole")
-    assert whole.code == 0 and expected and not whole.outside, (whole, expected)
+    whole, expected = undisturbed(command, tmp_path)
     with attack(f"kills of {name}") as ledger:
         for trial in range(ledger.wanted(KILLS[name])):
             home = tmp_path / str(trial)

@@ -90,12 +90,7 @@ def test_damaged_folders_through_every_reader(results: Path, tmp_path: Path) -> 
 
 
 def spoiled(
-    ledger: Ledger,
-    source: Path,
-    readers: dict[str, Reader],
-    count: int,
-    other: Path,
-    home: Path,
+    ledger: Ledger, source: Path, readers: dict[str, Reader], count: int, other: Path, home: Path
 ) -> None:
     """Damage a copy's files one at a time; whoever reads it refuses, or answers as before."""
     true = {name: read(source, other, home) for name, read in readers.items()}

@@ -87,19 +87,8 @@ def shard(data: Data, rng: random.Random) -> None:
 
 
 ALTERATIONS: list[Callable[[Data, random.Random], None]] = [
-    stronger,
-    unused_setting,
-    sides_exchanged,
-    fewer_partners,
-    without_split,
-    teams_renamed,
-    team_gone,
-    team_more,
-    human_of_another,
-    longer_training,
-    environment,
-    record,
-    shard,
+    *(stronger, unused_setting, sides_exchanged, fewer_partners, without_split, teams_renamed),
+    *(team_gone, team_more, human_of_another, longer_training, environment, record, shard),
 ]
 
 

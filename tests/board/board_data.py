@@ -119,13 +119,9 @@ class Writer:
     ) -> str:
         """Write a submission and return its id."""
         id, owner, request = self.id(), self.submitter(submitter), self.id()
-        about: dict[str, Any] = {
-            "task": "scratch",
-            "method": method,
-            "kind": "file",
-            "licence": "Apache-2.0",
-        }
-        about |= {"season": None, "state": state, "reason": reason, "attempt": "free", "turn": 0}
+        about: dict[str, Any] = {"task": "scratch", "method": method, "kind": "file"}
+        about |= {"licence": "Apache-2.0", "season": None, "state": state, "reason": reason}
+        about |= {"attempt": "free", "turn": 0}
         created = START + self._count
         times = {"created_at": created, "finished_at": None if state == "queued" else created + 60}
         self.add(schema.submissions, id=id, submitter=owner, request=request, **about, **times)

@@ -17,7 +17,7 @@ from assistax_board.service import Service
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.database import Database
 from assistax_board.store.receipts import load_signer
-from assistax_board.store.shown import Submission
+from assistax_board.store.shown import Season, Submission
 
 TASK = "scratch"
 
@@ -158,8 +158,36 @@ def fail_next_job(service: Service) -> str:
     return work.submission
 
 
+def ends(service: Service, id: str) -> tuple[str, str]:
+    """Return the state of a submission, and that of its attempt."""
+    submission = shown(service, id)
+    return submission.state, submission.attempt
+
+
+def scored(service: Service, submitter: str, *words: Any, **fields: Any) -> str:
+    """Submit a draft of these words and fields, do what waits, and return its id."""
+    id = service.submit(submitter, draft(*words, **fields))
+    work_off(service)
+    return id
+
+
+def close_spring(service: Service) -> None:
+    """Close the season spring, and do what waits."""
+    service.close_season("spring")
+    work_off(service)
+
+
+def panels_of(service: Service, id: str) -> set[str]:
+    """Return the panels on which a submission has a score."""
+    return {score.panel for score in service.queries.scores(submission=id)}
+
+
 def state_of(service: Service, season: str = "spring") -> str:
     """Return the state of a season, given by its name or id."""
+    return season_row(service, season).state
+
+
+def season_row(service: Service, season: str = "spring") -> Season:
     row = service.queries.season(season)
     assert row is not None
-    return row.state
+    return row

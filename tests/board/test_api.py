@@ -1,7 +1,6 @@
 """The API from outside: who may do what, what is refused, and a submission from end to end."""
 
 import html
-import json
 import logging
 import re
 from pathlib import Path
@@ -15,12 +14,13 @@ from starlette.testclient import TestClient
 from assistax_board.api.guards import MAX_BODY
 from assistax_board.app import create_app
 from assistax_board.client import Client
-from assistax_board.commands import submitting as commands
 from assistax_board.problems import Problem
+from assistax_board.rules.tokens import list_tokens, revoke_token
 from assistax_board.service import Service
 from assistax_board.work.worker import Worker
-from tests.board.fakes import TASK, FakeScorer, draft, new_submitter, work_off
+from tests.board.fakes import TASK, FakeScorer, draft, new_submitter, scored
 from tests.board.test_season import open_season
+from tests.test_layers import heavy_imports
 
 FIELDS = {"task": TASK, "method": "mine", "request_id": "request-1"}
 
@@ -35,9 +35,18 @@ def client_of(service: Service, http: TestClient, scope: str) -> Client:
     return Client("", service.create_token((scope,), submitter=submitter), transport=http)
 
 
+def bearer(service: Service, scope: str) -> dict[str, str]:
+    """Return the headers that bear a new token."""
+    submitter = "lab" if scope == "submit" else None
+    return {"Authorization": f"Bearer {service.create_token((scope,), submitter=submitter)}"}
+
+
 def test_a_submission_from_end_to_end(service: Service, http: TestClient) -> None:
     submitter = client_of(service, http, "submit")
     id = submitter.submit(b"robot 3.0", **FIELDS)["id"]
+    waiting = http.get("/metrics").text
+    assert 'assistax_service_jobs{state="waiting"} 3.0' in waiting
+    assert 'assistax_service_submissions{state="queued"} 1.0' in waiting
     assert Worker(client_of(service, http, "work"), FakeScorer()).run(until_empty=True) == 3
     assert submitter.submission(id)["state"] == "scored"
     [score] = submitter.scores(id)
@@ -49,55 +58,40 @@ def test_a_submission_from_end_to_end(service: Service, http: TestClient) -> Non
 
 
 @pytest.mark.parametrize(
-    ("method", "path", "scope"),
+    ("method", "path"),
     [
-        ("POST", "/api/submissions?task=scratch&method=m&request_id=12345678", "submit"),
-        ("POST", "/api/work/lease", "work"),
-        ("GET", f"/api/work/artefacts/{'0' * 64}", "work"),
-        ("PUT", "/api/work/x/result?seconds=1", "work"),
+        ("POST", "/api/submissions?task=scratch&method=m&request_id=12345678"),
+        ("POST", "/api/work/lease"),
+        ("GET", f"/api/work/artefacts/{'0' * 64}"),
+        ("PUT", "/api/work/x/result?seconds=1"),
     ],
 )
 def test_a_token_does_only_what_it_is_for(
-    service: Service, http: TestClient, method: str, path: str, scope: str
+    service: Service, http: TestClient, method: str, path: str
 ) -> None:
-    assert http.request(method, path).status_code == 401
     wrong = {"Authorization": "Bearer azt_wrong"}
-    assert http.request(method, path, headers=wrong).status_code == 401
-    other = service.create_token(("organise",))
-    headers = {"Authorization": f"Bearer {other}"}
-    assert http.request(method, path, headers=headers).status_code == 403
+    for headers, status in (({}, 401), (wrong, 401), (bearer(service, "organise"), 403)):
+        assert http.request(method, path, headers=headers).status_code == status
 
 
-def test_a_token_in_the_address_is_not_read(service: Service, http: TestClient) -> None:
-    token = service.create_token(("work",))
-    answer = http.post(f"/api/work/lease?token={token}", json={"worker": "w", "versions": []})
-    assert answer.status_code == 401
-
-
-def test_a_revoked_token_is_worth_nothing(service: Service, http: TestClient) -> None:
-    from assistax_board.rules.tokens import list_tokens, revoke_token
-
-    token = service.create_token(("work",))
-    headers = {"Authorization": f"Bearer {token}"}
-    body = {"worker": "w", "versions": []}
+def test_a_token_is_kept_hashed_and_revoked(
+    service: Service, http: TestClient, tmp_path: Path
+) -> None:
+    headers, body = bearer(service, "work"), {"worker": "w", "versions": []}
+    token = headers["Authorization"].split()[1]
+    assert http.post(f"/api/work/lease?token={token}", json=body).status_code == 401
     assert http.post("/api/work/lease", json=body, headers=headers).status_code == 204
+    service.database.close()
+    assert token.encode() not in (tmp_path / "service.db").read_bytes()
     with service.begin() as transaction:
         revoke_token(transaction, list_tokens(service.database)[0].id)
     assert http.post("/api/work/lease", json=body, headers=headers).status_code == 401
 
 
-def test_the_database_holds_no_token(service: Service, tmp_path: Path) -> None:
-    token = service.create_token(("work",))
-    service.database.close()
-    assert token.encode() not in (tmp_path / "service.db").read_bytes()
-
-
 def test_body_without_size_is_cut_off(service: Service, http: TestClient) -> None:
-    token = service.create_token(("submit",), submitter="lab")
-    headers = {"Authorization": f"Bearer {token}"}
     endless = (bytes(1024 * 1024) for _ in range(20))
-    answer = http.post("/api/submissions", params=FIELDS, headers=headers, content=endless)
-    assert answer.status_code >= 400
+    words = {"params": FIELDS, "headers": bearer(service, "submit"), "content": endless}
+    assert http.post("/api/submissions", **words).status_code >= 400
     assert service.queries.submissions() == []
 
 
@@ -115,22 +109,13 @@ def test_an_unexpected_error_tells_nothing(
 
 
 def test_logs_hold_no_secrets(service: Service, http: TestClient, caplog) -> None:
-    token = service.create_token(("submit",), submitter="lab")
+    headers = bearer(service, "submit")
     with caplog.at_level(logging.INFO, logger="assistax_board"):
-        headers = {"Authorization": f"Bearer {token}"}
         http.post("/api/submissions", params=FIELDS, headers=headers, content=b"robot 1.0")
     [record] = [r for r in caplog.records if r.name == "assistax_board"]
     assert record.fields["route"] == "/api/submissions"
-    assert token not in repr(vars(record))
+    assert headers["Authorization"].split()[1] not in repr(vars(record))
     assert "robot 1.0" not in repr(vars(record))
-
-
-def test_health_and_metrics(service: Service, http: TestClient) -> None:
-    client_of(service, http, "submit").submit(b"robot 1.0", **FIELDS)
-    assert http.get("/api/health").json() == {"status": "ok"}
-    text = http.get("/metrics").text
-    assert 'assistax_service_jobs{state="waiting"} 3.0' in text
-    assert 'assistax_service_submissions{state="queued"} 1.0' in text
 
 
 def test_unknown_http_methods_count_as_one(
@@ -140,6 +125,7 @@ def test_unknown_http_methods_count_as_one(
         for method in ("MINT", "X" * 60_000):
             assert http.request(method, "/nowhere").status_code == 404
             assert http.request(method, f"/api/boards/{TASK}").status_code == 405
+    assert http.get("/api/health").json() == {"status": "ok"}
     text = http.get("/metrics").text
     assert 'requests_total{method="other",route="none",status="404"} 2.0' in text
     assert not re.search("MINT|XXX", text + repr([vars(record) for record in caplog.records]))
@@ -156,8 +142,6 @@ def test_what_no_page_answers_is_limited_too(
 
 
 def test_the_server_imports_nothing_heavy() -> None:
-    from tests.test_layers import heavy_imports
-
     assert heavy_imports("assistax_board.app", "assistax_board.work.worker") == []
 
 
@@ -169,32 +153,25 @@ def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("path", "most"),
+    ("most", "paths"),
     [
-        ("/api/work/lease", 64 * 1024),
-        ("/api/work/x/refused", 64 * 1024),
-        (f"/pairs/{TASK}/a/b", 64 * 1024),
-        ("/api/nothing", 64 * 1024),
-        ("/api/work/x/result", 4 * 1024 * 1024 + 64 * 1024),
-        ("/api/submissions", MAX_BODY),
-        ("/submit", MAX_BODY),
+        (64 * 1024, ("/api/work/lease", "/api/work/x/refused", f"/pairs/{TASK}/a/b", "/api/none")),
+        (4 * 1024 * 1024 + 64 * 1024, ("/api/work/x/result",)),
+        (MAX_BODY, ("/api/submissions", "/submit")),
     ],
 )
-def test_body_limit_depends_on_route(http: TestClient, path: str, most: int) -> None:
-    answers = [
-        http.post(path, content=bytes(8), headers={"Content-Length": str(size)}).status_code
-        for size in (most, most + 1)
-    ]
-    assert answers[0] != 413 and answers[1] == 413
+def test_body_limit_depends_on_route(http: TestClient, paths: tuple[str, ...], most: int) -> None:
+    for path in paths:
+        for size, is_refused in ((most, False), (most + 1, True)):
+            answer = http.post(path, content=bytes(8), headers={"Content-Length": str(size)})
+            assert (answer.status_code == 413) == is_refused, path
 
 
 def test_a_wrong_body_is_told_by_its_field(service: Service, http: TestClient) -> None:
-    headers = {"Authorization": f"Bearer {service.create_token(('work',))}"}
-    answer = http.post("/api/work/lease", json={"worker": "", "versions": []}, headers=headers)
+    body = {"worker": "", "versions": []}
+    answer = http.post("/api/work/lease", json=body, headers=bearer(service, "work"))
     assert answer.status_code == 422
     assert answer.json()["error"]["message"].startswith("body.worker:")
-    schema = http.get("/openapi.json").json()["paths"]["/api/work/lease"]["post"]["requestBody"]
-    assert "worker" in schema["content"]["application/json"]["schema"]["properties"]
 
 
 @pytest.mark.parametrize("path", ["/", "/api/health", f"/tasks/{TASK}", "/openapi.json"])
@@ -224,11 +201,8 @@ def test_any_number_is_a_place_in_the_ledger(http: TestClient, after: str) -> No
 @pytest.mark.parametrize(
     "path",
     [
-        "/api/boards/dance",
-        f"/api/boards/{TASK}?season=never",
-        "/api/submissions?season=never",
-        "/api/submissions?task=dance",
-        "/api/seasons?task=dance",
+        *("/api/boards/dance", f"/api/boards/{TASK}?season=never", "/api/submissions?season=never"),
+        *("/api/submissions?task=dance", "/api/seasons?task=dance"),
     ],
 )
 def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
@@ -236,9 +210,8 @@ def test_what_is_not_there_is_said(http: TestClient, path: str) -> None:
 
 
 def test_a_season_may_be_given_by_its_name(service: Service, http: TestClient) -> None:
-    season, lab = open_season(service), new_submitter(service)
-    id = service.submit(lab, draft(season=season))
-    work_off(service)
+    season = open_season(service)
+    id = scored(service, new_submitter(service), season=season)
     for name in ("spring", season):
         assert http.get(f"/api/submissions?season={name}").json()[0]["id"] == id
         assert len(http.get(f"/api/boards/{TASK}?season={name}").json()["scores"]) == 2
@@ -251,18 +224,16 @@ def test_rate_limit_sends_retry_after(http: TestClient) -> None:
     assert 1 <= int(answers[-1].headers["retry-after"]) <= 60
 
 
-def test_the_docs_name_every_operation_and_fetch_nothing(http: TestClient) -> None:
-    text = html.unescape(http.get("/docs").text)
-    paths = http.get("/openapi.json").json()["paths"]
-    assert len(paths) > 20 and all(f" {path}</code>" in text for path in paths)
+def test_docs_and_schema_describe_every_operation(http: TestClient) -> None:
+    text, schema = html.unescape(http.get("/docs").text), http.get("/openapi.json").json()
+    assert len(schema["paths"]) > 20
+    assert all(f" {path}</code>" in text for path in schema["paths"])
     assert not re.search(r"(?:src|href)=\"https?:", text)
-
-
-def test_the_schema_says_who_needs_a_token(http: TestClient) -> None:
-    schema = http.get("/openapi.json").json()
     assert schema["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
     assert schema["paths"]["/api/submissions"]["post"]["security"] == [{"token": []}]
     assert "security" not in schema["paths"]["/api/submissions"]["get"]
+    lease = schema["paths"]["/api/work/lease"]["post"]["requestBody"]["content"]
+    assert "worker" in lease["application/json"]["schema"]["properties"]
 
 
 @pytest.mark.usefixtures("one_window")
@@ -281,27 +252,7 @@ def test_lab_sees_its_limits(service: Service, http: TestClient) -> None:
     assert client.limits() == after, "asking spends nothing"
     assert "other" not in str(after)
     assert http.get("/api/limits").status_code == 401
-    token = service.create_token(("work",))
-    headers = {"Authorization": f"Bearer {token}"}
-    assert http.get("/api/limits", headers=headers).status_code == 403
-
-
-def test_the_command_prints_limits_and_hands_nothing_in(
-    service: Service,
-    http: TestClient,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    open_season(service, budget=3)
-    client = client_of(service, http, "submit")
-    monkeypatch.setattr(commands, "open_client", lambda url, token: client)
-    commands.submit(task=TASK, limits=True)
-    printed = capsys.readouterr().out
-    assert "season spring: 3 of 3 attempts left on scratch, 0 made, 0 under way" in printed
-    assert "requests: 60 of 60 left this hour" in printed
-    commands.submit(task=TASK, limits=True, json=True)
-    assert json.loads(capsys.readouterr().out) == client.limits()
-    assert service.queries.submissions() == []
+    assert http.get("/api/limits", headers=bearer(service, "work")).status_code == 403
 
 
 def test_client_retries_after_server_stop() -> None:

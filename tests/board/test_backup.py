@@ -10,15 +10,14 @@ import pytest
 
 from assistax_board.checking import check_service
 from assistax_board.store.backup import back_up, restore
-from tests.board.fakes import advance, draft, new_service, new_submitter, shown, work_off
+from tests.board.fakes import advance, draft, new_service, new_submitter, scored, shown, work_off
 from tests.board.test_season import open_season
 
 
 def test_backup_of_running_server_restores_and_continues(tmp_path: Path) -> None:
     service = new_service(tmp_path / "board")
     season, lab = open_season(service, budget=100), new_submitter(service)
-    id = service.submit(lab, draft(2.0, "first", season=season))
-    work_off(service)
+    id = scored(service, lab, 2.0, "first", season=season)
     over, count = threading.Event(), [0]
 
     def go_on() -> None:
@@ -52,8 +51,7 @@ def test_backup_of_running_server_restores_and_continues(tmp_path: Path) -> None
 
 def test_restore_finds_a_file_the_backup_lacks(tmp_path: Path) -> None:
     service = new_service(tmp_path / "board")
-    id = service.submit(new_submitter(service), draft())
-    work_off(service)
+    id = scored(service, new_submitter(service))
     back_up(tmp_path / "board", tmp_path / "whole.zip")
     name = str(shown(service, id).artefact)
     with (
@@ -93,8 +91,7 @@ def test_backup_lacking_named_files_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_damaged_database_is_not_backed_up(tmp_path: Path, seed: int) -> None:
     service = new_service(tmp_path / "board")
-    service.submit(new_submitter(service), draft())
-    work_off(service)
+    scored(service, new_submitter(service))
     service.database.close()
     path = tmp_path / "board" / "service.db"
     data = bytearray(path.read_bytes())

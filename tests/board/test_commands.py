@@ -100,10 +100,8 @@ def _answers(address: str) -> bool:
 def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None:
     data, environment = board["data"], board["environment"]
     private = published(teams_from(100, 4), tmp_path / "private").parent
-    season = ("spring", "--data", data)
-    made = command(
-        "season", "create", *season, "--task", "scratch", "--release", private, "--small"
-    )
+    season, task = ("spring", "--data", data), ("--task", "scratch")
+    made = command("season", "create", *season, *task, "--release", private, "--small")
     assert "season spring is made" in made and "4 partners of trained teams (4 ippo)" in made
     opened = command("season", "open", *season).splitlines()
     assert opened[0].startswith("season spring is open; announce its Merkle root: ")
@@ -111,10 +109,9 @@ def test_a_season_by_its_commands(board: dict[str, Any], tmp_path: Path) -> None
     root = opened[0].split()[-1]
     file = tmp_path / "robot.safetensors"
     write_policy_file(file, ROBOT, params_of(ROBOT, 7))
-    by = ("submit", file, "--task", "scratch", "--season", "spring", "--watch", "--method")
-    checked = command(
-        "submit", file, "--task", "scratch", "--check", "--registry", board["registry"], "--json"
-    )
+    by = ("submit", file, *task, "--season", "spring", "--watch", "--method")
+    check = ("--check", "--registry", board["registry"], "--json")
+    checked = command("submit", file, *task, *check)
     assert json.loads(checked)["check"] == "admitted"
     submitted = command(*by, "mine", "--json", **environment)
     answer = json.loads(submitted)

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ from tests.board.fakes import (
     new_service,
     new_submitter,
     noise,
-    work_off,
+    scored,
 )
 from tests.board.faulty import PATIENCE, real_service
 from tests.board.postgres import Cluster
@@ -76,18 +76,12 @@ def losses(service: Service, season: str, count: int) -> tuple[dict[str, int], l
     lost = [] if len(rows) == count else [f"{len(rows)} submissions of {count}"]
     with service.database.read() as connection:
         results = Counter(connection.execute(sa.select(RESULT.submission)).scalars())
-        struck = set(
-            connection.execute(
-                sa.select(JOB.submission).where(JOB.failures >= jobs.MAX_FAILURES)
-            ).scalars()
-        )
-        kinds = Counter(
-            (entry.kind, entry.body["id"])
-            for entry in connection.execute(sa.select(schema.ledger))
-            if "id" in entry.body
-        )
+        query = sa.select(JOB.submission).where(JOB.failures >= jobs.MAX_FAILURES)
+        struck = set(connection.execute(query).scalars())
+    entries = service.queries.ledger()
+    kinds = Counter((entry.kind, entry.body.get("id")) for entry in entries)
     try:
-        check_chain(service.queries.ledger())
+        check_chain(entries)
     except ValueError as error:
         lost.append(str(error))
     for row in rows:
@@ -171,7 +165,9 @@ def test_kills_of_processes_lose_nothing(
         for thread in threads:
             thread.start()
         rng = random.Random(f"kills {kills}")
-        for name in fates(rng, kills, with_database=cluster is not None):
+        names = ["server", "worker", "database"] if cluster else ["server", "worker"]
+        for _ in range(kills):
+            name = rng.choice(names)
             time.sleep(rng.uniform(0.0, 2.0))
             strike(name, rng, server, workers, cluster)
             struck[name] += 1
@@ -186,11 +182,6 @@ def test_kills_of_processes_lose_nothing(
     print(json.dumps({**line, "lost": lost, "seconds": round(time.monotonic() - began)}))
     assert lost == []
     assert states.get("scored", 0) > count // 2
-
-
-def fates(rng: random.Random, kills: int, *, with_database: bool) -> Iterator[str]:
-    names = ["server", "worker", "database"] if with_database else ["server", "worker"]
-    yield from (rng.choice(names) for _ in range(kills))
 
 
 def strike(
@@ -226,8 +217,7 @@ def ended(folder: Path) -> tuple[Service, str]:
     """Return a service with one scored submission and one that failed by design."""
     service = new_service(folder)
     season, lab = open_season(service), new_submitter(service)
-    service.submit(lab, draft(2.0, "r1", season=season))
-    work_off(service)
+    scored(service, lab, 2.0, "r1", season=season)
     service.submit(lab, draft(3.0, "r2", season=season))
     fail_next_job(service)
     return service, season

@@ -53,14 +53,24 @@ def hung_up(connection: socket.socket, before: float = math.inf) -> bool:
 
 @pytest.mark.parametrize("data", [b"", HALF, HALF + b"\r\n" + HALF], ids=["none", "half", "next"])
 def test_who_says_nothing_is_hung_up_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: bytes
+    service: Service, monkeypatch: pytest.MonkeyPatch, data: bytes
 ) -> None:
     monkeypatch.setattr(serve, "SILENT_SECONDS", 0.3)
-    with served(new_service(tmp_path)) as server:
+    with served(service) as server:
         silent = [connected(server, data) for _ in range(50)]
         # Asked again where this machine took longer than that to send the question.
         assert server.client("submit").about()["tasks"] == [TASK]
         assert all(map(hung_up, silent))
+
+
+@pytest.mark.slow
+def test_without_that_they_would_stay(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The limit is taken away: nothing public can.
+    monkeypatch.setattr(serve._IdleTimeout, "_look", lambda *_: None)
+    with served(service) as server:
+        silent = connected(server)
+        silent.settimeout(2.0)
+        assert not hung_up(silent)
 
 
 @pytest.mark.parametrize("loop", ["asyncio", "auto"])
@@ -97,16 +107,6 @@ def test_crowd_is_accepted_in_small_groups(
         over.set()
     gc.unfreeze()
     assert 1 < max(taken) <= serve.LISTENERS * serve.TAKEN
-
-
-@pytest.mark.slow
-def test_without_that_they_would_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The limit is taken away: nothing public can.
-    monkeypatch.setattr(serve._IdleTimeout, "_look", lambda *_: None)
-    with served(new_service(tmp_path)) as server:
-        silent = connected(server)
-        silent.settimeout(2.0)
-        assert not hung_up(silent)
 
 
 @pytest.mark.slow
@@ -234,16 +234,12 @@ def test_full_disk_at_result_loses_no_score(
 @pytest.mark.usefixtures("one_window")
 @pytest.mark.slow_for("60")
 @pytest.mark.parametrize(("proxy", "answered"), [(None, 30), ("127.0.0.1", 60)])
-def test_only_a_named_proxy_is_believed(tmp_path: Path, proxy: str | None, answered: int) -> None:
+def test_only_a_named_proxy_is_believed(service: Service, proxy: str | None, answered: int) -> None:
     """Guesses are limited by address, so nobody may choose an address with each guess."""
-    with served(new_service(tmp_path), proxy=proxy) as server:
-        codes = [
-            httpx2.get(
-                f"{server.address}/api/work/artefacts/{'0' * 64}",
-                headers={"X-Forwarded-For": f"203.0.113.{number}"},
-            ).status_code
-            for number in range(60)
-        ]
+    with served(service, proxy=proxy) as server:
+        address = f"{server.address}/api/work/artefacts/{'0' * 64}"
+        guesses = [{"X-Forwarded-For": f"203.0.113.{number}"} for number in range(60)]
+        codes = [httpx2.get(address, headers=headers).status_code for headers in guesses]
     assert codes.count(401) == answered
     assert set(codes) <= {401, 429}
 

@@ -5,7 +5,6 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import httpx2
@@ -20,9 +19,10 @@ from assistax_board.robots import admission, limited
 from assistax_board.robots.admission import Admission
 from assistax_board.robots.limited import BusyError, DiedError, OverBudgetError, run_limited
 from assistax_board.rules.submissions import Admitted
+from assistax_board.service import Service
 from population.networks.onnx_export import to_onnx
 from population.networks.spec import PolicySpec
-from tests.board.fakes import TASK, admit, new_service, shown
+from tests.board.fakes import TASK, shown
 from tests.board.onnx_files import ACT, OBS, made, value
 from tests.board.running import served, soon
 from tests.untrained import params_of
@@ -66,11 +66,15 @@ def play(function: Any, *args: Any, seconds: int = 20, most: int = 1024 * MIB) -
 
 
 @pytest.mark.slow
-def test_limited_function_runs_in_another_process() -> None:
+def test_limited_function_runs_and_ends_apart() -> None:
     pid = play(answer)
     assert pid != os.getpid()
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+    with pytest.raises(DiedError):
+        play(abort)
+    with pytest.raises(BusyError):
+        play(ended_by, signal.SIGTERM)
 
 
 def niceness() -> list[int]:
@@ -90,14 +94,6 @@ def test_seconds_and_bytes_are_bounded() -> None:
         play(fill, most=512 * MIB)
 
 
-@pytest.mark.slow
-def test_crash_is_distinguished_from_budget_stop() -> None:
-    with pytest.raises(DiedError):
-        play(abort)
-    with pytest.raises(BusyError):
-        play(ended_by, signal.SIGTERM)
-
-
 def file_of(nodes: list[Any], constants: dict[str, np.ndarray], last: str) -> bytes:
     """Return an ONNX robot of scratch with these nodes."""
     ends = {"inputs": [value("obs", ["N", OBS])], "outputs": [value(last, ["N", ACT])]}
@@ -115,18 +111,12 @@ def many_shapes(count: int) -> bytes:
     return file_of(nodes, constants, "action")
 
 
-def seconds_of(function: Any, *args: Any) -> float:
-    """Return the seconds of processors that a function takes here."""
-    began = time.process_time()
-    function(*args)
-    return time.process_time() - began
-
-
 @pytest.mark.slow
 def test_unlike_operators_are_compiled_at_once() -> None:
-    first = lambda: Admission(SIZES).read(many_shapes(1), TASK)  # noqa: E731
-    first()
-    assert seconds_of(Admission(SIZES).read, many_shapes(150), TASK) < 5.0
+    Admission(SIZES).read(many_shapes(1), TASK)
+    data, began = many_shapes(150), time.process_time()
+    Admission(SIZES).read(data, TASK)
+    assert time.process_time() - began < 5.0
 
 
 def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +127,13 @@ def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> 
         patch.setattr(admission, "BYTES", MIB)
         Admission(SIZES)(good, TASK)
     assert refusal.value.code == "graph_too_large"
+
+    def busy(*_: Any, **__: Any) -> None:
+        raise BusyError
+
+    with monkeypatch.context() as patch, pytest.raises(Problem, match="busy"):
+        patch.setattr(admission, "run_limited", busy)
+        Admission(SIZES)(good, TASK)
     monkeypatch.setattr(admission, "run_limited", lambda *_, **__: play(spin, seconds=1))
     with pytest.raises(Refusal) as refusal:
         Admission(SIZES)(good, TASK)
@@ -144,15 +141,9 @@ def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.slow
-def test_pages_do_not_wait_for_admission(tmp_path: Path) -> None:
+def test_pages_do_not_wait_for_admission(service: Service) -> None:
     """Forty threads answer all requests; a file that takes long must keep none of them."""
-    service, go_on = new_service(tmp_path), threading.Event()
-
-    def slow(data: bytes, task: str) -> Admitted:
-        go_on.wait(60)
-        return admit(data, task)
-
-    object.__setattr__(service, "admit", slow)
+    go_on = waits(service)
     with served(service) as server, ThreadPoolExecutor(48) as pool:
         labs = [server.client("submit", f"lab {number}") for number in range(48)]
         answers = [pool.submit(hand_in, lab) for lab in labs]
@@ -170,6 +161,13 @@ def hand_in(client: Client) -> str:
     return client.submit(b"robot 1.0", **fields)["id"]
 
 
+def waits(service: Service) -> threading.Event:
+    """Let whoever looks at a file wait for the event."""
+    go_on = threading.Event()
+    object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(60))))
+    return go_on
+
+
 @pytest.fixture
 def come(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Of each file that has its place at the desk, what looks at it."""
@@ -183,9 +181,8 @@ def come(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return seen
 
 
-def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path, come: list[Any]) -> None:
-    service, go_on = new_service(tmp_path), threading.Event()
-    object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(30))))
+def test_one_lab_keeps_few_places_at_the_desk(service: Service, come: list[Any]) -> None:
+    go_on = waits(service)
     with served(service) as server, ThreadPoolExecutor(4) as pool:
         many, other = server.client("submit", "many"), server.client("submit", "other")
         fields = {"task": TASK, "method": "m"}
@@ -204,9 +201,8 @@ def test_one_lab_keeps_few_places_at_the_desk(tmp_path: Path, come: list[Any]) -
 
 
 @pytest.mark.slow
-def test_a_full_desk_refuses_one_more_file(tmp_path: Path, come: list[Any]) -> None:
-    service, go_on = new_service(tmp_path), threading.Event()
-    object.__setattr__(service, "admit", lambda data, task: Admitted(str(go_on.wait(60))))
+def test_a_full_desk_refuses_one_more_file(service: Service, come: list[Any]) -> None:
+    go_on = waits(service)
     with served(service) as server, ThreadPoolExecutor(desk.WAITING) as pool:
         labs = [server.client("submit", f"lab {number}") for number in range(desk.WAITING)]
         answers = [pool.submit(hand_in, lab) for lab in labs]
@@ -219,12 +215,3 @@ def test_a_full_desk_refuses_one_more_file(tmp_path: Path, come: list[Any]) -> N
         assert not go_on.is_set()
         go_on.set()
         assert len({row.result() for row in answers}) == desk.WAITING
-
-
-def test_a_busy_machine_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def busy(*_: Any, **__: Any) -> None:
-        raise BusyError
-
-    monkeypatch.setattr(admission, "run_limited", busy)
-    with pytest.raises(Problem, match="busy"):
-        Admission(SIZES)(b"robot", TASK)

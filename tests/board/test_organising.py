@@ -23,10 +23,14 @@ from assistax_board.store.notices import list_notices
 from assistax_zoo.shell.main import run
 from tests.board.fakes import (
     advance,
+    close_spring,
     draft,
+    ends,
     fail_next_job,
     new_service,
     new_submitter,
+    scored,
+    season_row,
     shown,
     work_off,
 )
@@ -48,21 +52,16 @@ def test_failed_submission_is_listed_noticed_and_retried(service: Service) -> No
     id = service.submit(lab, draft(2.0, season=season))
     assert work_off(service, most=1) == 1
     fail_next_job(service)
-    assert (shown(service, id).state, shown(service, id).attempt) == ("failed", "refunded")
+    assert ends(service, id) == ("failed", "refunded")
     [row] = service.failures()
-    assert (row.submission, row.lab, row.season, row.failures, row.jobs) == (
-        id,
-        "lab",
-        "spring",
-        5,
-        1,
-    )
+    assert (row.submission, row.lab, row.season) == (id, "lab", "spring")
+    assert (row.failures, row.jobs) == (5, 1)
     assert notices(service) == [("worker_errors", id, 1)]
     service.retry(id)
-    assert (shown(service, id).state, shown(service, id).attempt) == ("queued", "reserved")
+    assert ends(service, id) == ("queued", "reserved")
     assert notices(service) == [] == service.failures() and kinds(service)[-1] == "retry"
     assert work_off(service) == 4, "what was played stays, and panel A waits for the public half"
-    assert (shown(service, id).state, shown(service, id).attempt) == ("scored", "spent")
+    assert ends(service, id) == ("scored", "spent")
 
 
 def test_retry_after_upgrade_uses_new_version(tmp_path: Path, service: Service) -> None:
@@ -88,20 +87,16 @@ def test_only_what_workers_failed_is_played_again(service: Service) -> None:
 def test_disqualified_lab_leaves_boards_and_cannot_submit(service: Service) -> None:
     season = open_season(service)
     bad, good = new_submitter(service, "bad"), new_submitter(service, "good")
-    ids = [service.submit(lab, draft(2.0, season=season)) for lab in (bad, good)]
-    work_off(service)
+    ids = [scored(service, lab, 2.0, season=season) for lab in (bad, good)]
     waiting = service.submit(bad, draft(3.0, "r2", season=season))
     assert service.disqualify("spring", "bad") == 2
-    assert (shown(service, ids[0]).state, shown(service, ids[0]).reason) == (
-        "retracted",
-        "disqualified",
-    )
-    assert (shown(service, waiting).state, shown(service, waiting).attempt) == ("failed", "spent")
+    taken_back = shown(service, ids[0])
+    assert (taken_back.state, taken_back.reason) == ("retracted", "disqualified")
+    assert ends(service, waiting) == ("failed", "spent")
     assert {score.submitter for score in service.queries.scores(season=season)} == {"good"}
     with pytest.raises(Problem, match="disqualified you from season spring"):
         service.submit(bad, draft(4.0, "r3", season=season))
-    service.close_season("spring")
-    work_off(service)
+    close_spring(service)
     assert {id for id, _ in service.panel_b(season)} == {ids[1]}
     assert kinds(service).count("disqualify") == 1
     with pytest.raises(Problem, match="no submission in season"):
@@ -111,18 +106,13 @@ def test_disqualified_lab_leaves_boards_and_cannot_submit(service: Service) -> N
 
 
 def test_disqualification_after_close_removes_panel_b(service: Service) -> None:
-    season = open_season(service)
+    season, boards = open_season(service), SeasonBoards(service.queries, service.panel_b)
     for name in ("bad", "good"):
-        service.submit(new_submitter(service, name), draft(2.0, season=season))
-    work_off(service)
-    service.close_season("spring")
-    work_off(service)
-    boards = SeasonBoards(service.queries, service.panel_b)
+        scored(service, new_submitter(service, name), 2.0, season=season)
+    close_spring(service)
 
     def labs() -> set[str]:
-        row = service.queries.season(season)
-        assert row is not None
-        return {entry.newest.submitter for _, entry in boards.of(row)}
+        return {entry.newest.submitter for _, entry in boards.of(season_row(service))}
 
     assert labs() == {"bad", "good"}
     service.disqualify("spring", "bad")
@@ -162,14 +152,10 @@ def test_organiser_gets_notices_of_errors(
     fields = {"task": "scratch", "method": "m", "request_id": "12345678"}
     with monkeypatch.context() as patch:
         patch.setattr("assistax_board.store.artefacts.atomic_write", full)
+        headers = {"Authorization": f"Bearer {token}"}
         for _ in range(2):
-            answer = http.post(
-                "/api/submissions",
-                params=fields,
-                content=b"robot 1.0",
-                headers={"Authorization": f"Bearer {token}"},
-            )
-            assert answer.status_code == 507
+            data = {"params": fields, "content": b"robot 1.0", "headers": headers}
+            assert http.post("/api/submissions", **data).status_code == 507
         assert service.queries.submissions() == []
         patch.setattr("assistax_board.store.queries.Queries.seasons", broken)
         assert "has been told" in http.get("/api/seasons").json()["error"]["message"]
@@ -240,15 +226,13 @@ def test_the_page_shows_and_acts(service: Service, browser: TestClient) -> None:
     assert "is queued again" in send(browser, token, action="retry", submission=id).text
     assert "unbroken chain" in send(browser, token, action="ledger").text
     date = datetime.fromtimestamp(service.clock() + 100 * DAY, UTC).strftime("%Y-%m-%dT%H:%M")
-    assert (
-        "closes later" in send(browser, token, action="extend", season="spring", closes=date).text
-    )
+    extended = send(browser, token, action="extend", season="spring", closes=date).text
+    assert "closes later" in extended
     assert "no lab" in send(browser, token, action="disqualify", season="spring", lab="x").text
     service.note("too_full", "files")
     seen = str(list_notices(service.database)[0].last_at)
-    assert "files" not in re.sub(
-        r"<form.*", "", send(browser, token, action="clear", seen=seen).text
-    )
+    cleared = send(browser, token, action="clear", seen=seen).text
+    assert "files" not in re.sub(r"<form.*", "", cleared)
     assert notices(service) == []
 
 

@@ -10,6 +10,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -35,7 +36,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.schema import SCORE, SUBMISSION
 from assistax_envs.persons.rows import described_numbers, person
 from tests.board.board_data import HOSTILE, Robot, make_app
-from tests.board.fakes import TASK, draft, new_service, new_submitter, work_off
+from tests.board.fakes import TASK, new_submitter, scored
 from tests.untrained import published, teams_of
 from zoo.exports.policies import Format, policy_file
 from zoo.registry import load_registry
@@ -51,35 +52,32 @@ def linked(client: TestClient, page: str, pattern: str) -> str:
     return found[1]
 
 
+def form_token(client: TestClient, page: str) -> str:
+    """Return the token of a form that was just loaded."""
+    found = re.search(rf'name="{FIELD}" value="(\w+)"', client.get(page).text)
+    assert found
+    return found[1]
+
+
 @pytest.fixture(scope="module")
-def addresses(client: TestClient) -> list[str]:
-    board = "/tasks/scratch"
-    queued = re.search(r'class="queue">.*?href="([^"]+)"', client.get(board).text, re.DOTALL)
+def submissions(client: TestClient) -> tuple[str, str]:
+    """The addresses of a scored submission and of one that waits."""
+    page = client.get("/tasks/scratch").text
+    queued = re.search(r'class="queue">.*?href="([^"]+)"', page, re.DOTALL)
     assert queued
+    return linked(client, "/tasks/scratch", r"/submissions/\w+"), queued[1]
+
+
+@pytest.fixture(scope="module")
+def addresses(client: TestClient, submissions: tuple[str, str]) -> list[str]:
     return [
-        "/",
-        board,
-        "/tasks/arm_assist",
-        "/tasks/scratch?sort=iqm&search=o&show=methods",
-        "/tasks/scratch/compare",
-        "/tasks/scratch/partners",
-        "/tasks/scratch/partners?algorithm=ippo&disability=d3",
-        "/partners/scratch/ippo-d1-s0-v1",
-        "/partners/gentle_scratch/person-00042-v3",
-        PAIR,
-        EXPLORER,
-        linked(client, board, r"/submissions/\w+"),
-        queued[1],
-        linked(client, board, r"/submissions/\w+") + "/method",
-        "/tasks/scratch/heatmap",
-        "/seasons",
-        linked(client, "/seasons", r"/seasons/\w+"),
-        "/ledger",
-        "/submit",
-        "/submit?task=bed_bath",
-        "/organise",
-        "/docs",
-        "/tasks/nowhere",
+        *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/heatmap", "/tasks/nowhere"),
+        *("/tasks/scratch?sort=iqm&search=o&show=methods", "/tasks/scratch/compare"),
+        *("/tasks/scratch/partners", "/tasks/scratch/partners?algorithm=ippo&disability=d3"),
+        *("/partners/scratch/ippo-d1-s0-v1", "/partners/gentle_scratch/person-00042-v3"),
+        *(PAIR, EXPLORER, *submissions, f"{submissions[0]}/method"),
+        *("/seasons", linked(client, "/seasons", r"/seasons/\w+"), "/ledger"),
+        *("/submit", "/submit?task=bed_bath", "/organise", "/docs"),
     ]
 
 
@@ -115,6 +113,8 @@ def test_every_page_is_there_and_holds_nothing_inline(
         assert "script-src 'self'" in answer.headers["content-security-policy"]
         assert "unsafe" not in answer.headers["content-security-policy"]
         assert answer.text.count("<h1>") == 1, address
+    for address in (*addresses, "/news.atom", "/tasks/scratch/news.atom", "/tasks/scratch.csv"):
+        assert "hidden-4711" not in client.get(address).text, "the season's secret"
 
 
 @pytest.mark.parametrize("form", ["safetensors", "onnx"])
@@ -153,28 +153,27 @@ def test_a_hostile_name_stays_a_text(client: TestClient) -> None:
     assert inline(HOSTILE) == ["script", "onerror", "img"], "the planted name would be found"
 
 
-def test_a_seasons_secret_is_on_no_page(client: TestClient, addresses: list[str]) -> None:
-    others = ["/news.atom", "/tasks/scratch/news.atom", "/tasks/scratch.csv"]
-    assert not [
-        address for address in [*addresses, *others] if "hidden-4711" in client.get(address).text
-    ]
-
-
 def test_indistinguishable_methods_share_a_place(client: TestClient) -> None:
     text = client.get("/tasks/scratch").text
     places = re.findall(r'<span class="rank">(\d)', text)
     assert places == ["1", "1", "3", "4"], "rows to measure by have none"
     assert text.index("ppo ego") < text.index("sac ego") < text.index("scripted")
+    home = client.get("/").text
+    assert re.findall(r'<span class="rank">(\d)', home) == ["1", "1", "3"], "the leaders"
+    assert home.count("No method was scored yet") == 4
+    assert "<figure>" not in home, "no film was made"
     rows = re.findall(r'<tr role="row" class="reference">(.*?)</tr>', text, re.DOTALL)
     named = zip(("self-play", "random", "zero"), rows, strict=True)
     assert all(name in row for name, row in named)
     assert 'data-label="Normalised">0.00<' in rows[1]
 
 
-def test_submission_shows_queue_place_or_receipt(client: TestClient, addresses: list[str]) -> None:
-    scored, waiting = addresses[11:13]
+def test_submission_shows_queue_place_or_receipt(
+    client: TestClient, submissions: tuple[str, str]
+) -> None:
+    done, waiting = submissions
     assert "number 1 in the queue" in client.get(waiting).text
-    answer = client.get(f"{scored}/receipt.json")
+    answer = client.get(f"{done}/receipt.json")
     assert answer.headers["content-disposition"].startswith("attachment")
     assert set(answer.json()) == {"content", "signature"}
     assert client.get(f"{waiting}/receipt.json").status_code == 404
@@ -344,9 +343,8 @@ def test_pages_and_films_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyP
         pairs = [f"/pairs/scratch/ippo-d1-s0-v1/ippo-d{d}-s1-v1" for d in (1, 3, 5)]
         codes = []
         for pair in pairs:
-            token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(pair).text)
-            assert token
-            codes.append(reader.post(pair, data={FIELD: token[1]}).status_code)
+            form = {FIELD: form_token(reader, pair)}
+            codes.append(reader.post(pair, data=form).status_code)
         assert codes == [303, 303, 429]
         found = [reader.get("/").status_code for _ in range(40)]
         assert (found[0], found[-1]) == (200, 429)
@@ -363,10 +361,8 @@ def test_no_other_file_is_served_as_a_film(tmp_path: Path) -> None:
 def test_form_token_is_bound_to_browser(tmp_path: Path) -> None:
     app = make_app(tmp_path)
     with TestClient(app) as reader, TestClient(app) as other:
-        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(PAIR).text)
-        assert token
+        form = {FIELD: form_token(reader, PAIR)}
         other.get(PAIR)
-        form = {FIELD: token[1]}
         assert reader.post(PAIR).status_code == 403
         assert other.post(PAIR, data=form).status_code == 403
         elsewhere = {"Sec-Fetch-Site": "cross-site"}
@@ -395,33 +391,31 @@ def test_pages_of_another_registry_show_its_partners_alone(
 
 
 def test_two_hundred_readers_cost_one_rendering() -> None:
-    rendered, started = [], threading.Event()
+    rendered, cache = [], PageCache()
 
     def render() -> str:
         rendered.append(1)
-        started.wait(0.2)
+        time.sleep(0.2)
         return "page"
 
-    cache = PageCache()
-    threads = [threading.Thread(target=cache.page, args=("k", 60.0, render)) for _ in range(200)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(200) as pool:
+        list(pool.map(lambda _: cache.page("k", 60.0, render), range(200)))
     assert rendered == [1]
 
 
 def test_page_cache_expires_and_is_bounded() -> None:
-    now = [0.0]
+    now, texts = [0.0], iter("abc")
     cache = PageCache(lambda: now[0])
-    texts = iter("abc")
-    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
-    assert cache.page("k", 1.0, lambda: next(texts)).body == b"a"
+
+    def page() -> bytes:
+        return cache.page("k", 1.0, lambda: next(texts)).body
+
+    assert page() == page() == b"a"
     now[0] = 10.0
-    assert cache.page("k", 1.0, lambda: next(texts)).body == b"b"
+    assert page() == b"b"
     for i in range(2000):
         cache.page(str(i), 1.0, lambda: "x")
-    assert cache.page("k", 1.0, lambda: next(texts)).body == b"c"
+    assert page() == b"c"
 
 
 def test_stale_page_is_served_during_renewal() -> None:
@@ -462,54 +456,48 @@ def test_templates_mark_nothing_as_safe() -> None:
 
 
 def test_a_new_score_costs_its_own_methods_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[str] = []
     real = boards.unplaced
     monkeypatch.setattr(
         boards, "unplaced", lambda method, panel: made.append(method.name) or real(method, panel)
     )
-    service = new_service(tmp_path)
     kept = boards.Boards(service.queries, CrossPlays(tmp_path))
     for turn, lab in enumerate(("ada", "bob", "eve")):
-        service.submit(new_submitter(service, lab), draft(float(turn)))
-        work_off(service)
+        scored(service, new_submitter(service, lab), float(turn))
         board = kept.of(TASK)
         assert board is not None
-        assert len(board.rows) == turn + 1
-        assert len(made) == turn + 1
-    assert board is not None
-    assert [row.place for row, _ in board.rows] == [1, 2, 3]
+        assert (len(board.rows), len(made)) == (turn + 1, turn + 1)
+        assert [row.place for row, _ in board.rows] == list(range(1, turn + 2))
 
 
 def test_older_board_is_shown_during_computation(
     service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = boards.Boards(service.queries, CrossPlays(tmp_path))
-    service.submit(new_submitter(service, "ada"), draft(1.0))
-    work_off(service)
-    assert kept.of(TASK)
+
+    def rows() -> int:
+        board = kept.of(TASK)
+        assert board is not None
+        return len(board.rows)
+
+    scored(service, new_submitter(service, "ada"), 1.0)
+    assert rows() == 1
     go_on, real = threading.Event(), boards.unplaced
     monkeypatch.setattr(behind, "PATIENCE", 0.01)
     monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
-    service.submit(new_submitter(service, "bob"), draft(2.0))
-    work_off(service)
-    old = kept.of(TASK)
-    assert old is not None
-    assert len(old.rows) == 1
-    assert kept.is_behind(TASK)
+    scored(service, new_submitter(service, "bob"), 2.0)
+    assert rows() == 1 and kept.is_behind(TASK)
     go_on.set()
     monkeypatch.setattr(behind, "PATIENCE", 60.0)
-    new = kept.of(TASK)
-    assert new is not None
-    assert len(new.rows) == 2
+    assert rows() == 2
 
 
 def test_gentle_board_shows_violations(service: Service) -> None:
     lab = new_submitter(service)
     for number in range(2):
-        service.submit(lab, draft(1.0, f"r{number}"))
-    work_off(service)
+        scored(service, lab, 1.0, f"r{number}")
     assert "Violations" not in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     with service.database.write() as connection:
         rows = connection.execute(sa.select(schema.scores).order_by(SCORE.submission)).all()
@@ -524,15 +512,13 @@ def test_gentle_board_shows_violations(service: Service) -> None:
 
 def test_submission_page_is_headed_by_its_mean(service: Service) -> None:
     lab = new_submitter(service)
-    first = service.submit(lab, draft(1.0))
-    work_off(service)
+    first = scored(service, lab, 1.0)
     assert "1 seed: this robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
-    service.submit(lab, draft(4.0, "r2"))
-    work_off(service)
+    scored(service, lab, 4.0, "r2")
     client = TestClient(create_app(service))
     page = client.get(f"/submissions/{first}").text
     tiles = re.findall(r"<dt>([^<]+)</dt><dd>([\d.]+)</dd>", page)
     assert [name for name, _ in tiles[:2]] == ["This robot", "M_test of 2 seeds"]
-    assert float(tiles[0][1]) == pytest.approx(1.5, abs=0.1)
-    assert float(tiles[1][1]) == pytest.approx(3.0, abs=0.1)
+    means = [float(value) for _, value in tiles[:2]]
+    assert means == pytest.approx([1.5, 3.0], abs=0.1)
     assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text

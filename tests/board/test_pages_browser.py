@@ -15,7 +15,7 @@ from evaluation.player.page import pack
 from tests.board import running
 from tests.board.board_data import make_app
 from tests.board.browser import accessibility_faults, opened
-from tests.board.fakes import draft, new_service, new_submitter, work_off
+from tests.board.fakes import new_service, work_off
 from tests.board.test_pages import Films
 from tests.system import CHROMIUM, needs
 
@@ -50,8 +50,8 @@ def test_links_lead_from_board_to_explorer(browser: Browser, address: str) -> No
         page.wait_for_url(f"**/pairs/scratch/{pair[0]}/{pair[1]}")
 
 
-def test_the_explorer_opens_within_a_second(browser: Browser, address: str) -> None:
-    """The best of five: this machine may be busy with other tests."""
+def test_the_explorer_opens_soon_and_is_searched(browser: Browser, address: str) -> None:
+    """It is drawn within a second, by the best of five: others may use this machine."""
     milliseconds = []
     with opened(browser) as page:
         for _ in range(5):
@@ -59,12 +59,7 @@ def test_the_explorer_opens_within_a_second(browser: Browser, address: str) -> N
             expect(page.locator("body")).to_have_attribute("data-matrix", "198x198")
             mark = "performance.getEntriesByName('matrix-drawn')[0].startTime"
             milliseconds.append(page.evaluate(mark))
-    assert min(milliseconds) < 1000, milliseconds
-
-
-def test_the_explorer_is_coloured_ordered_and_searched(browser: Browser, address: str) -> None:
-    with opened(browser) as page:
-        page.goto(f"{address}/tasks/scratch/explorer")
+        assert min(milliseconds) < 1000, milliseconds
         expect(page.locator("body")).to_have_attribute("data-measures", "8")
         drawn = [page.locator("#matrix").screenshot()]
         for control, choice in (("order", "disability"), ("measure", "force_mean")):
@@ -153,21 +148,6 @@ def test_pages_are_read_without_scripts(browser: Browser, address: str) -> None:
     context.close()
 
 
-def test_submission_page_follows_queue_to_place(browser: Browser, tmp_path: Path) -> None:
-    service = new_service(tmp_path)
-    with running.served(service) as server, opened(browser) as page:
-        id = service.submit(new_submitter(service), draft(5.0))
-        page.goto(f"{server.address}/submissions/{id}")
-        expect(page.get_by_role("status")).to_contain_text("number 1 in the queue")
-        work_off(service)
-        expect(page.get_by_role("status")).to_contain_text("place 1")
-        with page.expect_download() as download:
-            page.get_by_role("link", name="Download it").click()
-        assert json.loads(Path(download.value.path()).read_text())["content"]["submission"] == id
-        page.get_by_role("link", name="scratch", exact=True).last.click()
-        expect(page.get_by_role("row", name="mine")).to_contain_text("5.5")
-
-
 @pytest.mark.parametrize("scripts", [True, False])
 def test_form_submits_with_and_without_scripts(
     browser: Browser, tmp_path: Path, scripts: bool
@@ -188,7 +168,11 @@ def test_form_submits_with_and_without_scripts(
         if not scripts:
             look_again(page)
         expect(page.get_by_role("status")).to_contain_text("place 1")
-        page.goto(f"{server.address}/tasks/scratch")
+        with page.expect_download() as download:
+            page.get_by_role("link", name="Download it").click()
+        receipt = json.loads(Path(download.value.path()).read_text())
+        assert receipt["content"]["submission"] == service.queries.submissions()[0].id
+        page.get_by_role("link", name="scratch", exact=True).last.click()
         expect(page.get_by_role("row", name="mine & best")).to_contain_text("5.5")
     context.close()
 
@@ -244,11 +228,7 @@ class StillFilms(Films):
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
 def test_episode_plays_after_its_film(
-    browser: Browser,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    width: int,
-    scheme: str,
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, width: int, scheme: str
 ) -> None:
     """The page's policy lets the player run, and nothing of the page keeps anybody out."""
     monkeypatch.setattr(pages, "run_command", StillFilms())

@@ -22,8 +22,8 @@ from assistax_board.service import Service
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
-from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, work_off
-from tests.board.test_pages import Films, inline
+from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, scored, work_off
+from tests.board.test_pages import Films, form_token, inline
 from tests.board.test_submit_form import filled, send
 
 BOARD = "/tasks/scratch"
@@ -40,10 +40,9 @@ def test_rows_are_sorted_searched_and_filtered(client: TestClient) -> None:
     assert methods(client.get(f"{BOARD}?sort=m_test").text) == every
     by_name = methods(client.get(f"{BOARD}?sort=method").text)
     assert by_name == sorted(every, key=str.casefold) != every
+    references = {"self-play", "uniform-random", "zero-action"}
     alone = methods(client.get(f"{BOARD}?show=methods").text)
-    assert alone == [
-        name for name in every if name not in ("self-play", "uniform-random", "zero-action")
-    ]
+    assert alone == [name for name in every if name not in references]
     page = client.get(f"{BOARD}?search=LAB&sort=seeds").text
     assert methods(page) == ["ppo ego", "sac ego"]
     assert "2 of 7 rows shown" in page
@@ -68,14 +67,12 @@ def test_a_board_is_taken_away_as_csv(client: TestClient) -> None:
         assert client.get(missing).status_code == 404
 
 
-def test_pending_board_sends_retry_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pending_board_sends_retry_after(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     go_on, real = threading.Event(), boards.unplaced
-    service = new_service(tmp_path)
     client = TestClient(create_app(service))
     assert client.get(f"{BOARD}.csv").status_code == 404
-    id = service.submit(new_submitter(service), draft(1.0))
-    service.submit(new_submitter(service, "other"), draft(2.0))
-    work_off(service)
+    id = scored(service, new_submitter(service), 1.0)
+    scored(service, new_submitter(service, "other"), 2.0)
     monkeypatch.setattr(behind, "PATIENCE", 0.01)
     monkeypatch.setattr(boards, "unplaced", lambda *args: go_on.wait(60) and real(*args))
     addresses = [f"{BOARD}.csv", f"{BOARD}/heatmap", f"{BOARD}/compare"]
@@ -104,23 +101,22 @@ def test_a_name_is_no_formula_of_a_spreadsheet(tmp_path: Path) -> None:
 
 def test_versioned_link_shows_the_same_board(tmp_path: Path) -> None:
     old = new_service(tmp_path)
-    old.submit(new_submitter(old), draft(1.0, method="early"))
-    work_off(old)
+    scored(old, new_submitter(old), 1.0, method="early")
     [(version, _)] = old.queries.versions(TASK)
-    before = TestClient(create_app(old)).get(f"/tasks/{TASK}.csv").text
+    before = TestClient(create_app(old)).get(f"{BOARD}.csv").text
     new = new_service(tmp_path, version=2)
     advance(new, 60.0)
     new.submit(new_submitter(new, "other"), draft(2.0, method="late"))
     work_off(new, version=2)
     reader = TestClient(create_app(new))
-    assert methods(reader.get(f"/tasks/{TASK}").text) == ["late"]
-    kept = reader.get(f"/tasks/{TASK}?version={version}").text
+    assert methods(reader.get(BOARD).text) == ["late"]
+    kept = reader.get(f"{BOARD}?version={version}").text
     assert methods(kept) == ["early"]
     assert "of an older version" in kept
-    assert reader.get(f"/tasks/{TASK}.csv?version={version}").text == before
-    newest = reader.get(f"/tasks/{TASK}?version={new.queries.versions(TASK)[0][0]}").text
+    assert reader.get(f"{BOARD}.csv?version={version}").text == before
+    newest = reader.get(f"{BOARD}?version={new.queries.versions(TASK)[0][0]}").text
     assert "of an older version" not in newest
-    assert reader.get(f"/tasks/{TASK}?version=never").status_code == 404
+    assert reader.get(f"{BOARD}?version=never").status_code == 404
 
 
 def test_method_page_shows_history_and_partners(service: Service) -> None:
@@ -155,22 +151,11 @@ def test_methods_and_partners_are_a_map(client: TestClient) -> None:
     assert client.get("/tasks/bed_bath/heatmap").status_code == 404
 
 
-def test_home_page_shows_leaders(client: TestClient) -> None:
-    page = client.get("/").text
-    leaders = re.findall(r'<span class="rank">(\d).*?<a href="/submissions/\w+">([^<]+)</a>', page)
-    assert [place for place, _ in leaders] == ["1", "1", "3"]
-    assert [name for _, name in leaders[:2]] == ["ppo ego", "sac ego"]
-    assert page.count("No method was scored yet") == 4
-    assert "<figure>" not in page, "no film was made"
-
-
 def test_home_page_shows_newest_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
     monkeypatch.setattr(pages, "run_command", lambda words, folder, registry: films(words, folder))
     with TestClient(make_app(tmp_path, ())) as reader:
-        token = re.search(rf'name="{FIELD}" value="(\w+)"', reader.get(address).text)
-        assert token
-        reader.post(address, data={FIELD: token[1]})
+        reader.post(address, data={FIELD: form_token(reader, address)})
         end = time.monotonic() + 120
         while "<figure>" not in (page := reader.get("/").text) and time.monotonic() < end:
             time.sleep(0.1)
@@ -206,9 +191,8 @@ def test_new_scores_and_seasons_are_a_feed(client: TestClient) -> None:
     assert len(news) == 4 + 3 + 1 + 2 + 1, "every seed, and one season"
     assert titles[-1] == "Season Spring & <b>sun</b> of scratch opened"
     assert any(title.startswith(f"{HOSTILE} by group on scratch: 95") for title in titles)
-    assert [entry["updated"] for entry in news] == sorted(
-        (entry["updated"] for entry in news), reverse=True
-    )
+    times = [entry["updated"] for entry in news]
+    assert times == sorted(times, reverse=True)
     assert len({entry["id"] for entry in news}) == len(news)
     assert all(client.get(entry["link"]).status_code == 200 for entry in news)
     assert entries(client, "/tasks/scratch/news.atom") == news
@@ -230,16 +214,14 @@ def test_feed_is_bounded_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_rescored_robot_keeps_its_feed_entry(tmp_path: Path) -> None:
     old = new_service(tmp_path)
-    old.submit(new_submitter(old), draft(1.0))
-    work_off(old)
-    before = entries(TestClient(create_app(old)))
+    scored(old, new_submitter(old), 1.0)
+    [before] = entries(TestClient(create_app(old)))
     new = new_service(tmp_path, version=2)
     advance(new, 60.0)
     new.adopt_version()
     work_off(new, version=2)
-    after = entries(TestClient(create_app(new)))
-    assert [entry["id"] for entry in after] == [entry["id"] for entry in before]
-    assert after[0]["updated"] > before[0]["updated"]
+    [after] = entries(TestClient(create_app(new)))
+    assert after["id"] == before["id"] and after["updated"] > before["updated"]
 
 
 WORDS = {
@@ -250,16 +232,24 @@ WORDS = {
 
 
 def test_method_page_shows_text_link_citation(service: Service) -> None:
-    lab = new_submitter(service)
-    id = service.submit(lab, draft(1.0, **WORDS))
-    later = service.submit(lab, draft(2.0, "r2"))
-    reader = TestClient(create_app(service))
+    """As the form and the API take them."""
+    token = service.create_token(("submit",), submitter="lab")
+    reader = TestClient(create_app(service), follow_redirects=False)
+    form = filled(reader, token, **WORDS)
+    assert send(reader, form).status_code == 303
+    fields = {"task": TASK, "method": "mine", "request_id": "request-1"} | WORDS
+    Client("", token, transport=reader).submit(b"robot 1.0", **fields)
+    later = service.submit(new_submitter(service), draft(2.0, "r2"))
+    first, *others = service.queries.submissions()
+    described = [(row.about, row.link, row.citation) for row in (first, *others)]
+    assert described.count(tuple(WORDS.values())) == 2
     page = reader.get(f"/submissions/{later}/method").text
     assert "Learns slowly. &lt;script&gt;" in page and "<script>alert" not in page
     assert 'href="https://example.org/a?b=1&amp;c" rel="nofollow' in page
     assert "@misc{x,\n}" in page
     assert inline(page) == []
-    service.erase_submitter(lab)
+    service.erase_submitter(new_submitter(service))
+    id = first.id
     assert reader.get(f"/api/submissions/{id}").json()["about"] is None
     assert "slowly" not in TestClient(create_app(service)).get(f"/submissions/{id}/method").text
 
@@ -279,17 +269,6 @@ def test_what_is_said_of_a_method_is_bounded(service: Service, words: dict[str, 
     with pytest.raises(Problem, match=r"at most|begins with"):
         service.submit(new_submitter(service), draft(1.0, **words))
     assert service.queries.submissions() == []
-
-
-def test_form_and_api_take_method_description(service: Service) -> None:
-    token = service.create_token(("submit",), submitter="lab")
-    with TestClient(create_app(service), follow_redirects=False) as reader:
-        form = filled(reader, token, **WORDS)
-        assert send(reader, form).status_code == 303
-        fields = {"task": TASK, "method": "mine", "request_id": "request-1"} | WORDS
-        assert Client("", token, transport=reader).submit(b"robot 1.0", **fields)
-    kept = [(row.about, row.link, row.citation) for row in service.queries.submissions()]
-    assert kept == [tuple(WORDS.values())] * 2
 
 
 def test_readers_do_not_ask_the_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,8 +29,6 @@ from zoo.parameters.storage import policy_bytes, write_policy_file
 from zoo.registry import load_registry
 
 PERSONS = {"env_versions": [3], "persons": {"muscle": 4, "spring": 4}, "teams": {}}
-TEAMS = {"env_versions": [2], "persons": {}, "teams": {"ippo": 60}}
-BOTH = PERSONS | {"teams": {"ippo": 2}}
 
 
 def test_a_season_of_persons_says_so_everywhere(service: Service, tmp_path: Path) -> None:
@@ -45,7 +43,8 @@ def test_a_season_of_persons_says_so_everywhere(service: Service, tmp_path: Path
     words = "8 persons (4 muscle, 4 spring), environment version 3"
     assert words in page and words in limits["season spring"]
     public = load_registry()
-    entries = [e for e in public.of_task(GENTLE, "human") if _is_test(public, e)]
+    side = public.split(GENTLE).side
+    entries = [e for e in public.of_task(GENTLE, "human") if side(e.team) == "test"]
     version = public.env_version(entries[0])
     assert f"{len(entries)} partners of trained teams (" in page
     assert f"), environment version {version}" in page
@@ -53,34 +52,17 @@ def test_a_season_of_persons_says_so_everywhere(service: Service, tmp_path: Path
     assert "The partners are trained policies" not in page
 
 
-def _is_test(registry: Any, entry: Any) -> bool:
-    return registry.split(GENTLE).side(entry.team) == "test"
-
-
 def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
     published(teams_of(2, task=GENTLE), tmp_path)
     add_persons(tmp_path, GENTLE, 6)
     registry = load_registry(tmp_path / "registry.json")
     told = describe_partners(registry, hidden_partners(registry, GENTLE))
-    assert told == {
-        "env_versions": [3],
-        "persons": {"muscle": 3, "spring": 3},
-        "teams": {"ippo": 4},
-    }
-
-
-@pytest.mark.parametrize(
-    ("hidden", "words"),
-    [
-        (PERSONS, "8 persons (4 muscle, 4 spring), environment version 3"),
-        (TEAMS, "60 partners of trained teams (60 ippo), environment version 2"),
-        (BOTH, "(4 muscle, 4 spring) and 2 partners of trained"),
-        (None, "kinds not recorded"),
-    ],
-)
-def test_partners_in_words_name_kinds_and_version(hidden: Any, words: str) -> None:
-    assert words in partners_in_words(hidden)
-    assert "not validated models of people" in statement_of(hidden)
+    persons = {"muscle": 3, "spring": 3}
+    assert told == {"env_versions": [3], "persons": persons, "teams": {"ippo": 4}}
+    both = "6 persons (3 muscle, 3 spring) and 4 partners of trained teams (4 ippo)"
+    assert both in partners_in_words(told)
+    assert "kinds not recorded" in partners_in_words(None)
+    assert "not validated models of people" in statement_of(None)
 
 
 class Row:
@@ -90,16 +72,10 @@ class Row:
 def test_a_warning_names_each_other_version() -> None:
     assert warning_of(None, 2, Row) is None, "a file that says nothing"
     assert warning_of(3, 3, Row) is None
-    public, hidden = (
-        "public half in environment version 2",
-        "season spring in environment version 3",
-    )
-    found = [str(warning_of(said, 2, Row)) for said in (1, 2, 3)]
-    assert [(public in text, hidden in text) for text in found] == [
-        (True, True),
-        (False, True),
-        (True, False),
-    ]
+    halves = "public half in environment version 2", "season spring in environment version 3"
+    for version, expected in ((1, [True, True]), (2, [False, True]), (3, [True, False])):
+        text = str(warning_of(version, 2, Row))
+        assert [half in text for half in halves] == expected
 
 
 class Catalogue(FakeCatalogue):

@@ -34,20 +34,21 @@ def tanhs(count: int) -> bytes:
     return wide([helper.make_node("Tanh", [old], [new]) for old, new in pairwise(names)])
 
 
-@pytest.mark.parametrize("data", [tanhs(280), tanhs(12)], ids=["a day", "too long"])
-def test_what_would_take_hours_is_refused(data: bytes) -> None:
-    with pytest.raises(Refusal) as refusal:
-        Admission(SIZES).read(data, TASK)
-    assert refusal.value.code == "too_slow"
-
-
-def test_what_would_need_gigabytes_is_refused() -> None:
+def gigabytes() -> bytes:
+    """Return a robot that needs a hundred wide values at once."""
     added = [helper.make_node("Tanh", [f"v{i}"], [f"v{i + 1}"]) for i in range(100)]
     sums = [helper.make_node("Add", [f"v{99 - i}", f"s{i}"], [f"s{i + 1}"]) for i in range(99)]
     last = [helper.make_node("Identity", ["v100"], ["s0"])]
     end = [helper.make_node("Identity", ["s99"], ["last"])]
+    return wide([*added, *last, *sums, *end])
+
+
+@pytest.mark.parametrize(
+    "data", [tanhs(280), tanhs(12), gigabytes()], ids=["a day", "too long", "gigabytes"]
+)
+def test_robot_of_hours_or_gigabytes_is_refused(data: bytes) -> None:
     with pytest.raises(Refusal) as refusal:
-        Admission(SIZES).read(wide([*added, *last, *sums, *end]), TASK)
+        Admission(SIZES).read(data, TASK)
     assert refusal.value.code == "too_slow"
 
 

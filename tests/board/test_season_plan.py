@@ -40,6 +40,8 @@ def test_all_but_the_seeds_is_the_public_plans(tmp_path: Path, name: str) -> Non
     seeds = seeds_of(private)
     assert len(set(seeds)) == len(seeds) == len(seeds_of(public))
     assert set(seeds).isdisjoint(seeds_of(public)) and set(seeds) != set(seeds_of(again))
+    assert SECRET_SEEDS.stop - SECRET_SEEDS.start > 2**62 and all(s in SECRET_SEEDS for s in seeds)
+    assert max(seeds) > 2**60, "all are lower with a chance below 2 to the power of -54"
     assert not any(group.adopt for group in private.groups)
     groups = [
         dataclasses.replace(group, seeds=known.seeds, adopt=known.adopt)
@@ -59,12 +61,6 @@ def test_a_draw_of_public_seeds_is_passed_over(monkeypatch: pytest.MonkeyPatch) 
     private = private_plan(Plan(version=1, release="v1", groups=(Group(**ONE), public)))
     expected = [(first + 1, first + 3), (first + 4, first + 5)]
     assert [group.seeds for group in private.groups] == expected
-
-
-def test_seeds_have_62_bits_and_more(tmp_path: Path) -> None:
-    seeds = seeds_of(read_plan(make(tmp_path / "plan.json")))
-    assert SECRET_SEEDS.stop - SECRET_SEEDS.start > 2**62 and all(s in SECRET_SEEDS for s in seeds)
-    assert max(seeds) > 2**60, "none of 27 has 60 bits with a chance below 2 to the power of -54"
 
 
 def test_every_seed_bit_changes_training() -> None:

@@ -51,11 +51,6 @@ def test_normalised_random_is_0_best_response_1() -> None:
         assert row.normalised.mean == pytest.approx(expected)
 
 
-def test_missing_data_leaves_gaps() -> None:
-    [row] = board_rows([method("x", 1, 3, episodes=1)], Panel((None,) * PARTNERS))
-    assert (row.cvar, row.fairness, row.normalised) == (None, None, None)
-
-
 def test_worst_tenth_bounds_one_partner_in_ten() -> None:
     scores = np.random.default_rng(4).permutation(np.arange(40.0))[None]
     worst = worst_tenth(scores)
@@ -72,7 +67,9 @@ def test_method_lacking_partners_is_refused() -> None:
         board_rows([], Panel(DISABILITIES))
 
 
-def test_a_lone_partner_gives_figures_and_no_place() -> None:
+def test_missing_data_leaves_gaps() -> None:
+    [row] = board_rows([method("x", 1, 3, episodes=1)], Panel((None,) * PARTNERS))
+    assert (row.cvar, row.fairness, row.normalised) == (None, None, None)
     methods = [Method(name, np.full((1, 1, 4), level)) for name, level in (("a", 1.0), ("b", 2.0))]
     rows = board_rows(methods, Panel(("d1",)))
     assert [(row.name, row.place, row.m_test.mean) for row in rows] == [

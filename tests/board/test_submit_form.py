@@ -36,8 +36,14 @@ def send(
     return reader.post("/submit", data=fields, files={"file": ("robot.onnx", data)}, **more)
 
 
-def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClient) -> None:
-    token = service.create_token(("submit",), submitter="lab")
+@pytest.fixture
+def token(service: Service) -> str:
+    return service.create_token(("submit",), submitter="lab")
+
+
+def test_a_form_sent_twice_is_one_submission(
+    service: Service, reader: TestClient, token: str
+) -> None:
     form = filled(reader, token)
     answers = [send(reader, form) for _ in range(2)]
     [submission] = service.queries.submissions()
@@ -63,12 +69,12 @@ def test_a_form_sent_twice_is_one_submission(service: Service, reader: TestClien
 def test_invalid_form_returns_with_reason(
     service: Service,
     reader: TestClient,
-    changed: dict[str, str],
+    token: str,
+    changed: Any,
     data: bytes,
     status: int,
     message: str,
 ) -> None:
-    token = service.create_token(("submit",), submitter="lab")
     answer = send(reader, filled(reader, token) | changed, data)
     assert answer.status_code == status and message in answer.text
     assert token not in answer.text and "azt_wrong" not in answer.text
@@ -77,8 +83,7 @@ def test_invalid_form_returns_with_reason(
     assert service.queries.submissions() == []
 
 
-def test_foreign_form_is_refused(service: Service, reader: TestClient) -> None:
-    token = service.create_token(("submit",), submitter="lab")
+def test_foreign_form_is_refused(service: Service, reader: TestClient, token: str) -> None:
     form = filled(reader, token)
     elsewhere = {"Sec-Fetch-Site": "cross-site"}
     assert send(reader, form, headers=elsewhere).status_code == 403
@@ -111,9 +116,8 @@ def test_a_form_from_elsewhere_is_not_read(reader: TestClient) -> None:
 
 @pytest.mark.usefixtures("one_window")
 def test_file_forms_are_rate_limited(
-    service: Service, reader: TestClient, monkeypatch: pytest.MonkeyPatch
+    reader: TestClient, token: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    token = service.create_token(("submit",), submitter="lab")
     form = filled(reader, token)
     with monkeypatch.context() as patch:
         patch.setattr("assistax_board.api.desk.FORMS", 0)
@@ -133,9 +137,8 @@ def test_one_address_sends_one_form_at_a_time() -> None:
         pass
 
 
-def test_limits_button_submits_nothing(service: Service, reader: TestClient) -> None:
+def test_limits_button_submits_nothing(service: Service, reader: TestClient, token: str) -> None:
     open_season(service, budget=3)
-    token = service.create_token(("submit",), submitter="lab")
     answer = send(reader, filled(reader, token) | {"limits": "show"})
     assert answer.status_code == 200
     assert "3 of 3 attempts left" in answer.text

@@ -21,14 +21,9 @@ from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.notices import clear_notices, list_notices
 from assistax_board.work import webhook as posting
-from assistax_board.work.webhook import (
-    Webhook,
-    check_ledger,
-    signature,
-    watched,
-)
+from assistax_board.work.webhook import Webhook, check_ledger, signature, watched
 from assistax_zoo.shell.main import run
-from tests.board.fakes import advance, draft, fail_next_job, new_submitter, work_off
+from tests.board.fakes import advance, draft, fail_next_job, new_submitter, scored, work_off
 from tests.board.running import soon
 
 
@@ -110,6 +105,9 @@ def test_notice_is_posted_with_a_valid_signature(
     post(hook, service)
     post(Webhook(receiver.address, tmp_path), service)
     assert len(receiver.posts) == 1, "each is posted once, also after a restart"
+    file.write_text("whsec_short\n")
+    with pytest.raises(ValueError, match="webhook-secret holds no secret"):
+        Webhook(receiver.address, tmp_path)
 
 
 def test_refused_post_is_repeated_with_same_id(
@@ -180,15 +178,8 @@ def test_only_the_web_is_posted_to(
     assert not (tmp_path / "board").exists()
 
 
-def test_a_secret_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "webhook-secret").write_text("whsec_short\n")
-    with pytest.raises(ValueError, match="webhook-secret holds no secret"):
-        Webhook("http://127.0.0.1/", tmp_path)
-
-
 def test_a_changed_ledger_is_told(service: Service) -> None:
-    service.submit(new_submitter(service), draft(2.0))
-    work_off(service)
+    scored(service, new_submitter(service), 2.0)
     check_ledger(service)
     assert list_notices(service.database) == []
     with service.database.write() as connection:

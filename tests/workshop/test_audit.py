@@ -70,10 +70,7 @@ def test_gates_by_hand() -> None:
         *("a passive robot", "a passive robot", "a response to each team", "told teams"),
         *("recurrent teams", "egos, and egos that are told", "a gentle task", "blind teams"),
     ]
-
-
-def test_a_condition_that_no_gate_knows_is_refused() -> None:
-    """It would read as not measured."""
+    # It would read as not measured.
     with pytest.raises(ValueError, match="'mistaken human' is not a valid Condition"):
         gates(**{"mistaken human": played([[[80.0] * 4] * 2] * 2)})
 
@@ -139,13 +136,13 @@ def test_intervals_widen_with_the_teams() -> None:
         returns[i, i] = value
     pairs = played(returns, four, four)
     own = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))
-    gate_found = gates(**{"all pairs": pairs, "told": own})[
-        "teams whose robot is told the preference"
-    ]
-    assert gate_found.value == pytest.approx(1.0) and gate_found.ci is not None
-    assert gate_found.ci[0] < 0.85 and gate_found.ci[1] > 1.15
-    mistaken = gates(**{"all pairs": pairs, "mistaken humans": own})
-    paired = mistaken["humans that believe in another preference"]
+    found = gates(**{"all pairs": pairs, "told": own, "mistaken humans": own})
+    told, paired = (
+        found["teams whose robot is told the preference"],
+        found["humans that believe in another preference"],
+    )
+    assert told.value == pytest.approx(1.0) and told.ci is not None
+    assert told.ci[0] < 0.85 and told.ci[1] > 1.15
     assert paired.ci == pytest.approx((0.0, 0.0))  # each team beside itself
     # Own teams play more episodes; what happens in those that the other has not is no loss of its.
     rare = own.with_columns(pl.col("return") - 900.0, pl.col("episode") + 2)
@@ -231,10 +228,8 @@ def test_an_audit_of_run_folders(
     words = [word for name, path in runs.items() for word in (f"--{name}", str(path))]
     options = ["--episodes", "2", "--backend", "native", "--out", str(tmp_path / "out")]
     assert run(["audit", TASK, *words, *options]) == 0
-    printed = capsys.readouterr().out
-    assert (
-        "cross-play" in printed and "own, step by step: contact steps" in printed
-    )  # cells are folded
+    printed = capsys.readouterr().out  # cells are folded
+    assert "cross-play" in printed and "own, step by step: contact steps" in printed
     result = az.audit(
         TASK, str(runs["team"]), episodes=2, backend="native", out=tmp_path / "out", progress=False
     )

@@ -30,18 +30,10 @@ def test_audit_reads_the_trained_conditions(tmp_path: Path) -> None:
         changes=TINY,
         backend="native",
     )
-    audited = audit(
-        "gentle_lift",
-        str(tmp_path / "teams"),
-        passive_robot=str(tmp_path / "passive"),
-        told=str(tmp_path / "told"),
-        response=str(tmp_path / "response"),
-        ego=str(tmp_path / "ego"),
-        ego_told=str(tmp_path / "ego-told"),
-        ego_recurrent=str(tmp_path / "ego-recurrent"),
-        episodes=2,
-        progress=False,
-    )
+    names = ("told", "response", "ego", "ego_told", "ego_recurrent")
+    runs = {name: str(tmp_path / name.replace("_", "-")) for name in names}
+    runs["passive_robot"] = str(tmp_path / "passive")
+    audited = audit("gentle_lift", str(tmp_path / "teams"), **runs, episodes=2, progress=False)
     assert audited.teams == ("teams/ippo-d1-s100/robot", "teams/ippo-d1-s101/robot")
     played = {"passive robot, teams' humans", "told", "best responses"}
     assert played < set(audited.figures)

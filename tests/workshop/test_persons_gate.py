@@ -58,9 +58,6 @@ def test_each_stage_is_told_with_its_place(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(persons, "_stage", lambda *_: {})
     run_stages(Plan(TASK, tmp_path), ("ppo", "read"), lines.append)
     assert lines == ["stage 1 of 2, ppo", "stage 2 of 2, read"]
-
-
-def test_a_stage_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="stage is 'pp'; allowed are ppo, told"):
         run_stages(Plan(TASK, tmp_path), ("pp",))
 

@@ -44,42 +44,33 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def with_log_std(team: TrainedTeam, value: float, roles=("robot",)) -> dict[str, Any]:
     """Return the team's parameters, those of the roles changed."""
-    return {
-        role: {**params, "log_std": np.full_like(params["log_std"], value)}
-        if role in roles
-        else params
-        for role, params in team.params.items()
+    changed = {
+        role: {**team.params[role], "log_std": np.full_like(team.params[role]["log_std"], value)}
+        for role in roles
     }
+    return {**team.params, **changed}
 
 
-def test_publication_is_complete_and_verified(registry: Registry) -> None:
+def test_publication_is_complete_verified_and_repeatable(
+    registry: Registry, teams, publish_to
+) -> None:
     report = verify(registry)
     assert report.ok and not report.notes
     assert (report.shards, report.policies, report.splits) == (2, 16, 1)
-    assert set(contents(registry.path.parent)) == {"registry.json", *registry.data.shards}
-    shard = registry.policies[0].shard
-    assert (
-        shard == f"zoo/shards/v0/scratch-ippo-robot-{registry.policies[0].spec.digest}.safetensors"
-    )
-    assert [entry.row for entry in registry.select(role="robot")] == list(range(8))
-
-
-def test_bytes_do_not_depend_on_team_order(
-    registry: Registry, teams, publish_to, tmp_path: Path
-) -> None:
-    publish_to(list(reversed(teams())), tmp_path / "other" / "registry.json")
-    other = contents(tmp_path / "other")
-    assert all(
-        other[name] == data
-        for name, data in contents(tmp_path).items()
-        if not name.startswith("other")
-    )
-
-
-def test_publishing_again_changes_nothing(registry: Registry, teams, publish_to) -> None:
     before = contents(registry.path.parent)
+    assert set(before) == {"registry.json", *registry.data.shards}
+    first = registry.policies[0]
+    assert first.shard == f"zoo/shards/v0/scratch-ippo-robot-{first.spec.digest}.safetensors"
+    assert [entry.row for entry in registry.select(role="robot")] == list(range(8))
     again = publish_to(teams(), registry.path, date="2030-12-24")
     assert again == registry and contents(registry.path.parent) == before
+
+
+def test_bytes_do_not_depend_on_team_order(registry: Registry, teams, publish_to) -> None:
+    before = contents(registry.path.parent)
+    other = registry.path.parent / "other"
+    publish_to(list(reversed(teams())), other / "registry.json")
+    assert before.items() <= contents(other).items()
 
 
 def test_a_growing_release_leaves_what_is_published(
@@ -157,9 +148,7 @@ def test_another_release_stands_beside_the_first(registry: Registry, team, publi
 def test_changed_bytes_are_refused(registry: Registry, team, publish_to) -> None:
     before = contents(registry.path.parent)
     changed = team(params=with_log_std(team(), 0.5))
-    with pytest.raises(
-        ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 .* under a new release"
-    ):
+    with pytest.raises(ImmutableError, match=r"ippo-d1-s0-v0: expected the published sha256 "):
         publish_to([changed], registry.path)
     with pytest.raises(ImmutableError, match="self-play"):
         publish_to([team(self_play={**SELF_PLAY, "n": 8})], registry.path)
@@ -194,20 +183,14 @@ def test_what_cannot_be_published_is_refused(registry: Registry, team, publish_t
         with pytest.raises(PublishError, match=words) as caught:
             publish_to(teams, registry.path)
         assert "\n" not in str(caught.value)
+    lacking = {name: value for name, value in new.params["robot"].items() if name != "log_std"}
+    with pytest.raises(FormatError, match="log_std"):
+        publish([team(seed=9, params={**new.params, "robot": lacking})], registry.path, "v0")
     with pytest.raises(FormatError, match="NaN"):
         publish_to([team(seed=9, params=with_log_std(new, float("nan")))], registry.path)
     with pytest.raises(PublishError, match="2027-02-30"):
         publish_to([new], registry.path, date="2027-02-30")
     assert contents(registry.path.parent) == before
-
-
-def test_parameters_of_another_network_are_refused(tmp_path: Path, team) -> None:
-    lacking = {name: value for name, value in team().params["robot"].items() if name != "log_std"}
-    with pytest.raises(FormatError, match="log_std"):
-        publish(
-            [team(params={**team().params, "robot": lacking})], tmp_path / "registry.json", "v0"
-        )
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_team_needs_matching_specs_and_params(team) -> None:
@@ -218,12 +201,8 @@ def test_team_needs_matching_specs_and_params(team) -> None:
 
 
 def test_unknown_provenance_is_kept_as_notes(tmp_path: Path, team, publish_to) -> None:
-    training = {
-        **team().training,
-        "seed": 0,
-        "final": {"return": 950.0, "widths": [128, 128]},
-        "seconds": 60.0,
-    }
+    training = {**team().training, "seed": 0, "seconds": 60.0}
+    training["final"] = {"return": 950.0, "widths": [128, 128]}
     entry = publish_to([team(training=training)], tmp_path / "registry.json").policies[0]
     assert entry.training.notes == {"final.return": 950.0, "final.widths": "128,128"}
     assert entry.training.seconds == 60.0 and entry.run == "scratch-ippo"
@@ -376,12 +355,9 @@ def robot_with(**fields: Any):
 def test_a_malformed_run_folder_is_refused(tmp_path: Path, teams, change, words: str) -> None:
     with pytest.raises(FormatError, match=words) as caught:
         read_run(write_run(tmp_path / "run", teams(), change))
-    assert "\n" not in str(caught.value)
-
-
-def test_a_folder_without_teams_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"teams\.json"):
         read_run(tmp_path)
+    assert "\n" not in str(caught.value)
 
 
 def test_persons_join_a_release_without_teams(tmp_path: Path) -> None:

@@ -81,34 +81,32 @@ def test_the_best_configuration_has_no_seed_that_diverged():
         best(results.head(2), [{"a": 0}])
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        ({"gamma": 3}, r"gamma\.Range is 3; .* give an object of hyperparameters, each"),
-        ({"gamma": []}, "give"),
-        ({"gamma": {"low": 0, "high": 1}}, "it must have 0 < low < high"),
-    ],
-)
-def test_a_bad_space_is_named(data, message, tmp_path):
-    path = tmp_path / "space.json"
-    path.write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=message):
-        read_space(path)
-
-
 def test_a_space_is_read_from_its_file(tmp_path):
     path = tmp_path / "space.json"
     path.write_text('{"gamma": {"low": 0.9, "high": 0.99}, "hidden": [[8, 8], [16]]}')
     assert read_space(path) == {"gamma": Range(0.9, 0.99), "hidden": ((8, 8), (16,))}
     assert make_sweep("scratch", "ippo", path).space == read_space(path)
     assert make_sweep("scratch", "masac").space == SPACES["sac"]
-    refused = {"{": "is not JSON", "[1]": "give an object", "{}": "at least 1 item"}
-    for text, message in refused.items():
-        path.write_text(text)
-        with pytest.raises(ValueError, match=message):
-            read_space(path)
     with pytest.raises(ValueError, match="disability is 'd10'"):
         make_sweep("scratch", "ippo", disability="d10")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not JSON"),
+        ("[1]", "give an object"),
+        ("{}", "at least 1 item"),
+        ('{"gamma": 3}', r"gamma\.Range is 3; .* give an object of hyperparameters, each"),
+        ('{"gamma": []}', "give"),
+        ('{"gamma": {"low": 0, "high": 1}}', "it must have 0 < low < high"),
+    ],
+)
+def test_a_bad_space_is_named(text, message, tmp_path):
+    path = tmp_path / "space.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_space(path)
 
 
 def test_impossible_sweep_is_refused_before_it_starts():
