@@ -28,6 +28,7 @@ from tests.studies import evaluate_policies
 from zoo.registry import Registry, load_registry
 
 STEPS = 20
+DERIVED_TABLES = (tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.BOUNDS_FILE)
 pytestmark = pytest.mark.slow
 
 
@@ -167,26 +168,17 @@ def test_links_in_place_of_files_are_not_followed(folder: Path) -> None:
     assert verify_folder(folder).ok
 
 
-def test_missing_and_doubled_rows_are_found(folder: Path) -> None:
+def test_sealed_table_of_other_episodes_is_found(folder: Path) -> None:
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    for rows in (table.head(-1), pl.concat([table, table.head(1)])):
-        tables.write_episodes(rows, folder / tables.EPISODES_FILE)
+    forged = table.with_columns(pl.lit("scratch/ippo-d1-s1-v0/robot").alias("ego"))
+    for other, problem in (
+        (table.head(-1), "rows"),
+        (pl.concat([table, table.head(1)]), "rows"),
+        (forged, "other egos than the manifest"),
+    ):
+        tables.write_episodes(other, folder / tables.EPISODES_FILE)
         provenance.seal(folder)
-        assert "rows" in verify_folder(folder).problems[0]
-
-
-def test_forged_table_of_other_policies_is_found(folder: Path) -> None:
-    table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    other = table.with_columns(pl.lit("scratch/ippo-d1-s1-v0/robot").alias("ego"))
-    tables.write_episodes(other, folder / tables.EPISODES_FILE)
-    provenance.seal(folder)
-    assert "other egos than the manifest" in verify_folder(folder).problems[0]
-
-
-def test_replay_is_equal_to_last_bit(folder: Path, registry: Registry) -> None:
-    report = replay_folder(folder, registry, sample=1)
-    assert report.ok and report.exact, report
-    assert (report.episodes, report.differing) == (8, 0)
+        assert problem in verify_folder(folder).problems[0]
 
 
 def changed(folder: Path, registry: Registry, factor: float) -> None:
@@ -253,7 +245,7 @@ def test_replay_sample_is_random_and_repeatable(
 def test_every_figure_is_drawn_again(folder: Path, registry: Registry) -> None:
     """Of each kind of file, one number that is another, sealed."""
     manifest = (folder / provenance.MANIFEST_FILE).read_bytes()
-    for name in (tables.SUMMARY_FILE, *DERIVED):
+    for name in (tables.SUMMARY_FILE, *DERIVED_TABLES):
         path = folder / name
         whole = path.read_bytes()
         if name.endswith(".json"):
@@ -269,17 +261,6 @@ def test_every_figure_is_drawn_again(folder: Path, registry: Registry) -> None:
         assert not report.ok and name in report.problems[0] and not report.episodes, report
         path.write_bytes(whole)
         (folder / provenance.MANIFEST_FILE).write_bytes(manifest)
-
-
-DERIVED = (tables.PARTNERS_FILE, tables.PROFILE_FILE, tables.BOUNDS_FILE)
-
-
-def test_a_column_that_no_episode_has_is_found(folder: Path, registry: Registry) -> None:
-    forger = Forger(folder, registry, random.Random(0), folder)
-    forger.table = forger.table.with_columns(pl.lit(1, pl.Float32).alias("term_bonus"))
-    forger.close()
-    report = replay_folder(folder, registry, sample=1)
-    assert not report.ok and "term_bonus" in report.problems[0]
 
 
 def test_partial_partners_are_noted(folder: Path, registry: Registry) -> None:
@@ -308,9 +289,8 @@ def test_unplayable_folder_error_has_reason(folder: Path, registry: Registry) ->
     refused("env_version differ", env_version=7)
     refused("extra differ", extra=1)
     refused("side_preferences differ", side_preferences={"test": ["p1"]})
-    refused(
-        "partners differ", partners=[[*row[:2], "train", *row[3:]] for row in identity["partners"]]
-    )
+    partners = [[*row[:2], "train", *row[3:]] for row in identity["partners"]]
+    refused("partners differ", partners=partners)
     for cut in (1, 511, 98304, 10**12, None, "x", True, -1):
         refused("tile_envs is", {"tile_envs": cut})
     refused("max_envs is", {"max_envs": 10**12})
