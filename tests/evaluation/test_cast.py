@@ -18,12 +18,7 @@ from zoo.registry import Registry
 
 ZOO = str(Path(splits.__file__).parent)
 TEAMS = ["scratch/ippo-d1-s0-v0", "scratch/ippo-d1-s1-v0"]
-OPTIONS: dict[str, Any] = {
-    "task": "scratch",
-    "episodes": 1,
-    "backend": "native",
-    "progress": False,
-}
+OPTIONS: Any = {"task": "scratch", "episodes": 1, "backend": "native", "progress": False}
 
 
 @pytest.fixture
@@ -44,9 +39,12 @@ def entered(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     make: Callable[..., Cast] = Cast.of
 
+    def refuse(registry: Registry, name: str) -> Any:
+        pytest.fail(f"the registry was asked for {name}")
+
     def made(*args: Any, **options: Any) -> Cast:
         cast = make(*args, **options)
-        gone.setattr(Registry, "__getattribute__", _gone)
+        gone.setattr(Registry, "__getattribute__", refuse)
         threading.setprofile(watch)
         sys.setprofile(watch)
         return cast
@@ -81,10 +79,6 @@ def test_cast_needs_no_registry_afterwards(
     gone.undo()
     registry.root("v0")
     assert "Registry.root" in names, "the watch sees who asks"
-
-
-def _gone(registry: Registry, name: str) -> Any:
-    pytest.fail(f"the registry was asked for {name}")
 
 
 def test_a_split_is_parsed_once(

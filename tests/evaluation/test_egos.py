@@ -26,13 +26,10 @@ def params(value: float) -> dict[str, Any]:
     }
 
 
-def act_of(answer: Any) -> Any:
+def ask(answer: Any) -> np.ndarray:
     ego = HostEgo("python:m:f", lambda obs: answer)
-    return call_ego(ego, PARTNERS, episodes=2, action_size=2)
-
-
-def ask(answer: Any, step: int = 7) -> np.ndarray:
-    return act_of(answer)(np.zeros((4, 3), np.float32), step)
+    act = call_ego(ego, PARTNERS, episodes=2, action_size=2)
+    return act(np.zeros((4, 3), np.float32), 7)
 
 
 def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
@@ -40,7 +37,7 @@ def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
     for path, value in zip(paths, (1.0, 2.0), strict=True):
         write_policy_file(path, SPEC, params(value))
     egos = read_egos(paths, EMPTY, "scratch")
-    (stack,) = egos.stacks
+    [stack] = egos.stacks
     assert isinstance(stack, PolicyStack)
     assert list(stack.ids) == list(egos.members) == paths
     assert len({member.digest for member in egos.members.values()}) == 2
@@ -115,10 +112,7 @@ def test_factory_of_working_folder_is_found(module: str):
         ("python:unimportable_robot:f", "surely_not_installed_anywhere"),
         ("python:my_robot_under_test:nothing", "has no function 'nothing'"),
         ("python:my_robot_under_test:number", "has no function 'number'"),
-        (
-            "python:my_robot_under_test:broken",
-            r"broken\(\) failed: KeyError: 'weights' \(my_robot_under_test.py:5\)",
-        ),
+        ("python:my_robot_under_test:broken", r"failed: KeyError: 'weights' \(my_.*test.py:5\)"),
         ("python:my_robot_under_test:wrong", r"wrong\(\) returned int; expected a callable"),
     ],
 )
@@ -141,23 +135,18 @@ def test_answers_of_any_framework_become_float32():
         assert ask(answer).tolist() == [[1.0, 1.0]] * 4
 
 
-def probed(robot: Any) -> None:
-    roster = read_egos([robot], EMPTY, "scratch")
-    probe_egos(roster, "scratch", 34, 7)
-
-
 @pytest.mark.parametrize(
     ("robot", "message"),
     [
         (lambda obs: obs @ np.zeros((30, 7)), "failed: ValueError: matmul"),
         (lambda obs: np.zeros((len(obs), 3)), r"returned float64 of shape \(2, 3\)"),
-        (lambda obs: sys.exit(3), "failed: SystemExit: 3"),
+        (lambda obs: sys.exit("two\nlines"), r"failed: SystemExit: two lines \(test_egos.py:\d+\)"),
     ],
 )
 def test_unfit_robot_error_has_sizes_and_task(robot: Any, message: str):
     sizes = r"robot of task scratch reads observations \[N, 34\] and gives actions \[N, 7\]"
     with pytest.raises(EgoError, match=f"given two rows of zeros it {message}.*{sizes}"):
-        probed(robot)
+        probe_egos(read_egos([robot], EMPTY, "scratch"), "scratch", 34, 7)
 
 
 def test_probe_resets_robot_before_and_after():
@@ -171,7 +160,7 @@ def test_probe_resets_robot_before_and_after():
             self.told.append(-len(obs))
             return np.full((len(obs), 7), np.nan)  # what zeros are to it need not be an action
 
-    probed(Robot())
+    probe_egos(read_egos([Robot()], EMPTY, "scratch"), "scratch", 34, 7)
     assert Robot.told == [2, -2, 2]
 
 
@@ -186,15 +175,6 @@ def test_wrong_answer_error_has_expected_shape(answer: Any):
 def test_nan_error_names_partner_and_episode():
     answer = np.zeros((4, 2))
     answer[3, 1] = np.nan
-    with pytest.raises(
-        EgoError, match=rf"{PARTNERS[1]}, step 7: .* episode 1 is not finite \(1 of"
-    ):
+    words = rf"{PARTNERS[1]}, step 7: .* episode 1 is not finite \(1 of"
+    with pytest.raises(EgoError, match=words):
         ask(answer)
-
-
-def test_exception_is_one_line():
-    def act(obs: np.ndarray) -> np.ndarray:
-        raise ZeroDivisionError("two\nlines")
-
-    with pytest.raises(EgoError, match=r"0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"):
-        call_ego(HostEgo("m", act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

@@ -62,7 +62,7 @@ def test_python_functions_have_the_same_defaults(function: Any, lacks: set[str])
 
 
 def test_commands_have_the_settings_as_options(capsys: pytest.CaptureFixture[str]) -> None:
-    """A cross-play has no series; whatever else there is has its text from here."""
+    """A cross-play has no series."""
     from assistax_zoo.shell.main import run
 
     options = {name: f"--{name.replace('_', '-')} " for name in DEFAULTS}
