@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.cast.roster import Member, Roster
+from evaluation.cast.roster import HostEgo, Member, Roster
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
@@ -137,8 +137,14 @@ def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Roster:
     return roster(HUMAN, members, constant_params(HUMAN, list(values)))
 
 
+def host(act: Any, reusable: bool = True) -> Roster:
+    """Return a robot from outside the zoo."""
+    member = Member("python:mine:robot", "source", reusable=reusable)
+    return Roster((HostEgo(member.id, act),), {member.id: member})
+
+
 @functools.cache
-def random_roster(spec: PolicySpec, count: int, seed: int) -> Roster:
+def random_roster(spec: PolicySpec, count: int, seed: int, team: str = "random") -> Roster:
     """Return randomly initialised policies whose actions depend on observations."""
     # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can
     # deadlock on two cores.
@@ -147,6 +153,6 @@ def random_roster(spec: PolicySpec, count: int, seed: int) -> Roster:
     members = []
     for i in range(count):
         setting, digest = f"d{1 + i % 9}", f"{seed}-{i}"
-        name = f"matrix/random-{setting}-s{i}-v0/{spec.role}"
+        name = f"matrix/{team}-{setting}-s{i}-v0/{spec.role}"
         members.append(Member(name, digest, None, "random", setting, i))
     return roster(spec, tuple(members), params)

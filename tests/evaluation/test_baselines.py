@@ -14,7 +14,7 @@ from evaluation.cast.baseline_policies import (
     ScriptedPolicy,
     ScriptSpec,
 )
-from evaluation.cast.roster import HostEgo, Member, Roster
+from evaluation.cast.roster import Roster
 from evaluation.figures.normalised import (
     COLUMN,
     CROSS_PLAY,
@@ -41,6 +41,7 @@ from tests.evaluation.matrix_game import (
     PAYOFF,
     ROBOT,
     MatrixGame,
+    host,
     humans,
     random_roster,
     robots,
@@ -149,8 +150,8 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
 
 
 def test_outside_robot_meets_passive_human(tmp_path: Path, scripted: None):
-    host = HostEgo("host", lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
-    job = job_of(Roster((host,), {"host": Member("host", "0")}), humans(-0.5, 0.5))
+    beyond = host(lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
+    job = job_of(beyond, humans(-0.5, 0.5))
     assert "clipped" in run_job(MatrixGame(), job, tmp_path / "job").table.columns
     played, _ = play_references(MatrixGame(), job, None, tmp_path)
     assert counts(played) == {PASSIVE: 6, SCRIPT: 6, RANDOM: 6, ZERO: 6}
@@ -190,9 +191,8 @@ PARTNERS: list[Team] = teams(4)
 
 def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
     """Two episodes of each reference ego with each partner."""
-    zero = episode_table(
-        np.array(low)[None, :, None] + np.array([-1.0, 1.0]), [ZERO], PARTNERS, ["test"] * 4
-    )
+    returns = np.array(low)[None, :, None] + np.array([-1.0, 1.0])
+    zero = episode_table(returns, [ZERO], PARTNERS, ["test"] * 4)
     parts = [zero.with_columns(pl.lit(ZERO).alias("reference"))]
     for i, value in enumerate(own):
         if value is not None:
@@ -228,13 +228,11 @@ def test_bounds_name_source_of_best_robot():
 
 
 def test_relative_figures_leave_out_and_name_the_unscorable():
-    table = episode_table(
-        np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4
-    )
+    returns = np.array([[25.0, 90.0, 7.0, 7.0]])[..., None]
+    table = episode_table(returns, ["mine"], PARTNERS, ["test"] * 4)
     reference = played([0, 0, 10, 10], [50, 50, 5, None])
-    played_by, relative = summarise_references(
-        recorded(table), reference, bounds_table(reference, crossplay_pairs())
-    )
+    bounds = bounds_table(reference, crossplay_pairs())
+    played_by, relative = summarise_references(recorded(table), reference, bounds)
     assert relative.normalised_return and relative.br_prox and relative.regret
     assert relative.coverage and played_by.zero_action
     assert relative.normalised_return.mean == pytest.approx((25 / 50 + 90 / 90) / 2)

@@ -116,19 +116,15 @@ def test_partner_glob_keeps_to_side(side: str) -> None:
         choose_partners(registry, "scratch", side, f"{other[0]}/human")
 
 
-@pytest.mark.parametrize(
-    ("split", "near"), [("tset", "test"), ("half-s0-v1-524fe017", "half-s0"), ("person", "persons")]
-)
-def test_unknown_split_error_has_nearest_names(split: str, near: str) -> None:
-    with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):
-        choose_partners(load_registry(), "scratch", split, None)
-
-
-@pytest.mark.parametrize(
-    ("partners", "hint"), [("person", "persons"), ("persons:test", "split 'persons:test'")]
-)
 @pytest.mark.parametrize("task", ["scratch", "gentle_feeding"])  # with teams, and persons alone
-def test_unknown_partner_error_has_suggestion(task: str, partners: str, hint: str) -> None:
-    words = rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
-    with pytest.raises(ValueError, match=words):
-        choose_partners(load_registry(), task, None, partners)
+def test_unknown_choice_error_has_nearest_names(task: str) -> None:
+    registry = load_registry()
+    misspelt = ("tset", "test"), ("half-s0-v1-524fe017", "half-s0"), ("person", "persons")
+    for split, near in misspelt:
+        words = rf"split '{split}' is neither a side .*nearest: .*{near}"
+        with pytest.raises(ValueError, match=words):
+            choose_partners(registry, "scratch", split, None)
+    for partners, hint in (("person", "persons"), ("persons:test", "split 'persons:test'")):
+        words = rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
+        with pytest.raises(ValueError, match=words):
+            choose_partners(registry, task, None, partners)

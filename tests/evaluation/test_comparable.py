@@ -142,7 +142,6 @@ def test_figures_of_the_same_partners_stay_as_saved(tmp_path: Path) -> None:
 
 
 def test_figures_of_common_partners_are_drawn_again(tmp_path: Path) -> None:
-    """Profile, references and relative figures are of the common partners."""
     a = method(tmp_path / "a", references=True, identity={})
     b = method(tmp_path / "b", 0, 2, 3, identity={})
     figures = method_figures({"a": a, "b": b}, profiles=True)

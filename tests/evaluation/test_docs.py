@@ -49,7 +49,6 @@ def test_my_robot_against_the_zoo_in_ten_lines(
 def test_docs_split_by_behaviour_is_reproduced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As docs/zoo.md prints it."""
     page = (ROOT / "docs" / "zoo.md").read_text(encoding="utf-8")
     [example] = re.findall(r"```python\n(.*?create_split.*?)```", page, re.DOTALL)
     before = (ROOT / "registry.json").read_bytes()

@@ -11,7 +11,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from evaluation.cast.egos import EgoError
-from evaluation.cast.roster import HostEgo, Member, Roster, joined
+from evaluation.cast.roster import Member, joined
 from evaluation.play import tiles
 from evaluation.play.evaluator import check_folder, clear_results, plan_of, run_job
 from evaluation.play.jobs import Job
@@ -21,7 +21,6 @@ from evaluation.play.tiles import plan, tile_shape
 from evaluation.record import tables
 from evaluation.record.columns import validate_episodes
 from evaluation.record.manifest import MANIFEST_FILE
-from population.networks.stack import PolicyStack
 from tests.base.test_files import Disk
 from tests.evaluation.matrix_game import (
     HUMAN,
@@ -29,6 +28,7 @@ from tests.evaluation.matrix_game import (
     ROBOT,
     MatrixGame,
     constant_params,
+    host,
     humans,
     random_roster,
     robots,
@@ -46,18 +46,8 @@ def make_job(egos: Any = None, partners: Any = None, **changes: Any) -> Job:
 
 def mixed_job(**changes: Any) -> Job:
     """Egos of two specs, so that there are two pairs of groups."""
-    deep = _renamed(random_roster(dataclasses.replace(ROBOT, hidden=(4, 4)), 2, 2), "deep")
+    deep = random_roster(dataclasses.replace(ROBOT, hidden=(4, 4)), 2, 2, "deep")
     return make_job(joined(random_roster(ROBOT, 3, 1), deep), random_roster(HUMAN, 5, 3), **changes)
-
-
-def _renamed(roster: Roster, prefix: str) -> Roster:
-    members = {
-        f"{prefix}/{name}": dataclasses.replace(member, id=f"{prefix}/{name}")
-        for name, member in roster.members.items()
-    }
-    [stack] = roster.stacks
-    assert isinstance(stack, PolicyStack)
-    return Roster((dataclasses.replace(stack, ids=tuple(members)),), members)
 
 
 def test_crossplay_of_matrix_game_equals_payoffs(tmp_path: Path):
@@ -93,8 +83,7 @@ def test_chunk_size_does_not_change_a_value(tmp_path: Path, job: Job):
 @pytest.mark.slow
 def test_only_small_jobs_mix_networks_in_tiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     recurrent = dataclasses.replace(HUMAN, torso="gru", hidden=(4, 4))
-    others = _renamed(random_roster(recurrent, 1, 4), "recurrent")
-    partners = joined(random_roster(HUMAN, 3, 3), others)
+    partners = joined(random_roster(HUMAN, 3, 3), random_roster(recurrent, 1, 4, "recurrent"))
     job = make_job(mixed_job().egos, partners, backend="native")
     [whole] = plan(job, 2048)
     assert [(tile.shape, tile.rows) for tile in whole.tiles] == [((5, 4, 3), job.rows)]
@@ -167,7 +156,6 @@ def unfinished(folder: Path) -> list[Path]:
 @pytest.mark.slow_for("column", "bit", "swapped")
 @pytest.mark.parametrize("damage", ["torn", "bit", "column", "swapped", "emptied"])
 def test_a_damaged_part_is_simulated_again(tmp_path: Path, damage: str):
-    """Damage includes values that a Parquet reader accepts."""
     whole = run_job(MatrixGame(), mixed_job(), tmp_path / "whole", max_envs=7)
     parts = unfinished(tmp_path / "torn")
     data = bytearray(parts[2].read_bytes())
@@ -310,19 +298,16 @@ def test_unwritable_folder_is_found_before_run(tmp_path: Path):
             {"partners": roster(HUMAN, (Member("x", "y"),), constant_params(HUMAN, [0.5]))},
             "no disability setting",
         ),
+        (
+            {"egos": random_roster(dataclasses.replace(ROBOT, observation_size=47), 1, 0)},
+            "47 numbers; .* task matrix has 3: .*another task",
+        ),
+        ({"egos": humans(0.5)}, "plays the human, not the robot"),
     ],
 )
-def test_a_job_that_makes_no_sense_is_refused(changes: dict[str, Any], message: str):
+def test_a_job_of_unfit_policies_is_refused(tmp_path: Path, changes: dict[str, Any], message: str):
     with pytest.raises(ValueError, match=message):
-        make_job(**changes)
-
-
-def test_misfit_policies_and_sizes_are_refused(tmp_path: Path):
-    other = random_roster(dataclasses.replace(ROBOT, observation_size=47), 1, 0)
-    with pytest.raises(ValueError, match=r"47 numbers; .* task matrix has 3: .*another task"):
-        run_job(MatrixGame(), make_job(other), tmp_path)
-    with pytest.raises(ValueError, match="plays the human, not the robot"):
-        run_job(MatrixGame(), make_job(humans(0.5)), tmp_path)
+        run_job(MatrixGame(), make_job(**changes), tmp_path)
 
 
 class Counting:
@@ -339,11 +324,6 @@ class Counting:
         assert obs.dtype == np.float32 and obs.flags.writeable
         self.seen += 1
         return np.full((len(obs), 2), 0.5 if self.seen > 2 else -0.5)
-
-
-def host(act: Any, reusable: bool = True) -> Roster:
-    member = Member("python:mine:robot", "source", reusable=reusable)
-    return Roster((HostEgo(member.id, act),), {member.id: member})
 
 
 def test_stateful_host_ego_is_reset(tmp_path: Path):

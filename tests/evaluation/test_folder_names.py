@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -39,8 +40,6 @@ NEIGHBOURS = {
     "file:": "file",
     "two\nlines": "two",
 }
-
-
 if sys.platform == "linux":
     NEIGHBOURS[os.fsdecode(b"no utf-8 \xff")] = "no utf-8 "
 
@@ -60,17 +59,9 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def evaluate(home: Path, seed: int, out: Path) -> az.EvaluationResult:
-    return az.evaluate(
-        f"zoo:scratch/ippo-d1-s{seed}-v0/robot",
-        task="scratch",
-        split="both",
-        episodes=1,
-        references=False,
-        zoo=home / "zoo",
-        out=out,
-        include_own=True,
-        progress=False,
-    )
+    robot = f"zoo:scratch/ippo-d1-s{seed}-v0/robot"
+    options: Any = {"episodes": 1, "references": False, "include_own": True, "progress": False}
+    return az.evaluate(robot, task="scratch", split="both", zoo=home / "zoo", out=out, **options)
 
 
 @pytest.mark.parametrize("name", ["run[1]", *(pytest.param(n, marks=SLOW) for n in OTHERS)])
@@ -122,7 +113,6 @@ def test_folder_name_with_newline_shows_damaged_file(tmp_path: Path) -> None:
 def test_a_robot_is_that_of_its_folder(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Existing folders in a glob of files are not patterns."""
     registry = az.open_zoo(home / "zoo").registry
     monkeypatch.chdir(tmp_path)
     for folder, names in (("run[1]", ["a-s0", "a-s1"]), ("run1", ["a-s0", "a-s1", "b"])):

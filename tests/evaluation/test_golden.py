@@ -96,10 +96,9 @@ def test_a_crossplay_with_drawn_actions(tmp_path: Path):
 @pytest.mark.slow
 def test_self_play_of_teams(tmp_path: Path):
     registry = load_registry()
-    robots, humans = (
-        registry_roster(registry, registry.select("arm_assist/[im]*ppo-d1-s[01]-v1", role=role))
-        for role in ("robot", "human")
-    )
+    teams = "arm_assist/[im]*ppo-d1-s[01]-v1"
+    entries = [registry.select(teams, role=role) for role in ("robot", "human")]
+    robots, humans = (registry_roster(registry, chosen) for chosen in entries)
     job = Job("arm_assist", 1, "native", robots, humans, episodes=2, seed=3, paired=True)
     run_job(make("arm_assist", backend="native"), job, tmp_path)
     assert_golden(tmp_path / tables.EPISODES_FILE, "paired")

@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 from assistax_envs import Env, make
-from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+from evaluation.cast.roster import registry_roster
 from evaluation.play import tiles
 from evaluation.play.evaluator import in_order
 from evaluation.play.jobs import Job
@@ -24,6 +24,7 @@ from evaluation.play.shares import run_share  # noqa: F401 (scripts of subproces
 from evaluation.play.tiles import plan
 from evaluation.record import tables
 from population.play import rollout, seats
+from tests.evaluation.matrix_game import host
 from zoo.registry import load_registry
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -130,9 +131,7 @@ def test_outside_robot_batches_do_not_change():
         sizes.append(len(obs))
         return np.tanh(obs[:, :7])
 
-    member = Member("python:mine:robot", "source")
-    mine = Roster((HostEgo(member.id, act),), {member.id: member})
-    job = real_job((1, 30, 5), egos=mine)
+    job = real_job((1, 30, 5), egos=host(act))
     runner = Runner(scratch(10), job)
     whole = played(runner, job, 2048)
     assert differing(played(runner, job, 1, lambda chunks: chunks[::-1]), whole) == 0

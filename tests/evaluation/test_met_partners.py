@@ -121,14 +121,12 @@ def test_met_partners_count_on_the_training_side_alone() -> None:
     assert met.left_out(sides) == ["b", "c", "d", "e"]
 
 
-def test_ego_on_own_split_is_unchanged(registry: Registry) -> None:
-    assert left_out(registry, [EGO], "half")[0] == []
-    assert left_out(registry, ["scratch/ppo-ego-s1-v0/robot"], D1)[0] == []
-
-
 def test_seeds_omit_partners_of_any_seed(registry: Registry) -> None:
+    assert left_out(registry, [EGO], "half")[0] == []
     split = registry.split(TASK)
     own = f"{split.test[0]}/human"
+    robot = az.open_zoo(registry.path).partner(split.test[0], role="robot")
+    assert left_out(registry, [robot], "half")[0] == [own]
     left, met = left_out(registry, [EGO, f"{split.test[0]}/robot"], D1)
     assert left == sorted({*humans(registry, split.train, "d1"), own})
     assert met.known and not met.by_all
@@ -139,10 +137,9 @@ def test_ego_trained_with_test_side_is_refused(registry: Registry) -> None:
     with pytest.raises(ValueError, match="every partner that matches was trained with one of"):
         evaluate(EGO, registry, split=D1, partners=met)
     new = humans(registry, registry.split(TASK, D1).train)[0]
-    with pytest.raises(ValueError, match="every partner of the test side that matches"):
-        evaluate(EGO, registry, split=f"{D1}:both", partners=[*met, new])
-    with pytest.raises(ValueError, match="every partner of the test side that matches"):
-        evaluate(still, registry, split=f"{D1}:both", partners=[*met, new], trained_with="half")
+    for robot, options in ((EGO, {}), (still, {"trained_with": "half"})):
+        with pytest.raises(ValueError, match="every partner of the test side that matches"):
+            evaluate(robot, registry, split=f"{D1}:both", partners=[*met, new], **options)
 
 
 @pytest.mark.parametrize("kind", ["safetensors", "onnx"])
@@ -296,12 +293,6 @@ def test_a_python_module_declares_it(registry: Registry, tmp_path: Path) -> None
         read_egos([f"python:{module}:make"], registry, TASK)
 
 
-def test_partner_object_has_its_record(registry: Registry) -> None:
-    team = registry.split(TASK).test[0]
-    robot = az.open_zoo(registry.path).partner(team, role="robot")
-    assert left_out(registry, [robot], "half")[0] == [f"{team}/human"]
-
-
 def test_added_zoo_ego_met_own_partners(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -317,9 +308,8 @@ def test_added_zoo_ego_met_own_partners(
     assert both.split(TASK).sha256 == registry.split(TASK).sha256
     met = met_in_training(both, both.policy(f"lab:{EGO}"))
     assert met.known and sorted(met.partners) == [f"lab:{t}" for t in registry.split(TASK).train]
-    assert met.partners["lab:" + registry.split(TASK).train[0]] == (
-        registry.policy(f"{registry.split(TASK).train[0]}/human").sha256
-    )
+    first = registry.split(TASK).train[0]
+    assert met.partners[f"lab:{first}"] == registry.policy(f"{first}/human").sha256
 
 
 def test_crossplay_notes_training_partners(registry: Registry) -> None:

@@ -183,8 +183,7 @@ def test_cvar_crossfit_equals_its_definition():
 
 
 def test_planted_defect_biased_tail_is_caught():
-    """All partners are alike, so the tail's true value is 0."""
-    returns = np.random.default_rng(0).normal(size=(1, 100, 8))
+    returns = np.random.default_rng(0).normal(size=(1, 100, 8))  # all partners are alike
     naive = np.sort(returns.mean(axis=(0, 2)))[:10].mean()
     assert naive < -0.5
     assert abs(metrics.cvar_crossfit(returns, 0.1).value) < 0.15
