@@ -75,23 +75,17 @@ def episode_table(
 ) -> pl.DataFrame:
     """Return the table of returns [E, P, K]; an ego given as text is from outside the zoo."""
     rows = []
+    columns = "team", "algorithm", "disability", "seed"
     for (e, ego), (p, partner) in itertools.product(enumerate(egos), enumerate(partners)):
-        robot = dict.fromkeys(("ego_team", "ego_algorithm", "ego_disability", "ego_seed"), None)
-        if not isinstance(ego, str):
-            robot = dict(zip(robot, (team_id(ego), *ego), strict=True))
+        robot = (None,) * 4 if isinstance(ego, str) else (team_id(ego), *ego)
         human = (team_id(partner), *partner)
         for k, value in enumerate(returns[e, p]):
             rows.append(
                 {
                     "ego": ego if isinstance(ego, str) else f"{team_id(ego)}/robot",
-                    **robot,
+                    **{f"ego_{name}": v for name, v in zip(columns, robot, strict=True)},
                     "partner": f"{team_id(partner)}/human",
-                    **{
-                        f"partner_{name}": v
-                        for name, v in zip(
-                            ("team", "algorithm", "disability", "seed"), human, strict=True
-                        )
-                    },
+                    **{f"partner_{name}": v for name, v in zip(columns, human, strict=True)},
                     "side": sides[p] if sides else None,
                     "episode": k,
                     "key": 100 + k,

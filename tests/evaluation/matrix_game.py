@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evaluation.cast.roster import Member, Roster
+from evaluation.cast.roster import HostEgo, Member, Roster
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
@@ -64,18 +64,8 @@ class MatrixGame:
         zero, false = jnp.zeros(count), jnp.zeros(count, bool)
         step = jnp.zeros(count, jnp.int32)
         terms = {"payoff": zero, "luck": zero}
-        return State(
-            self._obs(luck, step),
-            zero,
-            terms,
-            Measures(zero, zero, false),
-            false,
-            false,
-            step,
-            false,
-            params,
-            luck,
-        )
+        obs, measures = self._obs(luck, step), Measures(zero, zero, false)
+        return State(obs, zero, terms, measures, false, false, step, false, params, luck)
 
     def step(self, state: State, actions: dict[str, jax.Array]) -> State:
         row, column = ((actions[role][:, 0] > 0).astype(int) for role in ("robot", "human"))
@@ -83,16 +73,14 @@ class MatrixGame:
         broken = step > self.broken_from
         payoff = jnp.where(broken, 0.0, jnp.asarray(PAYOFF)[row, column] * state.params.strength)
         luck = jnp.where(broken, 0.0, state.luck)
-        force = jnp.where(
-            broken, jnp.nan, jnp.abs(actions["robot"][:, 1]) + step.astype(jnp.float32)
-        )
+        force = jnp.abs(actions["robot"][:, 1]) + step.astype(jnp.float32)
+        force = jnp.where(broken, jnp.nan, force)
+        success = (row == 1) & (column == 1) & (step == 2)
         return state._replace(
             obs=self._obs(state.luck, step),
             reward=payoff + luck,
             terms={"payoff": payoff, "luck": luck},
-            measures=Measures(
-                force, jnp.zeros_like(force), (row == 1) & (column == 1) & (step == 2)
-            ),
+            measures=Measures(force, jnp.zeros_like(force), success),
             truncated=step == self.episode_length,
             step=step,
             nonfinite=broken,
@@ -115,12 +103,11 @@ def constant_params(spec: PolicySpec, values: list[float]) -> dict[str, Any]:
     """Return stacked parameters of policies whose every action is `values[g]`."""
     count, width = len(values), spec.hidden[0]
     head = np.tile(np.array(values, np.float32)[:, None], (1, spec.action_size))
+    first, last = (count, spec.observation_size, width), (count, width, spec.action_size)
+    bias = np.zeros((count, width), np.float32)
     return {
-        "Dense_0": {
-            "kernel": np.zeros((count, spec.observation_size, width), np.float32),
-            "bias": np.zeros((count, width), np.float32),
-        },
-        "Dense_1": {"kernel": np.zeros((count, width, spec.action_size), np.float32), "bias": head},
+        "Dense_0": {"kernel": np.zeros(first, np.float32), "bias": bias},
+        "Dense_1": {"kernel": np.zeros(last, np.float32), "bias": head},
         "log_std": np.full((count, spec.action_size), -1.0, np.float32),
     }
 
@@ -131,46 +118,41 @@ def roster(spec: PolicySpec, members: tuple[Member, ...], params: Any) -> Roster
     return Roster((PolicyStack(spec, tuple(by_id), params),), by_id)
 
 
+def _member(role: str, value: float, setting: str, seed: int) -> Member:
+    team = f"matrix/hand-{setting}-s{seed}-v0"
+    return Member(f"{team}/{role}", f"{role[0]}{value}", team, "hand", setting, seed)
+
+
 def robots(*values: float) -> Roster:
     """Return egos that always act `values[e]`: row 1 if positive, else row 0."""
-    members = tuple(
-        Member(
-            f"matrix/hand-d1-s{i}-v0/robot", f"r{value}", f"matrix/hand-d1-s{i}-v0", "hand", "d1", i
-        )
-        for i, value in enumerate(values)
-    )
+    members = tuple(_member("robot", value, "d1", i) for i, value in enumerate(values))
     return roster(ROBOT, members, constant_params(ROBOT, list(values)))
 
 
 def humans(*values: float, disabilities: tuple[str, ...] = ()) -> Roster:
     """Return partners that always act `values[p]`, each with its own disability setting."""
     settings = disabilities or ("d1",) * len(values)
-    members = tuple(
-        Member(
-            f"matrix/hand-{d}-s{i}-v0/human", f"h{value}", f"matrix/hand-{d}-s{i}-v0", "hand", d, i
-        )
-        for i, (value, d) in enumerate(zip(values, settings, strict=True))
-    )
+    named = enumerate(zip(values, settings, strict=True))
+    members = tuple(_member("human", value, setting, i) for i, (value, setting) in named)
     return roster(HUMAN, members, constant_params(HUMAN, list(values)))
 
 
+def host(act: Any, reusable: bool = True) -> Roster:
+    """Return a robot from outside the zoo."""
+    member = Member("python:mine:robot", "source", reusable=reusable)
+    return Roster((HostEgo(member.id, act),), {member.id: member})
+
+
 @functools.cache
-def random_roster(spec: PolicySpec, count: int, seed: int) -> Roster:
+def random_roster(spec: PolicySpec, count: int, seed: int, team: str = "random") -> Roster:
     """Return randomly initialised policies whose actions depend on observations."""
     # Not `vmap`: batches of QR factorisations, of which orthogonal initialisation is made, can
     # deadlock on two cores.
     params = jax.lax.map(Policy(spec).init, jax.random.split(jax.random.key(seed), count))
     params = jax.tree.map(lambda leaf: np.asarray(leaf) * 3.0, params)
-    role = spec.role
-    members = tuple(
-        Member(
-            f"matrix/random-d{1 + i % 9}-s{i}-v0/{role}",
-            f"{seed}-{i}",
-            None,
-            "random",
-            f"d{1 + i % 9}",
-            i,
-        )
-        for i in range(count)
-    )
-    return roster(spec, members, params)
+    members = []
+    for i in range(count):
+        setting, digest = f"d{1 + i % 9}", f"{seed}-{i}"
+        name = f"matrix/{team}-{setting}-s{i}-v0/{spec.role}"
+        members.append(Member(name, digest, None, "random", setting, i))
+    return roster(spec, tuple(members), params)

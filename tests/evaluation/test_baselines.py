@@ -14,7 +14,7 @@ from evaluation.cast.baseline_policies import (
     ScriptedPolicy,
     ScriptSpec,
 )
-from evaluation.cast.roster import HostEgo, Member, Roster
+from evaluation.cast.roster import Roster
 from evaluation.figures.normalised import (
     COLUMN,
     CROSS_PLAY,
@@ -32,6 +32,7 @@ from evaluation.figures.normalised import (
 from evaluation.play.baselines import play_references, script_roster
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
+from evaluation.play.progress import Progress
 from evaluation.record import tables
 from population.networks.stack import PolicyStack
 from tests.evaluation.episode_tables import Team, episode_table, recorded, team_id, teams
@@ -40,6 +41,7 @@ from tests.evaluation.matrix_game import (
     PAYOFF,
     ROBOT,
     MatrixGame,
+    host,
     humans,
     random_roster,
     robots,
@@ -54,9 +56,8 @@ def job_of(egos: Roster, partners: Roster, **options: Any) -> Job:
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_self_play_reference_equals_matrix_diagonal(tmp_path: Path, stochastic: bool):
     egos, partners = random_roster(ROBOT, 5, 1), random_roster(HUMAN, 5, 2)
-    whole = run_job(
-        MatrixGame(), job_of(egos, partners, stochastic=stochastic), tmp_path / "all"
-    ).table
+    job = job_of(egos, partners, stochastic=stochastic)
+    whole = run_job(MatrixGame(), job, tmp_path / "all").table
     diagonal = whole.filter(pl.col("ego_seed") == pl.col("partner_seed"))
     for max_envs in (1000, 4):
         paired = job_of(egos, partners, paired=True, stochastic=stochastic)
@@ -87,25 +88,26 @@ def test_random_actions_are_uniform_functions_of_observations():
     assert not none.any()
 
 
+def counts(played: pl.DataFrame) -> dict[str, int]:
+    return dict(played.group_by(COLUMN).len().rows())
+
+
 def test_references_are_played_once_for_all_policies(tmp_path: Path):
     own = robots(-0.5, 0.5), humans(-0.5, 0.5)
     seen: list[str] = []
-    options: dict[str, Any] = {
-        "on_progress": lambda state: seen.append(f"{state.what} {state.total}")
-    }
-    together, files = play_references(
-        MatrixGame(), job_of(robots(0.3), humans(-0.5, 0.5)), own, tmp_path, **options
-    )
-    assert together.group_by(COLUMN).len().sort(COLUMN).rows() == [
-        (SELF_PLAY, 6),
-        (RANDOM, 6),
-        (ZERO, 6),
-    ]
+
+    def note(state: Progress) -> None:
+        seen.append(f"{state.what} {state.total}")
+
+    def play(robot: float) -> tuple[pl.DataFrame, Any]:
+        seen.clear()
+        job = job_of(robots(robot), humans(-0.5, 0.5))
+        return play_references(MatrixGame(), job, own, tmp_path, on_progress=note)
+
+    together, files = play(0.3)
+    assert counts(together) == {SELF_PLAY: 6, RANDOM: 6, ZERO: 6}
     assert set(seen) == {"reference egos 48", "reference egos 24"}
-    seen.clear()
-    again, same = play_references(
-        MatrixGame(), job_of(robots(-0.9), humans(-0.5, 0.5)), own, tmp_path, **options
-    )
+    again, same = play(-0.9)
     assert again.equals(together) and same == files and all(path.is_file() for path in files)
     assert set(seen) == {"reference egos 0"}
 
@@ -125,49 +127,34 @@ def test_the_script_and_a_passive_human_are_played(tmp_path: Path, scripted: Non
     partners = humans(-0.5, 0.5)
     job = job_of(robots(0.3, -0.3), partners, sides=dict.fromkeys(partners.ids, "test"))
     played, _ = play_references(MatrixGame(), job, (robots(-0.5, 0.5), partners), tmp_path)
-    assert played.group_by(COLUMN).len().sort(COLUMN).rows() == [
-        (PASSIVE, 9),  # the script and both robots
-        (SCRIPT, 6),
-        (SELF_PLAY, 6),
-        (RANDOM, 6),
-        (ZERO, 6),
-    ]
+    # The script and both robots play with the passive human.
+    assert counts(played) == {PASSIVE: 9, SCRIPT: 6, SELF_PLAY: 6, RANDOM: 6, ZERO: 6}
     table = run_job(MatrixGame(), job, tmp_path / "job").table
     shown, _ = summarise_references(recorded(table), played, bounds_table(played))
-    luck = {
-        (ego, partner): played.filter((pl.col("ego") == ego) & (pl.col("partner") == partner))
-        for ego, partner in played.select("ego", "partner").unique().rows()
-    }
-    paid = {pair: float(rows["term_payoff"].mean()) for pair, rows in luck.items()}
+    pairs = {pair: rows for pair, rows in played.group_by("ego", "partner")}
+    paid = {pair: float(rows["term_payoff"].mean()) for pair, rows in pairs.items()}
     steps = int(played["steps"][0])
     assert paid[SCRIPT, partners.ids[0]] == pytest.approx(steps * PAYOFF[1, 0])
     assert paid[SCRIPT, partners.ids[1]] == pytest.approx(steps * PAYOFF[1, 1])
     # An action of 0 is column 0.
     assert paid[SCRIPT, PASSIVE] == pytest.approx(steps * PAYOFF[1, 0])
     assert paid[job.egos.ids[1], PASSIVE] == pytest.approx(steps * PAYOFF[0, 0])
-    means = {pair: float(rows["return"].mean()) for pair, rows in luck.items()}
+    means = {pair: float(rows["return"].mean()) for pair, rows in pairs.items()}
     assert shown.script and shown.passive_human and shown.script_with_passive_human
-    assert shown.script.mean == pytest.approx(
-        (means[SCRIPT, partners.ids[0]] + means[SCRIPT, partners.ids[1]]) / 2
-    )
+    with_script = [means[SCRIPT, human] for human in partners.ids]
+    assert shown.script.mean == pytest.approx(np.mean(with_script))
     assert shown.passive_human.n == 2
-    assert shown.passive_human.mean == pytest.approx(
-        (means[job.egos.ids[0], PASSIVE] + means[job.egos.ids[1], PASSIVE]) / 2
-    )
+    with_passive = [means[robot, PASSIVE] for robot in job.egos.ids]
+    assert shown.passive_human.mean == pytest.approx(np.mean(with_passive))
     assert shown.script_with_passive_human.mean == pytest.approx(means[SCRIPT, PASSIVE])
 
 
 def test_outside_robot_meets_passive_human(tmp_path: Path, scripted: None):
-    host = HostEgo("host", lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
-    job = job_of(Roster((host,), {"host": Member("host", "0")}), humans(-0.5, 0.5))
+    beyond = host(lambda obs: np.full((len(obs), ROBOT.action_size), 2.0, np.float32))
+    job = job_of(beyond, humans(-0.5, 0.5))
     assert "clipped" in run_job(MatrixGame(), job, tmp_path / "job").table.columns
     played, _ = play_references(MatrixGame(), job, None, tmp_path)
-    assert played.group_by(COLUMN).len().sort(COLUMN).rows() == [
-        (PASSIVE, 6),
-        (SCRIPT, 6),
-        (RANDOM, 6),
-        (ZERO, 6),
-    ]
+    assert counts(played) == {PASSIVE: 6, SCRIPT: 6, RANDOM: 6, ZERO: 6}
     assert "clipped" not in played.columns
 
 
@@ -204,39 +191,29 @@ PARTNERS: list[Team] = teams(4)
 
 def played(low: list[float], own: list[float | None]) -> pl.DataFrame:
     """Two episodes of each reference ego with each partner."""
-    zero = episode_table(
-        np.array(low)[None, :, None] + np.array([-1.0, 1.0]), [ZERO], PARTNERS, ["test"] * 4
-    )
+    returns = np.array(low)[None, :, None] + np.array([-1.0, 1.0])
+    zero = episode_table(returns, [ZERO], PARTNERS, ["test"] * 4)
     parts = [zero.with_columns(pl.lit(ZERO).alias("reference"))]
     for i, value in enumerate(own):
         if value is not None:
-            scored = episode_table(
-                np.full((1, 1, 2), value), [PARTNERS[i]], [PARTNERS[i]], ["test"]
-            )
+            own_pair = [PARTNERS[i]], [PARTNERS[i]]
+            scored = episode_table(np.full((1, 1, 2), value), *own_pair, ["test"])
             parts.append(scored.with_columns(pl.lit(SELF_PLAY).alias("reference")))
     return pl.concat(parts, how="vertical_relaxed")
 
 
 def crossplay_pairs() -> pl.DataFrame:
-    rows: list[dict[str, Any]] = [
+    """Return one pair of the second partner, and one of the first."""
+    partners = [team_id(PARTNERS[1]), team_id(PARTNERS[0])]
+    return pl.DataFrame(
         {
-            "ego": "best",
-            "ego_team": None,
-            "partner": f"{team_id(PARTNERS[1])}/human",
-            "return": 90.0,
-        },
-        {
-            "ego": "weak",
-            "ego_team": None,
-            "partner": f"{team_id(PARTNERS[0])}/human",
-            "return": 20.0,
-        },
-    ]
-    partners = [row["partner"].rpartition("/")[0] for row in rows]
-    return pl.DataFrame(rows).with_columns(
-        pl.Series("partner_team", partners),
-        pl.col("ego_team").cast(pl.String),
-        pl.lit(8, pl.Int64).alias("episodes"),
+            "ego": ["best", "weak"],
+            "ego_team": pl.Series([None, None], dtype=pl.String),
+            "partner": [f"{name}/human" for name in partners],
+            "return": [90.0, 20.0],
+            "partner_team": partners,
+            "episodes": pl.Series([8, 8], dtype=pl.Int64),
+        }
     )
 
 
@@ -251,13 +228,11 @@ def test_bounds_name_source_of_best_robot():
 
 
 def test_relative_figures_leave_out_and_name_the_unscorable():
-    table = episode_table(
-        np.array([[25.0, 90.0, 7.0, 7.0]])[..., None], ["mine"], PARTNERS, ["test"] * 4
-    )
+    returns = np.array([[25.0, 90.0, 7.0, 7.0]])[..., None]
+    table = episode_table(returns, ["mine"], PARTNERS, ["test"] * 4)
     reference = played([0, 0, 10, 10], [50, 50, 5, None])
-    played_by, relative = summarise_references(
-        recorded(table), reference, bounds_table(reference, crossplay_pairs())
-    )
+    bounds = bounds_table(reference, crossplay_pairs())
+    played_by, relative = summarise_references(recorded(table), reference, bounds)
     assert relative.normalised_return and relative.br_prox and relative.regret
     assert relative.coverage and played_by.zero_action
     assert relative.normalised_return.mean == pytest.approx((25 / 50 + 90 / 90) / 2)

@@ -85,27 +85,23 @@ def test_surface_has_means_and_counts() -> None:
     assert json.loads(json.dumps(cells.values)) == cells.values
 
 
+@pytest.mark.parametrize(
+    ("count", "over", "message"),
+    [
+        (100, ("strength", "charm"), "parameter is 'charm'; allowed are strength"),
+        (100, ("strength", "strength"), "over strength twice"),
+        (19, (), "19 persons in 5 bins"),
+    ],
+)
+def test_unfit_persons_and_numbers_are_refused(count, over, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        surface(outcomes_of(count), over) if over else effects(outcomes_of(count), "return")
+
+
 def test_cell_without_persons_is_none() -> None:
     cells = surface(outcomes_of(24), ("strength", "pace"), bins=12)
     empty = [(x, y) for x, row in enumerate(cells.count) for y, n in enumerate(row) if n == 0]
     assert empty and all(cells.values["return"][x][y] is None for x, y in empty)
-
-
-@pytest.mark.parametrize(
-    ("over", "message"),
-    [
-        (("strength", "charm"), "parameter is 'charm'; allowed are strength"),
-        (("strength", "strength"), "over strength twice"),
-    ],
-)
-def test_surface_refuses_unknown_number(over, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        surface(outcomes_of(100), over)
-
-
-def test_too_few_persons_are_refused() -> None:
-    with pytest.raises(ValueError, match="19 persons in 5 bins"):
-        effects(outcomes_of(19), "return")
 
 
 NETWORK = "gentle_scratch/ippo-d1-s0-v3/human"
@@ -117,9 +113,8 @@ def folder(tmp_path: Path) -> Path:
     partners = [f"gentle_scratch/person-{number:05d}-v3/human" for number in range(40)]
     returns = np.random.default_rng(0).normal(100.0, 30.0, (2, 41, 2))
     table = episode_table(returns, ["a", "b"], teams(41), ["test"] * 41)
-    names = dict(
-        zip(table["partner"].unique(maintain_order=True), [*partners, NETWORK], strict=True)
-    )
+    old = table["partner"].unique(maintain_order=True)
+    names = dict(zip(old, [*partners, NETWORK], strict=True))
     table = table.with_columns(pl.col("partner").replace_strict(names))
     write_episodes(table, tmp_path / "episodes.parquet")
     return tmp_path
@@ -135,11 +130,7 @@ def test_a_folder_is_read_person_by_person(folder: Path) -> None:
     summary = summarise_parameters(record, ("strength", "pace"), most=3)
     assert [len(matter["parameters"]) for matter in summary["matter"].values()] == [3, 3]
     assert len(person_panels(summary, caption="").axes) == 4
-
-
-def test_a_folder_without_persons_is_refused(folder: Path) -> None:
-    table = Record.read(folder).table.filter(partner=NETWORK)
-    write_episodes(table, folder / "episodes.parquet")
+    write_episodes(record.table.filter(partner=NETWORK), folder / "episodes.parquet")
     with pytest.raises(ValueError, match="no person among its 1 partners"):
         outcomes(Record.read(folder))
 

@@ -13,17 +13,11 @@ import assistax_zoo as az
 from evaluation.cast.cast import Cast
 from tests import untrained
 from zoo import splits
-from zoo.partners import teams
 from zoo.registry import Registry
 
 ZOO = str(Path(splits.__file__).parent)
 TEAMS = ["scratch/ippo-d1-s0-v0", "scratch/ippo-d1-s1-v0"]
-OPTIONS: dict[str, Any] = {
-    "task": "scratch",
-    "episodes": 1,
-    "backend": "native",
-    "progress": False,
-}
+OPTIONS: Any = {"task": "scratch", "episodes": 1, "backend": "native", "progress": False}
 
 
 @pytest.fixture
@@ -44,9 +38,12 @@ def entered(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     make: Callable[..., Cast] = Cast.of
 
+    def refuse(registry: Registry, name: str) -> Any:
+        pytest.fail(f"the registry was asked for {name}")
+
     def made(*args: Any, **options: Any) -> Cast:
         cast = make(*args, **options)
-        gone.setattr(Registry, "__getattribute__", _gone)
+        gone.setattr(Registry, "__getattribute__", refuse)
         threading.setprofile(watch)
         sys.setprofile(watch)
         return cast
@@ -81,27 +78,6 @@ def test_cast_needs_no_registry_afterwards(
     gone.undo()
     registry.root("v0")
     assert "Registry.root" in names, "the watch sees who asks"
-
-
-def _gone(registry: Registry, name: str) -> Any:
-    pytest.fail(f"the registry was asked for {name}")
-
-
-def test_a_split_is_parsed_once(
-    zoo: az.Zoo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    texts: list[str | None] = []
-    parse = teams.parse_split
-
-    def counted(text: str | None, *others: Any) -> Any:
-        texts.append(text)
-        return parse(text, *others)
-
-    monkeypatch.setattr(teams, "parse_split", counted)
-    monkeypatch.setattr("assistax_zoo.evaluating.evaluate_cast", lambda *_, **__: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        evaluate(zoo, tmp_path)  # up to the play, which has no registry
-    assert texts == ["both"]
 
 
 def test_a_cast_without_baselines_plays_none(zoo: az.Zoo, tmp_path: Path) -> None:

@@ -56,9 +56,7 @@ def test_unwritable_cache_error_names_variable(tmp_path: Path) -> None:
         evaluate_policies(load_registry(), robots, settings, tmp_path / "out", references=kept)
 
 
-def test_other_version_error_names_fitting_releases(
-    tmp_path: Path,
-) -> None:
+def test_other_version_error_names_fitting_releases(tmp_path: Path) -> None:
     path = tmp_path / "registry.json"
     teams = [trained_team(seed=seed, task="arm_assist") for seed in range(4)]
     older = [dataclasses.replace(t, training={**t.training, "env_version": 1}) for t in teams]
@@ -86,10 +84,9 @@ def test_a_robot_that_cannot_play_is_told_before_anything_compiles(
 ) -> None:
     monkeypatch.setattr(evaluate, "run_job", lambda *_, **__: pytest.fail("it was played"))
     settings = PlaySettings("scratch", 1, backend="native")
+    robots = [lambda obs: obs @ np.zeros((30, 7))]
     with pytest.raises(EgoError, match="task scratch reads observations"):
-        evaluate_policies(
-            load_registry(), [lambda obs: obs @ np.zeros((30, 7))], settings, tmp_path
-        )
+        evaluate_policies(load_registry(), robots, settings, tmp_path)
 
 
 def test_partners_bring_the_default_split_of_their_release(two: Registry) -> None:
@@ -99,10 +96,8 @@ def test_partners_bring_the_default_split_of_their_release(two: Registry) -> Non
     assert older == two.split("scratch", release="v0") and len(both) == 4
     # A glob of both releases.
     assert choose_partners(two, "scratch", "train", "scratch/ippo-d1-*")[0] == newest
-    with pytest.raises(
-        ValueError,
-        match=r"none of the partners that match \(4\) is on the train or test side of .*half-s0-v1",
-    ):
+    words = r"none of the partners that match \(4\) is on the train or test side of .*half-s0-v1"
+    with pytest.raises(ValueError, match=words):
         choose_partners(two, "scratch", "half-s0-v1:both", "scratch/ippo-d1-*-v0")
 
 
@@ -116,31 +111,20 @@ def test_partner_glob_keeps_to_side(side: str) -> None:
     if side == "test":  # which is what is meant where no side is named
         assert choose_partners(registry, "scratch", None, glob) == (split, chosen)
     other = split.train if side == "test" else split.test
-    with pytest.raises(
-        ValueError, match=rf"none of the partners that match \(1\) is on the {side} side"
-    ):
+    words = rf"none of the partners that match \(1\) is on the {side} side"
+    with pytest.raises(ValueError, match=words):
         choose_partners(registry, "scratch", side, f"{other[0]}/human")
 
 
-@pytest.mark.parametrize(
-    ("split", "near"), [("tset", "test"), ("half-s0-v1-524fe017", "half-s0"), ("person", "persons")]
-)
-def test_unknown_split_error_has_nearest_names(split: str, near: str) -> None:
-    with pytest.raises(ValueError, match=rf"split '{split}' is neither a side .*nearest: .*{near}"):
-        choose_partners(load_registry(), "scratch", split, None)
-
-
-@pytest.mark.parametrize(
-    ("partners", "hint"),
-    [
-        ("person", "persons"),
-        ("persons:test", "split 'persons:test'"),
-        ("qqq", "an id of `assistax-zoo list`"),
-    ],
-)
 @pytest.mark.parametrize("task", ["scratch", "gentle_feeding"])  # with teams, and persons alone
-def test_unknown_partner_error_has_suggestion(task: str, partners: str, hint: str) -> None:
-    with pytest.raises(
-        ValueError, match=rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
-    ):
-        choose_partners(load_registry(), task, None, partners)
+def test_unknown_choice_error_has_nearest_names(task: str) -> None:
+    registry = load_registry()
+    misspelt = ("tset", "test"), ("half-s0-v1-524fe017", "half-s0"), ("person", "persons")
+    for split, near in misspelt:
+        words = rf"split '{split}' is neither a side .*nearest: .*{near}"
+        with pytest.raises(ValueError, match=words):
+            choose_partners(registry, "scratch", split, None)
+    for partners, hint in (("person", "persons"), ("persons:test", "split 'persons:test'")):
+        words = rf"^partners are '{partners}'; .*; did you mean {hint}\?$"
+        with pytest.raises(ValueError, match=words):
+            choose_partners(registry, task, None, partners)

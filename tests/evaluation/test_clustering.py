@@ -17,8 +17,7 @@ from tools.release_page.paper.measures import branches
 def test_known_clusters_are_found_and_stand_together():
     clusters = clustering.cluster_teams(clustered_matrix(18, 3))
     truth = np.arange(18) % 3
-    assert clusters.silhouette is not None
-    assert clusters.silhouette > 0.8
+    assert clusters.silhouette is not None and clusters.silhouette > 0.8
     assert len(clusters.medoids) == 3
     for label, medoid in enumerate(clusters.medoids):
         members = np.flatnonzero(clusters.labels == label)
@@ -27,47 +26,25 @@ def test_known_clusters_are_found_and_stand_together():
     assert [label for label, _ in itertools.groupby(clusters.labels[clusters.order])] == [0, 1, 2]
 
 
-def test_medoid_is_the_member_nearest_to_all_others():
-    points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
-    assert clustering.cluster_profiles(points).medoids.tolist() == [4, 1]
-
-
-def test_outliers_alone_are_no_structure():
-    """One point far from all others, which form two groups.
-
-    The groups are found, not the outlier alone.
-    """
-    points = np.concatenate([np.linspace(0, 1, 6), np.linspace(5, 6, 6), [100.0]])[:, None]
-    assert [
-        len(np.flatnonzero(clustering.cluster_profiles(points).labels == i)) for i in range(3)
-    ] == [1, 6, 6]
-
-
-def test_fewer_than_a_twentieth_are_outliers():
-    """Two points far from all others, which form two groups.
-
-    Enough for a cluster of 13, but not of 60.
-    """
-    for count, sizes in ((6, [2, 12]), (29, [2, 29, 29])):
-        points = np.concatenate(
-            [np.linspace(0, 1, count), np.linspace(5, 6, count), [100.0, 100.1]]
-        )[:, None]
-        assert sorted(np.bincount(clustering.cluster_profiles(points).labels)) == sizes
+@pytest.mark.parametrize(
+    ("count", "outliers", "sizes"),
+    [(6, [100.0], [1, 6, 6]), (6, [100.0, 100.1], [2, 12]), (29, [100.0, 100.1], [2, 29, 29])],
+    ids=["one outlier", "two are a cluster of 14", "two are outliers of 60"],
+)
+def test_few_far_points_are_outliers(count: int, outliers: list[float], sizes: list[int]):
+    points = [*np.linspace(0, 1, count), *np.linspace(5, 6, count), *outliers]
+    labels = clustering.cluster_profiles(np.array(points)[:, None]).labels
+    assert sorted(np.bincount(labels)) == sizes
 
 
 def test_branches_are_the_leaves_below_each_node():
     tree = hierarchy.average(np.array([[0.0], [1.0], [10.0], [12.0]]))
-    assert [sorted(branch) for branch in branches(tree)] == [
-        [0, 1],
-        [2, 3],
-        [0, 1, 2, 3],
-    ]
+    assert [sorted(branch) for branch in branches(tree)] == [[0, 1], [2, 3], [0, 1, 2, 3]]
 
 
 def test_without_structure_all_are_one_cluster():
     clusters = clustering.cluster_profiles(np.random.default_rng(0).normal(size=(40, 40)))
-    assert len(clusters.medoids) == 1
-    assert clusters.silhouette is not None
+    assert len(clusters.medoids) == 1 and clusters.silhouette is not None
     assert clusters.silhouette < clustering.MIN_SILHOUETTE
 
 
@@ -75,6 +52,7 @@ def test_order_begins_with_higher_returns():
     points = np.array([[0.0], [1.0], [1.2], [50.0], [51.0], [51.1]])
     clusters = clustering.cluster_profiles(points)
     assert clusters.labels.tolist() == [1, 1, 1, 0, 0, 0]
+    assert clusters.medoids.tolist() == [4, 1]  # nearest to all others of their cluster
     assert set(clusters.order[:3]) == {3, 4, 5}
     assert clusters.order.tolist() == hierarchy.leaves_list(clusters.linkage).tolist()
 
@@ -110,9 +88,8 @@ def test_wrong_matrices_are_refused():
 
 
 def test_json_names_policies_in_order():
-    clusters = clustering.cluster_profiles(np.array([[0.0], [10.0], [0.5], [10.5]])).to_json(
-        ["a", "b", "c", "d"]
-    )
+    profiles = np.array([[0.0], [10.0], [0.5], [10.5]])
+    clusters = clustering.cluster_profiles(profiles).to_json(["a", "b", "c", "d"])
     assert set(clusters["order"][:2]) == {"b", "d"}
     assert [set(cluster["members"]) for cluster in clusters["clusters"]] == [{"b", "d"}, {"a", "c"}]
     assert clusters["leaves"] == ["a", "b", "c", "d"]

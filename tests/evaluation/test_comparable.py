@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,18 +48,10 @@ def method(
     identity: dict[str, Any] | None = None,
     made_with: dict[str, str] | None = None,
 ) -> Path:
-    """An evaluation whose robots met some partners, and earn much more with these.
+    """Save an evaluation whose robots met some partners, and earn much more with these.
 
-    Args:
-        folder: The name is the method's; `b` earns 10 more than others.
-        met: Places of the partners that the robots met.
-        seeds: Robots.
-        partners: Those that play.
-        change: Of the table.
-        references: Whether zero action plays too.
-        context: Of the summary.
-        identity: Fields of the job, of its manifest; no manifest if not given.
-        made_with: Of the manifest.
+    The folder's name is the method's; `b` earns 10 more than others. `change` is of the table,
+    `context` of the summary. A folder without `identity` has no manifest.
     """
     returns = np.random.default_rng(0).normal(500, 80, (1, 6, 3)).repeat(seeds, axis=0)
     returns += 10.0 * (folder.name == "b") + np.arange(seeds)[:, None, None]
@@ -82,17 +74,15 @@ def method(
     return folder if identity is None else sealed(folder, made_with, **identity)
 
 
-def mean_with(folder: Path, *partners: str) -> float:
-    """Return a method's mean return with some partners."""
-    table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    chosen = table.filter(pl.col("partner").is_in(partners))
-    return float(chosen["return"].cast(pl.Float64).to_numpy().mean())
-
-
 def named(folder: Path, *methods: Path) -> Any:
     path = folder / "contrasts.toml"
     path.write_text(CONTRASTS)
     return az.compare_named(path, methods)
+
+
+def notes_of(reader: str, folder: Path) -> Sequence[str]:
+    found = READERS[reader](folder)
+    return found.about if reader == "figures" else found.notes
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -106,7 +96,9 @@ READERS: dict[str, Callable[[Path], Any]] = {
 def test_all_readers_show_the_same_means(tmp_path: Path) -> None:
     """Robots of `a` met the first partner, those of `b` the fourth: both are left out of all."""
     a, b = method(tmp_path / "a", 0, 1), method(tmp_path / "b", 3, seeds=3)
-    tested = [mean_with(folder, NAMES[2], NAMES[5]) for folder in (a, b)]
+    met_by_none = pl.col("partner").is_in([NAMES[2], NAMES[5]])
+    played = [tables.read_episodes(folder / tables.EPISODES_FILE) for folder in (a, b)]
+    tested = [table.filter(met_by_none)["return"].to_numpy().mean(dtype=float) for table in played]
     compared = az.compare(a, b)
     assert compared.test is not None and compared.train is not None
     assert compared.test.means == pytest.approx(tested)
@@ -150,7 +142,6 @@ def test_figures_of_the_same_partners_stay_as_saved(tmp_path: Path) -> None:
 
 
 def test_figures_of_common_partners_are_drawn_again(tmp_path: Path) -> None:
-    """Profile, references and relative figures are of the common partners."""
     a = method(tmp_path / "a", references=True, identity={})
     b = method(tmp_path / "b", 0, 2, 3, identity={})
     figures = method_figures({"a": a, "b": b}, profiles=True)
@@ -187,6 +178,7 @@ ROW = [NAMES[2], "d1", "test", "0" * 64, None]
 OTHER_PARTNERS: dict[str, tuple[dict[int, Any], str]] = {
     "parameters": ({3: "1" * 64}, "digest of partner .*s2.* is 000.* in .*a and 111.* in .*b"),
     "setting": ({4: [0.5]}, r"setting of partner .*s2.* is none in .*a and \[0.5\] in .*b"),
+    "disability": ({1: "d2"}, "disability of partner .*s2.* is d1 in .*a and d2 in .*b"),
     "side": ({2: "train"}, "side of partner .*s2.* is test in .*a and train in .*b"),
 }
 OTHER_CONTEXT: dict[str, tuple[dict[str, Any], str]] = {
@@ -232,9 +224,8 @@ def test_folders_played_otherwise_are_refused(reader: str, what: str, tmp_path: 
 def test_a_folder_without_a_manifest_is_told(reader: str, tmp_path: Path) -> None:
     method(tmp_path / "a", identity={"stochastic": True})
     method(tmp_path / "b")
-    found = READERS[reader](tmp_path)
-    notes = found.about if reader == "figures" else found.notes
-    assert any(re.search(r"no manifest says how (\S*/)?b played: ", note) for note in notes)
+    words = re.compile(r"no manifest says how (\S*/)?b played: ")
+    assert any(map(words.search, notes_of(reader, tmp_path)))
 
 
 @pytest.mark.parametrize("reader", READERS)
@@ -242,9 +233,7 @@ def test_different_series_are_noted(reader: str, tmp_path: Path) -> None:
     """Both play the same episodes, so the difference is the effect of memory."""
     method(tmp_path / "a", identity={"series": 3})
     method(tmp_path / "b", identity={})
-    found = READERS[reader](tmp_path)
-    notes = found.about if reader == "figures" else found.notes
-    assert any("remembers its partner: 3 in" in note for note in notes)
+    assert any("remembers its partner: 3 in" in note for note in notes_of(reader, tmp_path))
 
 
 def test_other_software_and_processors_are_notes(tmp_path: Path) -> None:
@@ -272,12 +261,6 @@ def test_partial_rows_keep_others_partners(tmp_path: Path) -> None:
     method(tmp_path / "best-response", partners=slice(1, 3))
     rows = {row.row: row.partners for row in read_league(tmp_path).rows}
     assert rows == {"ppo": 2, "gru": 2, "best-response": 1}
-
-
-def test_the_same_folder_twice_is_compared(tmp_path: Path) -> None:
-    a = method(tmp_path / "a", 0, identity={})
-    found = az.compare(a, a)
-    assert found.test is not None and (found.test.mean, found.test.seeds) == (0.0, (2, 2))
 
 
 def test_a_manifest_of_another_job_is_refused(tmp_path: Path) -> None:

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import polars as pl
 import pytest
@@ -7,22 +9,10 @@ from evaluation.figures.metrics.curves import learning_curves
 
 
 def metrics(seeds: int = 8) -> pl.DataFrame:
-    """Updates of 100 steps; episodes end at every second update.
-
-    The return is 10 x update + seed.
-    """
-    rows = [
-        {
-            "steps": 100 * u,
-            "disability": d,
-            "seed": s,
-            "return": float(10 * u + s) if u % 2 == 0 else None,
-        }
-        for u in range(1, 41)
-        for d in ("d1", "d9")
-        for s in range(seeds)
-    ]
-    return pl.DataFrame(rows)
+    """Updates of 100 steps; in every second one episodes end with 10 x update + seed."""
+    rows = itertools.product(range(1, 41), ("d1", "d9"), range(seeds))
+    values = [(100 * u, d, s, None if u % 2 else float(10 * u + s)) for u, d, s in rows]
+    return pl.DataFrame(values, ["steps", "disability", "seed", "return"], orient="row")
 
 
 def test_curve_point_is_iqm_of_bin_means():

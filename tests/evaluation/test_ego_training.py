@@ -10,33 +10,24 @@ import pytest
 from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.ego_training import load_partners, prepare, shared_out, train_egos
 from population.hyperparameters import preset
-from population.runs.folder import RunFolder
 from tests.untrained import halved, published, teams_of
 from zoo.parameters import storage
 from zoo.registry import Registry, load_registry
 
 
-def unreadable(test, loaded):
-    """Return a `_verified_row` that notes what is taken from shards and cannot take a row of the
-    test half.
-    """
-    # Reading a row is where every way to the parameters passes.
-    take = storage._verified_row
+def test_only_the_training_half_is_loaded(monkeypatch):
+    registry = load_registry()
+    split, loaded = registry.split("scratch", "half"), []
+    take = storage._verified_row  # every way to the parameters passes here
 
     def row(*place):
         entry = place[-1]
-        if entry.id.rpartition("/")[0] in test:
+        if entry.id.rpartition("/")[0] in split.test:
             raise OSError(f"the row of {entry.id} is unreadable")
         loaded.append(entry.id)
         return take(*place)
 
-    return row
-
-
-def test_only_the_training_half_is_loaded(monkeypatch):
-    registry = load_registry()
-    split, loaded = registry.split("scratch", "half"), []
-    monkeypatch.setattr(storage, "_verified_row", unreadable(split.test, loaded))
+    monkeypatch.setattr(storage, "_verified_row", row)
     partners = load_partners(registry, split)
     assert sorted(partners.ids) == sorted(loaded) == [f"{team}/human" for team in split.train]
     assert partners.settings(len(partners)) == [
@@ -62,15 +53,7 @@ def test_preparation_reports_shared_simulations():
     assert [member.seed for member in training.config.members] == [3, 5]
     assert training.config.partners == training.partners.ids
     assert training.config.self_play_episodes == 0
-    said = "5 partners of scratch/small-5-s0-v1-2ffd32b1, 204 simulations each"
-    assert training.summary == f"{said}, 1020 in place of the preset's 1024"
-    fitted = prepare(
-        load_registry(), "scratch", split="small-5", algorithm="sac", hyperparameters={}
-    )
-    assert fitted.summary.endswith("13 simulations each, 65 in place of the preset's 64")
-    split = training.split.model_copy(update={"train": training.split.train[:1]})
-    one = dataclasses.replace(fitted, partners=load_partners(load_registry(), split))
-    assert one.summary.startswith("1 partner of scratch/small-5-s0-v1-2ffd32b1, 65 simulations")
+    assert "204 simulations each, 1020 in place of the preset's 1024" in training.summary
 
 
 @pytest.mark.parametrize(
@@ -79,10 +62,7 @@ def test_preparation_reports_shared_simulations():
         ({"algorithm": "ippo"}, "algorithm is 'ippo'; allowed are ppo, sac"),
         ({"task": "swim"}, "task is 'swim'"),
         ({"preferences": ["p1"]}, "the humans of scratch have no preferences"),
-        (
-            {"split": "small-5", "hyperparameters": {"num_envs": 24}},
-            "num_envs is 24 with 5 partners; .* choose 20, or let it be chosen",
-        ),
+        ({"split": "small-5", "hyperparameters": {"num_envs": 24}}, "with 5 .* choose 20"),
     ],
 )
 def test_unfit_training_settings_are_refused(changes, message):
@@ -93,11 +73,9 @@ def test_unfit_training_settings_are_refused(changes, message):
 @pytest.fixture(scope="module")
 def registries(tmp_path_factory: pytest.TempPathFactory) -> tuple[Registry, Registry]:
     """Two of equal ids: the other's parameters are halved."""
-    home = tmp_path_factory.mktemp("zoos")
-    teams = teams_of(2)
-    places = published(teams, home / "mine"), published(halved(teams), home / "other")
-    mine, other = map(load_registry, places)
-    return mine, other
+    home, teams = tmp_path_factory.mktemp("zoos"), teams_of(2)
+    mine = load_registry(published(teams, home / "mine"))
+    return mine, load_registry(published(halved(teams), home / "other"))
 
 
 TINY: dict[str, Any] = {
@@ -112,26 +90,8 @@ def test_partners_of_equal_ids_have_another_key(registries: tuple[Registry, Regi
     assert dataclasses.replace(mine.config, key=other.config.key) == other.config
     assert mine.config.key["partners"] != other.config.key["partners"]
     assert mine.config == prepare(registries[0], "scratch", **TINY).config
-
-
-def test_training_key_includes_person_rows() -> None:
     persons = prepare(load_registry(), "gentle_scratch", partners="persons", **TINY)
     assert set(persons.config.key) == {"split", "partners"}
-
-
-def test_a_run_of_other_partners_is_not_continued(
-    registries: tuple[Registry, Registry], tmp_path: Path
-) -> None:
-    """Neither begun nor finished; its files stay as they are."""
-    mine, other = (prepare(registry, "scratch", **TINY) for registry in registries)
-    facts = {"version": 1, "backend": "native"}
-    run = RunFolder(tmp_path / "run")
-    run.open(mine.config, facts, resume=True)
-    before = (run.folder / "config.json").read_bytes()
-    run.open(mine.config, facts, resume=True)
-    with pytest.raises(ValueError, match="its partners have other parameters or settings"):
-        run.open(other.config, facts, resume=True)
-    assert (run.folder / "config.json").read_bytes() == before
 
 
 @pytest.mark.slow

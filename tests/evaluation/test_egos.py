@@ -2,56 +2,46 @@ import sys
 from pathlib import Path
 from typing import Any, cast
 
+import jax
 import numpy as np
 import pytest
 
 from assistax_base.errors import ZooError
 from evaluation.cast.egos import EgoError, call_ego, probe_egos, read_egos
 from evaluation.cast.roster import HostEgo
-from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from tests.untrained import ROBOT, params_of
 from zoo.parameters.storage import write_policy_file
 from zoo.registry import Registry
 
-SPEC = PolicySpec("robot", observation_size=3, action_size=2, hidden=(4,), normalise=False)
 EMPTY = Registry(data=cast(Any, None), path=Path("registry.json"), policies=[])
 PARTNERS = ("t/a-d1-s0-v0/human", "t/a-d1-s1-v0/human")
 
 
-def params(value: float) -> dict[str, Any]:
-    return {
-        "Dense_0": {"kernel": np.full((3, 4), value, np.float32), "bias": np.zeros(4, np.float32)},
-        "Dense_1": {"kernel": np.full((4, 2), value, np.float32), "bias": np.zeros(2, np.float32)},
-        "log_std": np.zeros(2, np.float32),
-    }
-
-
-def act_of(answer: Any) -> Any:
+def ask(answer: Any) -> np.ndarray:
     ego = HostEgo("python:m:f", lambda obs: answer)
-    return call_ego(ego, PARTNERS, episodes=2, action_size=2)
-
-
-def ask(answer: Any, step: int = 7) -> np.ndarray:
-    return act_of(answer)(np.zeros((4, 3), np.float32), step)
+    act = call_ego(ego, PARTNERS, episodes=2, action_size=2)
+    return act(np.zeros((4, 3), np.float32), 7)
 
 
 def test_files_of_one_spec_are_stacked_in_order(tmp_path: Path):
     paths = [str(tmp_path / f"{i}.safetensors") for i in range(2)]
-    for path, value in zip(paths, (1.0, 2.0), strict=True):
-        write_policy_file(path, SPEC, params(value))
+    params = [params_of(ROBOT, seed) for seed in range(2)]
+    for path, leaves in zip(paths, params, strict=True):
+        write_policy_file(path, ROBOT, leaves)
     egos = read_egos(paths, EMPTY, "scratch")
-    (stack,) = egos.stacks
+    [stack] = egos.stacks
     assert isinstance(stack, PolicyStack)
     assert list(stack.ids) == list(egos.members) == paths
     assert len({member.digest for member in egos.members.values()}) == 2
-    assert stack.params["Dense_1"]["kernel"].shape == (2, 4, 2)
-    assert stack.params["Dense_1"]["kernel"][1, 0, 0] == 2.0
+    expected = jax.tree.map(lambda *rows: np.stack(rows), *params)
+    jax.tree.map(np.testing.assert_array_equal, stack.params, expected)
 
 
 def test_glob_sorts_files_by_seed(tmp_path: Path):
     paths = [str(tmp_path / f"ppo-s{seed}.safetensors") for seed in (0, 2, 10)]
     for path in paths:
-        write_policy_file(path, SPEC, params(float(len(path))))
+        write_policy_file(path, ROBOT, params_of(ROBOT, len(path)))
     glob = str(tmp_path / "*.safetensors")
     assert list(read_egos([glob], EMPTY, "scratch").members) == paths
     with pytest.raises(ValueError, match=r"x\*.safetensors.* matches no file"):
@@ -88,6 +78,10 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         "def broken():\n    raise KeyError('weights')\n"
         "def wrong():\n    return 3\n"
         "number = 5\n"
+        "def dropout():\n"
+        "    from flax import nnx\n"
+        "    layer = nnx.Dropout(0.5, rngs=nnx.Rngs(0))\n"
+        "    return lambda obs: layer(obs[:, :7])\n"
     )
     (tmp_path / "unimportable_robot.py").write_text("import surely_not_installed_anywhere\n")
     monkeypatch.chdir(tmp_path)
@@ -97,12 +91,12 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_factory_of_working_folder_is_found(module: str):
-    egos = read_egos([f"python:{module}:zero"], EMPTY, "scratch")
-    (ego,) = egos.stacks
-    assert isinstance(ego, HostEgo)
-    assert ego.act(np.zeros((4, 34), np.float32)).shape == (4, 7)
-    assert ego.id == f"python:{module}:zero"
-    assert egos.members[ego.id].team is None
+    for name, action in (("zero", 0.0), ("dropout", 1.0)):  # which plays without training
+        egos = read_egos([f"python:{module}:{name}"], EMPTY, "scratch")
+        (ego,) = egos.stacks
+        assert isinstance(ego, HostEgo) and egos.members[ego.id].team is None
+        assert ego.id == f"python:{module}:{name}"
+        assert np.array_equal(ego.act(np.ones((4, 34), np.float32)), np.full((4, 7), action))
 
 
 @pytest.mark.parametrize(
@@ -113,12 +107,8 @@ def test_factory_of_working_folder_is_found(module: str):
         ("python:my_robot_under_test:zero?x", "unreadable arguments"),
         ("python:no_such_module_here:f", "cannot import no_such_module_here: ModuleNotFoundError"),
         ("python:unimportable_robot:f", "surely_not_installed_anywhere"),
-        ("python:my_robot_under_test:nothing", "has no function 'nothing'"),
         ("python:my_robot_under_test:number", "has no function 'number'"),
-        (
-            "python:my_robot_under_test:broken",
-            r"broken\(\) failed: KeyError: 'weights' \(my_robot_under_test.py:5\)",
-        ),
+        ("python:my_robot_under_test:broken", r"failed: KeyError: 'weights' \(my_.*test.py:5\)"),
         ("python:my_robot_under_test:wrong", r"wrong\(\) returned int; expected a callable"),
     ],
 )
@@ -128,36 +118,18 @@ def test_a_bad_factory_gets_one_line(module: str, reference: str, message: str):
     assert "\n" not in str(caught.value)
 
 
-def test_answers_of_any_framework_become_float32():
-    class Tensor:
-        def detach(self) -> "Tensor":
-            return self
-
-        def cpu(self) -> np.ndarray:
-            return np.ones((4, 2))
-
-    for answer in (np.ones((4, 2)), [[1, 1]] * 4, Tensor()):
-        assert ask(answer).dtype == np.float32
-        assert ask(answer).tolist() == [[1.0, 1.0]] * 4
-
-
-def probed(robot: Any) -> None:
-    roster = read_egos([robot], EMPTY, "scratch")
-    probe_egos(roster, "scratch", 34, 7)
-
-
 @pytest.mark.parametrize(
     ("robot", "message"),
     [
         (lambda obs: obs @ np.zeros((30, 7)), "failed: ValueError: matmul"),
         (lambda obs: np.zeros((len(obs), 3)), r"returned float64 of shape \(2, 3\)"),
-        (lambda obs: sys.exit(3), "failed: SystemExit: 3"),
+        (lambda obs: sys.exit("two\nlines"), r"failed: SystemExit: two lines \(test_egos.py:\d+\)"),
     ],
 )
 def test_unfit_robot_error_has_sizes_and_task(robot: Any, message: str):
     sizes = r"robot of task scratch reads observations \[N, 34\] and gives actions \[N, 7\]"
     with pytest.raises(EgoError, match=f"given two rows of zeros it {message}.*{sizes}"):
-        probed(robot)
+        probe_egos(read_egos([robot], EMPTY, "scratch"), "scratch", 34, 7)
 
 
 def test_probe_resets_robot_before_and_after():
@@ -171,7 +143,7 @@ def test_probe_resets_robot_before_and_after():
             self.told.append(-len(obs))
             return np.full((len(obs), 7), np.nan)  # what zeros are to it need not be an action
 
-    probed(Robot())
+    probe_egos(read_egos([Robot()], EMPTY, "scratch"), "scratch", 34, 7)
     assert Robot.told == [2, -2, 2]
 
 
@@ -186,15 +158,6 @@ def test_wrong_answer_error_has_expected_shape(answer: Any):
 def test_nan_error_names_partner_and_episode():
     answer = np.zeros((4, 2))
     answer[3, 1] = np.nan
-    with pytest.raises(
-        EgoError, match=rf"{PARTNERS[1]}, step 7: .* episode 1 is not finite \(1 of"
-    ):
+    words = rf"{PARTNERS[1]}, step 7: .* episode 1 is not finite \(1 of"
+    with pytest.raises(EgoError, match=words):
         ask(answer)
-
-
-def test_exception_is_one_line():
-    def act(obs: np.ndarray) -> np.ndarray:
-        raise ZeroDivisionError("two\nlines")
-
-    with pytest.raises(EgoError, match=r"0: ZeroDivisionError: two lines \(test_egos.py:\d+\)"):
-        call_ego(HostEgo("m", act), PARTNERS, 2, 2)(np.zeros((4, 3), np.float32), 0)

@@ -42,12 +42,8 @@ def assert_golden(file: Path, name: str) -> None:
     table, golden = tables.read_parquet(file), tables.read_parquet(GOLDEN / f"{name}.parquet")
     assert table.schema == golden.schema
     if same_machine():
-        differing = [
-            column
-            for column in golden.columns
-            if not table[column].eq_missing(golden[column]).all()
-        ]
-        assert differing == []
+        same = {name: table[name].eq_missing(golden[name]).all() for name in golden.columns}
+        assert [name for name, equal in same.items() if not equal] == []
         if version("polars") == MADE_WITH["polars"]:
             assert file.read_bytes() == (GOLDEN / f"{name}.parquet").read_bytes()
         return
@@ -84,10 +80,8 @@ def test_an_evaluation_with_its_references(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_crossplay_with_drawn_actions(tmp_path: Path):
-    registry, settings = (
-        load_registry(),
-        PlaySettings("bed_bath", 2, backend="native", stochastic=True),
-    )
+    registry = load_registry()
+    settings = PlaySettings("bed_bath", 2, backend="native", stochastic=True)
     robots, humans = (
         registry.select("bed_bath/*-d3-s0-v1", role=role) for role in ("robot", "human")
     )
@@ -102,10 +96,9 @@ def test_a_crossplay_with_drawn_actions(tmp_path: Path):
 @pytest.mark.slow
 def test_self_play_of_teams(tmp_path: Path):
     registry = load_registry()
-    robots, humans = (
-        registry_roster(registry, registry.select("arm_assist/[im]*ppo-d1-s[01]-v1", role=role))
-        for role in ("robot", "human")
-    )
+    teams = "arm_assist/[im]*ppo-d1-s[01]-v1"
+    entries = [registry.select(teams, role=role) for role in ("robot", "human")]
+    robots, humans = (registry_roster(registry, chosen) for chosen in entries)
     job = Job("arm_assist", 1, "native", robots, humans, episodes=2, seed=3, paired=True)
     run_job(make("arm_assist", backend="native"), job, tmp_path)
     assert_golden(tmp_path / tables.EPISODES_FILE, "paired")

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 import assistax_zoo as az
-from assistax_zoo.commands.evaluation import evaluate as commands
 from evaluation.play.how import PlaySettings
 from tests.evaluation.matrix_game import humans, robots
 from tests.evaluation.test_series import job_of
@@ -62,7 +61,6 @@ def test_python_functions_have_the_same_defaults(function: Any, lacks: set[str])
 
 
 def test_commands_have_the_settings_as_options(capsys: pytest.CaptureFixture[str]) -> None:
-    """A cross-play has no series; whatever else there is has its text from here."""
     from assistax_zoo.shell.main import run
 
     options = {name: f"--{name.replace('_', '-')} " for name in DEFAULTS}
@@ -70,5 +68,3 @@ def test_commands_have_the_settings_as_options(capsys: pytest.CaptureFixture[str
         run([command, "--help"])
         shown = capsys.readouterr().out
         assert {name for name, option in options.items() if option not in shown} == lacks
-    assert commands.CrossPlaySettings.__doc__ == PlaySettings.__doc__
-    assert all(f"        {name}: " in str(PlaySettings.__doc__) for name in DEFAULTS)

@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 from assistax_envs import Env, make
-from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
+from evaluation.cast.roster import registry_roster
 from evaluation.play import tiles
 from evaluation.play.evaluator import in_order
 from evaluation.play.jobs import Job
@@ -24,6 +24,7 @@ from evaluation.play.shares import run_share  # noqa: F401 (scripts of subproces
 from evaluation.play.tiles import plan
 from evaluation.record import tables
 from population.play import rollout, seats
+from tests.evaluation.matrix_game import host
 from zoo.registry import load_registry
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -52,14 +53,11 @@ def scratch(length: int, backend: str = "native") -> Env:
 
 def real_job(sizes: tuple[int, int, int] = SIZES, **changes: Any) -> Job:
     registry = load_registry()
-    egos, partners = (
-        registry_roster(
-            registry, registry.select("scratch/ippo-*", role=role, release="v1")[:count]
-        )
-        for role, count in zip(("robot", "human"), sizes, strict=False)
-    )
-    options: dict[str, Any] = {"egos": egos, "partners": partners, "backend": "native", **changes}
-    return Job("scratch", 1, episodes=sizes[2], **options)
+    options: dict[str, Any] = {"backend": "native"}
+    for seat, role, count in zip(("egos", "partners"), ("robot", "human"), sizes, strict=False):
+        chosen = registry.select("scratch/ippo-*", role=role, release="v1")[:count]
+        options[seat] = registry_roster(registry, chosen)
+    return Job("scratch", 1, episodes=sizes[2], **{**options, **changes})
 
 
 def played(
@@ -74,12 +72,10 @@ def played(
 def differing(first: pl.DataFrame, other: pl.DataFrame) -> int:
     """Return how many episodes differ in any value, of those that both tables have."""
     keys = ["ego", "partner", "episode"]
-    shared = (
-        first.join(other, on=keys, how="semi").sort(keys),
-        other.join(first, on=keys, how="semi").sort(keys),
-    )
-    assert shared[0].height == shared[1].height > 0
-    same = [(shared[0][name].eq_missing(shared[1][name])).to_numpy() for name in first.columns]
+    one = first.join(other, on=keys, how="semi").sort(keys)
+    two = other.join(first, on=keys, how="semi").sort(keys)
+    assert one.height == two.height > 0
+    same = [one[name].eq_missing(two[name]).to_numpy() for name in first.columns]
     return int((~np.all(same, axis=0)).sum())
 
 
@@ -135,9 +131,7 @@ def test_outside_robot_batches_do_not_change():
         sizes.append(len(obs))
         return np.tanh(obs[:, :7])
 
-    member = Member("python:mine:robot", "source")
-    mine = Roster((HostEgo(member.id, act),), {member.id: member})
-    job = real_job((1, 30, 5), egos=mine)
+    job = real_job((1, 30, 5), egos=host(act))
     runner = Runner(scratch(10), job)
     whole = played(runner, job, 2048)
     assert differing(played(runner, job, 1, lambda chunks: chunks[::-1]), whole) == 0
@@ -153,38 +147,28 @@ from evaluation.play.shares import run_share
 from evaluation.play.evaluator import run_job
 from tests.evaluation.test_invariance import real_job, scratch, use_small_tiles
 use_small_tiles()
+folder, env, max_envs = Path(sys.argv[1]), scratch(int(sys.argv[2])), int(sys.argv[3])
 """
 
 
-def run_in_process(
-    script: str, *arguments: object, devices: int = 1
-) -> subprocess.CompletedProcess:
-    """Run a script as a user would: with XLA's own defaults, not those of tests."""
-    flags = f"--xla_force_host_platform_device_count={devices}"
-    command = [sys.executable, "-c", HEAD + script, *map(str, arguments)]
-    environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, cwd=ROOT, env=environment, timeout=900)
-
-
-WHOLE = (
-    "run_job(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), max_envs=int(sys.argv[3]))\n"
-)
-BLOCKS = (
-    "for i in (3, 2, 1):\n"
-    "    run_share(scratch(int(sys.argv[2])), real_job(), Path(sys.argv[1]), (i, 3), "
-    "max_envs=int(sys.argv[3]))\n"
-) + WHOLE
-KILLED = (
-    "write = tables.write_bytes\n"
-    "def deadly(data, path):\n"
-    "    write(data, path)\n"
-    "    if 'part-' in path.name:\n"
-    "        os.kill(os.getpid(), signal.SIGKILL)\n"
-    "tables.write_bytes = deadly\n"
-) + WHOLE
-DEVICES = "assert len(jax.local_devices()) == 2\n" + WHOLE.replace(
-    "max_envs=", "devices=jax.local_devices(), max_envs="
-)
+WHOLE = "run_job(env, real_job(), folder, max_envs=max_envs)\n"
+BLOCKS = """
+for i in (3, 2, 1):
+    run_share(env, real_job(), folder, (i, 3), max_envs=max_envs)
+"""
+KILLED = """
+write = tables.write_bytes
+def deadly(data, path):
+    write(data, path)
+    if 'part-' in path.name:
+        os.kill(os.getpid(), signal.SIGKILL)
+tables.write_bytes = deadly
+"""
+DEVICES = """
+devices = jax.local_devices()
+assert len(devices) == 2
+run_job(env, real_job(), folder, devices=devices, max_envs=max_envs)
+"""
 
 
 @pytest.mark.slow
@@ -193,10 +177,18 @@ def test_blocks_kills_and_devices_leave_the_same_bytes(tmp_path: Path, length: i
     def contents(folder: str) -> bytes:
         return (tmp_path / folder / tables.EPISODES_FILE).read_bytes()
 
-    assert run_in_process(WHOLE, tmp_path / "whole", length, 2048).returncode == 0
-    assert run_in_process(BLOCKS, tmp_path / "blocks", length, 1).returncode == 0
-    assert run_in_process(KILLED, tmp_path / "killed", length, 130).returncode == -signal.SIGKILL
-    assert run_in_process(WHOLE, tmp_path / "killed", length, 130).returncode == 0
-    assert run_in_process(DEVICES, tmp_path / "devices", length, 1, devices=2).returncode == 0
+    def status(script: str, folder: str, max_envs: int, devices: int = 1) -> int:
+        """Run a script as a user would: with XLA's own defaults, not those of tests."""
+        flags = f"--xla_force_host_platform_device_count={devices}"
+        arguments = map(str, (tmp_path / folder, length, max_envs))
+        command = [sys.executable, "-c", HEAD + script, *arguments]
+        environment = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
+        return subprocess.run(command, cwd=ROOT, env=environment, timeout=900).returncode
+
+    assert status(WHOLE, "whole", 2048) == 0
+    assert status(BLOCKS + WHOLE, "blocks", 1) == 0
+    assert status(KILLED + WHOLE, "killed", 130) == -signal.SIGKILL
+    assert status(WHOLE, "killed", 130) == 0
+    assert status(DEVICES, "devices", 1, devices=2) == 0
     for folder in ("blocks", "killed", "devices"):
         assert contents(folder) == contents("whole")

@@ -8,14 +8,7 @@ import polars as pl
 import pytest
 
 from assistax_zoo.shell.main import run
-from evaluation.figures.league import (
-    FIRST,
-    LAST,
-    league_table,
-    ordered,
-    read_league,
-    row_folders,
-)
+from evaluation.figures.league import FIRST, LAST, league_table, ordered, read_league, row_folders
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.saved_tables import save_evaluation
@@ -28,6 +21,7 @@ from tests.evaluation.test_contrasts import NAMED
 from tools.league.figures import failure_chart, failures, validation_curves
 
 PARTNERS = 10
+CURVE = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
 
 
 def played(means: np.ndarray, names: list[str], seed: int) -> pl.DataFrame:
@@ -48,15 +42,9 @@ def put(root: Path, row: str, means: np.ndarray, *, baselines: bool = False) -> 
             played(np.full(shape, level), [name], 1).with_columns(pl.lit(name).alias(COLUMN))
             for name, level in levels.items()
         )
-        bounds = pl.DataFrame(
-            {
-                "partner": episodes["partner"].unique(maintain_order=True),
-                "low": 10.0,
-                "low_episodes": 4,
-                "best": 400.0,
-                "source": "self-play",
-            }
-        )
+        columns = {"low": 10.0, "low_episodes": 4, "best": 400.0, "source": "self-play"}
+        partners = episodes["partner"].unique(maintain_order=True)
+        bounds = pl.DataFrame({"partner": partners, **columns})
         references = episodes, bounds
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
     save_evaluation(Record(table, folder), CONTEXT, references=references)
@@ -97,35 +85,22 @@ def test_a_league_reads_rows_references_and_shares(league: Path) -> None:
     assert any("fewer than 16 robots: ppo, gru, told-best-response" in n for n in found.notes)
 
 
-def test_rows_that_were_played_otherwise_are_refused(league: Path, tmp_path: Path) -> None:
-    shutil.copytree(league, tmp_path / "other")
-    place = tmp_path / "other" / "gru"
-    table = tables.read_episodes(place / tables.EPISODES_FILE).with_columns(pl.col("key") + 1)
-    tables.write_episodes(table, place / tables.EPISODES_FILE)
-    with pytest.raises(ValueError, match=r"gru and ppo met .* in different episodes"):
+def test_a_league_of_two_releases_is_refused(league: Path, tmp_path: Path) -> None:
+    place = shutil.copytree(league, tmp_path / "other") / "gru"
+    summary = tables.read_json(place / tables.SUMMARY_FILE)
+    tables.write_json({**summary, "release": "v1"}, place / tables.SUMMARY_FILE)
+    with pytest.raises(ValueError, match="release is v0 in ppo and v1 in gru"):
         read_league(tmp_path / "other")
     with pytest.raises(FileNotFoundError, match="no finished evaluation in a folder"):
         read_league(tmp_path)
 
 
-def test_a_league_of_two_releases_is_refused(league: Path, tmp_path: Path) -> None:
-    shutil.copytree(league, tmp_path / "other")
-    place = tmp_path / "other" / "gru"
-    summary = tables.read_json(place / tables.SUMMARY_FILE)
-    tables.write_json({**summary, "release": "v1"}, place / tables.SUMMARY_FILE)
-    with pytest.raises(ValueError, match="release is v0 in ppo and v1 in gru"):
-        read_league(tmp_path / "other")
-
-
 def test_share_of_a_range_by_hand() -> None:
-    scores = np.array([[2.0, 6.0], [4.0, 8.0]])
-    share = share_of_range(scores, np.array([1.0, 3.0]), np.array([5.0, 11.0]))
+    low, scores = np.array([1.0, 3.0]), np.array([[2.0, 6.0], [4.0, 8.0]])
+    share = share_of_range(scores, low, np.array([5.0, 11.0]))
     assert share is not None and share.value == pytest.approx(3.0 / 6.0)
-    assert share_of_range(scores, np.array([1.0, 3.0]), np.array([1.0, 3.0])) is None
-
-
-def test_a_share_of_proportional_scores_has_no_width() -> None:
-    """Where everybody earns half of the range with each partner, no resample says otherwise."""
+    assert share_of_range(scores, low, low) is None
+    # If every robot earns half of the range with each partner, so does every resample.
     rng = np.random.default_rng(2)
     low, high = rng.normal(0, 50, 12), rng.normal(500, 100, 12)
     share = share_of_range(np.tile((low + high) / 2, (5, 1)), low, high)
@@ -166,14 +141,6 @@ def test_the_page_has_rows_contrasts_and_their_hash(league: Path, tmp_path: Path
     assert "named and not played, they count as p = 1: sac less ppo" in text
 
 
-def test_contrasts_are_of_leagues(league: Path, tmp_path: Path, capfd) -> None:
-    file = tmp_path / "contrasts.toml"
-    file.write_text(NAMED)
-    words = ["report", str(league / "ppo"), "--out", str(tmp_path / "page.html")]
-    assert run([*words, "--contrasts", str(file)]) == 1
-    assert "is no folder of rows" in capfd.readouterr().err
-
-
 def test_who_fails_with_whom(league: Path) -> None:
     shares = failures(read_league(league).by_partner)
     told = shares.filter(row="told-best-response")
@@ -185,29 +152,25 @@ def test_who_fails_with_whom(league: Path) -> None:
 
 def test_figures_have_a_place_for_every_row(league: Path) -> None:
     found = read_league(league)
-    labels = [t.get_text() for t in league_chart({"scratch": league_table(found)}).axes[0].get_yticklabels()]  # fmt: skip # noqa: E501
-    assert labels == [row.row for row in found.rows]
+    labels = league_chart({"scratch": league_table(found)}).axes[0].get_yticklabels()
+    assert [label.get_text() for label in labels] == [row.row for row in found.rows]
     chart = failure_chart({"scratch": failures(found.by_partner)})
     assert len(chart.axes[0].get_yticklabels()) == len(found.rows)
-    curve = pl.DataFrame(
-        {"seed": [0, 0, 1, 1], "steps": [10, 20, 10, 20], "return": [1.0, 2.0, 3.0, 4.0]}
-    )
-    lines = validation_curves({"scratch": {"ppo": curve, "gru": curve}}).axes[0].lines
+    curves = pl.concat([CURVE, CURVE.with_columns(pl.col("seed") + 1, pl.col("return") + 2)])
+    lines = validation_curves({"scratch": {"ppo": curves, "gru": curves}}).axes[0].lines
     assert [list(line.get_ydata()) for line in lines] == [[2.0, 3.0]] * 2
 
 
 def test_league_rows_have_distinct_styles() -> None:
-    curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
     known = ["ppo", "sac", *METHODS, *LAST]
     names = ordered([*known, *(f"own-{place}" for place in range(24 - len(known)))])
-    lines = validation_curves({"scratch": dict.fromkeys(names, curve)}).axes[0].lines
+    lines = validation_curves({"scratch": dict.fromkeys(names, CURVE)}).axes[0].lines
     looks = [(line.get_marker(), line.get_linestyle()) for line in lines]
     assert len(set(looks)) == len(names) == 24
 
 
 def test_learning_curve_legend_overlaps_no_line() -> None:
-    curve = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
-    rows = {"scratch": {"ppo": curve}, "lift": {"ppo": curve, "gru": curve}, "bath": {"gru": curve}}
+    rows = {"scratch": {"ppo": CURVE}, "lift": {"ppo": CURVE, "gru": CURVE}, "bath": {"gru": CURVE}}
     chart = validation_curves(rows)
     chart.draw_without_rendering()
     (legend,) = chart.legends
