@@ -6,12 +6,14 @@ import re
 import shutil
 import sys
 import tomllib
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from assistax_base.extensions import COMMANDS, HEADS, METHODS, PARTNERS, TASKS
 from assistax_envs import compiled
 from assistax_zoo.shell import doctor, main, requirements
 from tests.zoo.conftest import put, trained_teams
@@ -61,13 +63,28 @@ def examined(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, lis
 def test_a_sound_installation_has_nothing_broken(capsys: pytest.CaptureFixture[str]) -> None:
     topics = examined(capsys)
     assert topics.keys() >= {"python", "packages", "extras", "jax", "backend", "compilers"}
-    assert topics.keys() >= {"cache", "disk", "registry", "added", "remote"}
+    assert topics.keys() >= {"cache", "disk", "registry", "added", "remote", "additions"}
     assert topics["backend"][0]["details"] == {"auto": "fused"}
     registry = topics["registry"][0]["details"]
     assert (registry["roots"], registry["absent_shards"]) == (True, 0)
     assert registry["releases"] == ["v0"]
     kinds = [finding["details"]["kind"] for finding in topics["cache"] if finding["details"]]
     assert kinds == ["shards", "registries", "references", "xla", "fused"]
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [(COMMANDS, "forces"), (HEADS, "plot"), (PARTNERS, "test"), (METHODS, "gru"), (TASKS, "The")],
+)
+def test_broken_additions_of_packages_are_named(
+    group: str,
+    name: str,
+    install_package: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    install_package(group, name, "textwrap:nothing")
+    [finding] = examined(capsys, 1)["additions"]
+    assert f"{name!r} of the package outside 0.3 (textwrap:nothing)" in finding["text"]
 
 
 def test_doctor_changes_nothing(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
