@@ -60,9 +60,9 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
     split = load_registry(registry).split(task, id if rest else None)
     lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
     for side, teams in split.sides.items():
-        likes = ", ".join(split.preferences.get(side, ()))
+        preferences = ", ".join(split.preferences.get(side, ()))
         lines += [
-            f"\n{side}{f', under {likes}' if likes else ''}",
+            f"\n{side}{f', under {preferences}' if preferences else ''}",
             *(f"  {team}" for team in teams),
         ]
     answer(json, split.model_dump(mode="json"), *lines)

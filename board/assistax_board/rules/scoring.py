@@ -22,8 +22,8 @@ COLUMNS = {
     "nonfinite": pl.Boolean(),
 }
 OWN = "own"  # preference of a partner that brings its own
-# Of the gentle tasks: what the human liked, "own" of a person, and whether a contact was above the
-# hard limit.
+# Of the gentle tasks: the human's preference, "own" of a person, and whether a contact was above
+# the hard limit.
 GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
 MAX_TABLE_BYTES = 4 * 1024 * 1024
 
