@@ -24,7 +24,7 @@ def is_official_file(path: Path) -> bool:
 
 
 def _recorded_roots(path: Path) -> frozenset[str]:
-    """Return the roots that a registry records; none where the file is no registry."""
+    """Return the roots that a registry records; empty if the file is no registry."""
     try:
         text = read_text(path, MAX_REGISTRY_BYTES, ZooError, "registry", "")
         roots = [release.get("root") for release in parse_json(text)["releases"].values()]

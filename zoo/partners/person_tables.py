@@ -107,7 +107,7 @@ def check_table(release: str, task: str, table: Persons) -> None:
             f"{here.count} rows of sha256 {here.sha256}",
             "fetch the registry again from its publisher, or report that this machine makes other "
             "rows",
-            "nobody was loaded",
+            "no person was loaded",
         )
 
 
@@ -179,10 +179,10 @@ def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
 
 
 def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
-    """Return the split of persons that an id, or its beginning, names; None of another split.
+    """Return the split of persons with an id or its beginning; None for names of other splits.
 
     Raises:
-        SplitError: It is called a split of persons, and there is none of this name.
+        SplitError: The name is one of a split of persons, and there is no such split.
     """
     namespace, plain = split_namespace(name)
     plain = plain.removeprefix(f"{task}/")

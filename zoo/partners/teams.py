@@ -108,7 +108,7 @@ class Teams(PartnerSource):
         return humans_of(self.registry.data.teams, split.train)
 
     def offered(self, task: str, release: str) -> str | None:
-        """Return how to choose a release's default split; a release of egos alone has none."""
+        """Return how to choose a release's default split; None for a release of egos alone."""
         split = self.registry.data.releases[release].splits.get(task)
         return f"split {split}" if split else None
 
