@@ -73,7 +73,7 @@ def keep_split(split: Split) -> None:
 
 
 def writable_registry(path: Path | str | None = None) -> Path | None:
-    """Return the registry that a publication goes to; None where it goes to the user's own zoo.
+    """Return the registry that a publication goes to; None for the user's own zoo.
 
     Args:
         path: The registry that the user named. If there is none, the registry in use is taken,

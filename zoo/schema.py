@@ -303,7 +303,7 @@ class PolicyEntry:
     algorithm: str
     role: Role
     disability: str  # "d3"; "ego" for a robot without a human; "own" for a body of its own
-    setting: Disability | None  # what "d3" is, as the registry has it
+    setting: Disability | None  # numbers of "d3" in the registry
     seed: int
     release: str  # "v1"
     spec: PolicySpec  # of a partner that is no network another `SeatSpec`

@@ -245,7 +245,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     alone = row.source == "each" and bool(making.registry.source_of_split(split).word)
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
-    if split.task in PREFERRED and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
+    if split.task in PREFERRED and row.algorithm != "sac":  # the recipe is of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
     if not making.registry.source_of_split(split).word:
         # Every team gets the same share of the preset's simulations, and teams have no own will.

@@ -49,7 +49,7 @@ class Played:
 
     task: str
     rows: tuple[ShownRow, ...]
-    by_partner: pl.DataFrame | None  # none of the training side
+    by_partner: pl.DataFrame | None  # None for the training side
     # By row, the mean return of its chosen robots with the validation side.
     validated: Mapping[str, float]
 

@@ -1,7 +1,7 @@
 """Official registries: releases of this project, which only its makers may change.
 
 A registry is official if one of its releases has the root of a release that came with this code,
-whatever the file is called and wherever it lies. `zoo.saving` writes to none of them.
+under any name and in any folder. `zoo.saving` never writes to an official registry.
 """
 
 from pathlib import Path

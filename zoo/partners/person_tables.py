@@ -112,7 +112,7 @@ def check_table(release: str, task: str, table: Persons) -> None:
 
 
 def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
-    """Return the entry of one person by its id; None where the registry has none of it."""
+    """Return the entry of one person by its id; None if the registry has no such person."""
     named = parse_person(policy)
     if named is None:
         return None
@@ -232,7 +232,7 @@ def _entry(data: RegistryFile, release: str, someone: Person) -> PolicyEntry:
         number=someone.number,
         digest=someone.identity,
         env_version=data.releases[release].environments[someone.task],
-        # Strength and tremor are in what a person does, see `assistax_envs.persons.player`.
+        # A person's own program applies strength and tremor: `assistax_envs.persons.player`.
         setting=Disability(1.0, float(someone.row[index(someone.task)["range"]]), 0.0),
         disability=OWN,
         release=release,

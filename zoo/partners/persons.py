@@ -24,7 +24,7 @@ class Persons(PartnerSource):
     own_preferences = drawn = True
     most = 200  # a command then takes minutes
     without_bytes = "a person, who is a program and its numbers"
-    pinned = "all of whom the release's root pins"
+    pinned = "which the release's root pins"
     has_numbers = True
 
     @classmethod

@@ -190,7 +190,7 @@ class PartnerSource:
         return []
 
     def problems(self) -> Iterator[str]:
-        """Yield the problems of what the registry says of this kind."""
+        """Yield the problems of the registry's records of this kind."""
         yield from ()
 
     def settings(self, split: Split) -> list[list[Any]]:

@@ -159,7 +159,7 @@ class Teams(PartnerSource):
         exact = [split for split in known if split.id == full]
         matching = exact or [split for split in known if split.id.startswith(f"{full}-")]
         newest, releases = registry.release_of(task), registry.data.releases.values()
-        # A split that a user made later does not change what the name of a default one means.
+        # A split that a user makes later does not take over the name of a default split.
         defaults = {id for release in releases for id in release.splits.values()}
         default = [split for split in matching if split.id in defaults]
         candidates = [matching, default]

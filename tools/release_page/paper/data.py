@@ -51,7 +51,7 @@ class Egos:
     pairs: pl.DataFrame
     summary: Mapping[str, Any]
     run: Mapping[str, Any]
-    training: Mapping[str, Any] | None  # None where nothing was collected of it
+    training: Mapping[str, Any] | None  # None if no record of it was collected
 
     @functools.cached_property
     def partners(self) -> pl.DataFrame:
