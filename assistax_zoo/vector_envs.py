@@ -43,7 +43,7 @@ def vector_env(
         partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
             them; default all. Or "persons": a new one of 7,200 each episode.
         split: Split whose training side is meant; default the release's own.
-        preferences: What the humans of a gentle task like, such as "p2,p3" or ("p2", "p3"), drawn
+        preferences: Preferences of a gentle task's humans, such as "p2,p3" or ("p2", "p3"), drawn
             for each episode; default those of the split's training side, or all. Persons have their
             own.
         form: "gymnasium", a `VectorEnv`; "sb3", a `VecEnv` of Stable-Baselines3; "pettingzoo", a

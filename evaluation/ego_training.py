@@ -88,7 +88,7 @@ def prepare(
         seeds: Number of seeds, from 0, or the seeds themselves.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
-        preferences: What the humans of a gentle task like, in turns; if none are given, those of
+        preferences: Preferences of a gentle task's humans, in turns; if none are given, those of
             the split's training side, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched at once; default the algorithm's.
@@ -230,7 +230,7 @@ def load_partners(
     Args:
         registry: Where the partners are.
         split: Split whose training side is meant.
-        preferences: What the humans are to like.
+        preferences: Preferences of the humans.
         each: Give member i partner i alone.
 
     Raises:

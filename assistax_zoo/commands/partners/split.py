@@ -99,8 +99,8 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What its humans like, such as p2,p3; default what the test side lacks.
-        test_preferences: What humans of the test side like, such as p1,p5,p9, for any rule.
+        train_preferences: Preferences of its humans, such as p2,p3; default all others.
+        test_preferences: Preferences of the test side's humans, such as p1,p5,p9, for any rule.
         best_responses: Finished evaluation or cross-play. With it three-sides leaves out partners
             with whom the best robot earns less than a quarter of the median. Repeat it for more.
         conventions: Finished cross-play, by whose two groups of humans three-sides stratifies.

@@ -46,7 +46,7 @@ class Work:
     partners: tuple[str, ...]  # ids; of a private release ordinals, such as "hidden-0007"
     episodes: int
     seed: str  # hexadecimal, up to 128 bits: JSON readers elsewhere would round it
-    preferences: tuple[str, ...] = ()  # of a gentle task: what its humans like, in turns
+    preferences: tuple[str, ...] = ()  # of a gentle task's humans, in turns
 
 
 class Scorer(Protocol):
