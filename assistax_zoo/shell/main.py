@@ -219,7 +219,8 @@ def _complete_help(app: App, arguments: Sequence[str], notes: Sequence[str] = ()
     named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
     named.resolved_commands()
     parts = [f"left out: {note}" for note in notes]
-    docstring = (named.default_command and inspect.getdoc(named.default_command)) or ""
+    command = named.default_command
+    docstring = (inspect.getdoc(command) if command else None) or ""
     if example := re.search(r"^Examples?:\n(?:(?: {4}.*)?\n?)+", docstring, re.MULTILINE):
         parts.insert(0, example.group().strip().replace(":\n", ":\n\n", 1))
     if parts:
