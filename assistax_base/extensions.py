@@ -60,7 +60,7 @@ class Extension:
             found: Any = importlib.import_module(self.module)
             for part in filter(None, self.value.partition(":")[2].split(".")):
                 found = getattr(found, part)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self.error("MODULE:ATTRIBUTE that can be imported", _described(error)) from error
         return found
 
@@ -84,17 +84,42 @@ def extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extensio
     Raises:
         ExtensionError: A name is malformed, taken, or that of two packages.
     """
+    found, errors = usable_extensions(group, taken)
+    for error in errors.values():
+        raise error
+    return found
+
+
+def usable_extensions(
+    group: str, taken: Collection[str] = ()
+) -> tuple[dict[str, Extension], dict[str, ExtensionError]]:
+    """Return the entry points of a group that have a name of their own, and the others' errors.
+
+    If two packages name the same addition, neither is usable.
+
+    Args:
+        group: One of `GROUPS`.
+        taken: Names of assistax-zoo's own that no package may take.
+
+    Returns:
+        The usable entry points by name, and an error for each name that is malformed, taken, or
+        that of two packages.
+    """
     found: dict[str, Extension] = {}
+    errors: dict[str, ExtensionError] = {}
     for extension in _read(group):
         name = extension.name
         pattern, joint = (WORDS, "hyphens") if group in (COMMANDS, HEADS) else (NAME, "underscores")
         if not pattern.fullmatch(name):
-            raise extension.error(f"a name of lower-case letters, digits and {joint}", name)
-        if name in taken or name in found:
+            expected = f"a name of lower-case letters, digits and {joint}"
+            errors[name] = extension.error(expected, printable(name))
+        elif name in taken or name in found:
             other = f"{found[name].package} {found[name].version}" if name in found else OURS
-            raise extension.error("a name of its own", f"that of a {GROUPS[group]} of {other}")
-        found[name] = extension
-    return found
+            problem = f"that of a {GROUPS[group]} of {other}"
+            errors[name] = extension.error("a name of its own", problem)
+        else:
+            found[name] = extension
+    return {name: e for name, e in found.items() if name not in errors}, errors
 
 
 @functools.cache
@@ -112,5 +137,5 @@ def _read(group: str) -> tuple[Extension, ...]:
     )
 
 
-def _described(error: Exception) -> str:
+def _described(error: BaseException) -> str:
     return printable(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}")[:300]

@@ -40,7 +40,7 @@ def render(
         steps: Steps of 20 ms to show; default the whole episode.
         seed: Seed of the episode: where it starts.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; default drawn.
+        preference: Preference of the human of a gentle task, p1 to p9; default drawn.
         camera: A camera of the scene, such as "side", or "close" to follow the tool.
         fps: Frames a second, a divisor of 50.
         width: Pixels of a frame.

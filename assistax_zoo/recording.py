@@ -54,7 +54,7 @@ def trajectories(
         steps: Steps of 20 ms of each; default the whole episode.
         seed: Seed of the episodes.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; default drawn anew.
+        preference: Preference of the human of a gentle task, p1 to p9; default drawn anew.
         backend: Physics, or "auto" for the fastest one here.
         zoo: Where ids are looked up, as in `open_zoo`.
         format: Of `out`: "parquet", "minari" or "lerobot", each an extra.

@@ -196,7 +196,7 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
         Args:
             path: File to write.
             kind: "zsc" for training beside test partners, "disability" for each setting,
-                "preference" for what the humans of a gentle task like, "profile" for the share of
+                "preference" for preferences of a gentle task's humans, "profile" for the share of
                 pairs above each return.
             width: Inches of the figure, for a paper's column or page; letters keep their size.
             bare: Leave out title and caption.

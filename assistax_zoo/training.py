@@ -103,9 +103,9 @@ def train_ego(
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.
-        preferences: What the humans of a gentle task like, such as ("p2", "p3"), in turns; default
+        preferences: Preferences of a gentle task's humans, such as ("p2", "p3"), in turns; default
             those of the split's training side, or all, drawn anew each episode.
-        told: Let the robot observe what the human likes: a row to compare with, and no robot.
+        told: Let the robot observe the human's preference: a row to compare with, and no robot.
         backend: Physics, or "auto" for the fastest one here.
         resume: Continue the run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.

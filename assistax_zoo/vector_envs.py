@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from assistax_envs.adapters.partners import Partners
     from assistax_zoo.zoos import Zoo
+    from zoo.registry import Registry
     from zoo.schema import Split
 
 FORMS = ("gymnasium", "sb3", "pettingzoo", "jaxmarl")
@@ -42,7 +43,7 @@ def vector_env(
         partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
             them; default all. Or "persons": a new one of 7,200 each episode.
         split: Split whose training side is meant; default the release's own.
-        preferences: What the humans of a gentle task like, such as "p2,p3" or ("p2", "p3"), drawn
+        preferences: Preferences of a gentle task's humans, such as "p2,p3" or ("p2", "p3"), drawn
             for each episode; default those of the split's training side, or all. Persons have their
             own.
         form: "gymnasium", a `VectorEnv`; "sb3", a `VecEnv` of Stable-Baselines3; "pettingzoo", a
@@ -70,9 +71,7 @@ def vector_env(
     if isinstance(partners, str) and partners in {kind.word for kind in kinds()}:
         if split or preferences:
             raise ValueError(f"{partners} have no split and no preferences; leave these out")
-        sources = open_zoo(zoo).registry.sources
-        [source] = [source for source in sources if source.word == partners]
-        humans: Partners = source.vector_partners(task)
+        humans: Partners = _made(task, partners, open_zoo(zoo).registry)
         version = None
     else:
         humans, version = _published(task, partners, split, preferences, zoo)
@@ -99,6 +98,24 @@ def vector_env(
     return AssistaxVecEnv(env)
 
 
+def _made(task: str, word: str, registry: "Registry") -> "Partners":
+    """Return the training side of the default split of the kind of partner that a word names.
+
+    Raises:
+        ValueError: The task has no such partners.
+    """
+    from assistax_envs.adapters.partners import Persons
+    from evaluation.ego_training import load_partners
+    from population.trainers.rotating_partners import RotatingPartners
+
+    source = next(source for source in registry.sources if source.word == word)
+    if source.drawn:
+        return Persons(task)
+    if (dealt := source.split(task, word)) is None:
+        raise ValueError(f"task {task!r} has no {word}; choose other partners")
+    return RotatingPartners(load_partners(registry, dealt))
+
+
 def _published(
     task: str,
     partners: str | Sequence[str] | None,
@@ -118,14 +135,14 @@ def _published(
     chosen = opened.registry.split(task, split)
     patterns = [partners] if isinstance(partners, str) else partners
     names = chosen.train if patterns is None else _of_training_half(chosen, patterns)
-    likes = tuple(preferences.split(",") if isinstance(preferences, str) else preferences)
-    if unknown := [name for name in likes if name not in PREFERENCES]:
+    drawn = tuple(preferences.split(",") if isinstance(preferences, str) else preferences)
+    if unknown := [name for name in drawn if name not in PREFERENCES]:
         raise ValueError(f"preference is {unknown[0]!r}; allowed are {', '.join(PREFERENCES)}")
     if opened.remote is not None:
         opened.fetch([f"{team}/human" for team in names])
     frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))
-    likes = likes or tuple(chosen.preferences.get("train", ()))
-    return RotatingPartners(frozen, likes), older_version(opened.registry, chosen)
+    drawn = drawn or tuple(chosen.preferences.get("train", ()))
+    return RotatingPartners(frozen, drawn), older_version(opened.registry, chosen)
 
 
 def _of_training_half(split: "Split", patterns: Sequence[str]) -> list[str]:

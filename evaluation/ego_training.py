@@ -88,7 +88,7 @@ def prepare(
         seeds: Number of seeds, from 0, or the seeds themselves.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
-        preferences: What the humans of a gentle task like, in turns; if none are given, those of
+        preferences: Preferences of a gentle task's humans, in turns; if none are given, those of
             the split's training side, or all, drawn anew each episode, where it holds none out.
         checkpoint_every: Updates between checkpoints; default the algorithm's.
         updates_per_call: Updates dispatched at once; default the algorithm's.
@@ -230,19 +230,32 @@ def load_partners(
     Args:
         registry: Where the partners are.
         split: Split whose training side is meant.
-        preferences: What the humans are to like.
-        each: The first partner for the first member alone, and so on.
+        preferences: Preferences of the humans.
+        each: Give member i partner i alone.
 
     Raises:
-        ValueError: Preferences are given, and the partners have their own.
+        ValueError: Preferences are given, and the partners have their own; or `each` is asked
+            for, and the partners are not drawn.
     """
+    from population.trainers.drawn_persons import DrawnPersons, OnePersonEach
+    from population.trainers.frozen_partners import FrozenPartners, PartnersWithBodies
+
     source = registry.source_of_split(split)
     if preferences and source.own_preferences:
         raise ValueError(
             f"preferences are {', '.join(preferences)}, but {source.word} have their own "
             "preferences; leave preferences out"
         )
-    return source.training_partners(split, each=each)
+    humans = [f"{team}/human" for team in split.train]
+    if source.drawn:
+        drawn = OnePersonEach if each else DrawnPersons
+        return drawn.of_stacks(source.stacks(source.known(humans)), split.id)
+    if each:
+        raise ValueError(f"{source.word or 'teams'} cannot be one partner of each member")
+    entries = [registry.policy(name) for name in humans]
+    settings = {entry.id: entry.partner_setting for entry in entries}
+    kind = PartnersWithBodies if source.own_preferences else FrozenPartners
+    return kind(registry.stacks(entries), settings)
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:

@@ -132,7 +132,7 @@ def _job(cast: Cast, how: PlaySettings, baselines: bool) -> "tuple[Env, Job, Spl
         raise ValueError("the cast has no split, or no baselines; make it with `cast_robots`")
     if cast.robots.view is not View.PLAIN and baselines:
         raise ValueError(
-            "the robots are told what humans like, and references are not: leave references out"
+            "robots are told secrets of the humans, references are not: leave references out"
         )
     env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
     probe_egos(cast.robots, cast.task, env.observation_size["robot"], env.action_size["robot"])

@@ -87,7 +87,7 @@ class PPOConfig(Hyperparameters):
     # policy; 0 turns the memory off.
     latent: NonNegativeInt = 0
     kl_coef: NonNegativeFloat = 0.0  # weight of the latent's KL divergence in the method's loss
-    # Episodes in a row with one partner and wish, over which a robot remembers and is paid.
+    # Episodes in a row with one partner and preference, over which a robot remembers and is paid.
     series: PositiveInt = 1
     student_share: Annotated[float, Field(ge=0, lt=1)] = 0.0  # of a run: its end, a student's
 

@@ -30,11 +30,6 @@ LAYERS = {
         "assistax_envs.preferences",
         "assistax_envs.persons",
         "assistax_envs.own_settings",
-        # How robots train with the partners of a kind, loaded when they do.
-        "assistax_envs.adapters.partners",
-        "population.trainers.drawn_persons",
-        "population.trainers.frozen_partners",
-        "population.trainers.rotating_partners",
     ),
     "evaluation": ("assistax_base", "assistax_envs", "population", "zoo"),
     "assistax_zoo": ("assistax_base", "assistax_envs", "population", "zoo", "evaluation"),

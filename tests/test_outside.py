@@ -174,6 +174,27 @@ def test_the_outside_task_is_trained_for_the_gates(shell: Shell) -> None:
 
 
 @pytest.mark.slow
+def test_outside_teams_are_audited(shell: Shell) -> None:
+    options: list[Any] = ["--team", f"{TASK}/ippo-*", "--registry", shell.registry]
+    options += ["--episodes", "2"]
+    options += ["--passive-robot", "zero", "--backend", "native", "--json"]
+    audit = json.loads(shell("audit", TASK, *options))
+    assert (audit["task"], audit["env_version"], len(audit["teams"])) == (TASK, 1, 2)
+    assert {"script, passive human", "mistaken humans"} <= audit["figures"].keys()
+
+
+@pytest.mark.slow
+def test_outside_persons_have_gates(shell: Shell) -> None:
+    folder = shell.folder / "gates-persons"
+    sizes = ["--single", "2", "--backend", "native", "--json"]
+    gates = json.loads(shell("gates", "persons", TASK, folder, "--only", "script", *sizes))
+    assert gates[-1]["gate"] == "numbers inside their ranges" and gates[-1]["holds"]
+    played = json.loads((folder / "script.json").read_text())
+    assert played["about"]["task"] == TASK
+    assert len(played["sides"]["muscle"]["return"][0]) == 200
+
+
+@pytest.mark.slow
 def test_the_outside_task_keeps_the_contract(shell: Shell) -> None:
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", TASK]
     assert "passed" in shell.python(*words, "tests/envs/test_contract.py")

@@ -7,7 +7,7 @@
 
 All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
 is the disability setting, s the training seed, v the release; numbers have no leading zeros. A
-namespace and a colon stand before what another zoo published: lab:scratch/ippo-d3-s5-v1.
+namespace and a colon stand before the ids of another zoo: lab:scratch/ippo-d3-s5-v1.
 """
 
 import dataclasses
@@ -48,7 +48,7 @@ class TeamId:
     disability: str  # "d3": the human's setting, numbered as in `assistax_envs.disability`
     seed: int  # training seed
     release: str  # "v1"
-    namespace: str = ""  # under which another zoo was added; none for this one's own
+    namespace: str = ""  # of the added zoo; empty for this zoo's own teams
 
     def __post_init__(self) -> None:
         for name, pattern in _PATTERNS.items():

@@ -1,16 +1,15 @@
-"""Where things lie on this machine: the registry in use, the cache, zoos that were added, settings.
+"""Places on this machine: the registry in use, the cache, zoos that were added, settings.
 
     cache     shards/<sha256>.safetensors           whole shards, shared by all registries
-              registries/<remote>/registry.json     what remotes published
-              references/, xla/                     episodes to compare with, compiled programs
+              registries/<remote>/registry.json     registries of remotes
+              references/, xla/                     reference episodes, compiled programs
     data      added/<namespace>/                    zoos of `assistax-zoo add`
-              added/own/                            what the user published without naming a place
+              added/own/                            the user's own zoo, if a command names no place
               splits.json                           the user's splits of official partners
     settings  config.json                           the default remote
 
-The cache may be deleted at any time. What was added lies in the user's data folder: not in the
-cache, whose loss costs nothing, nor beside the registry, which an upgrade replaces and which may be
-read-only.
+The cache may be deleted at any time. Added zoos lie in the user's data folder, because an upgrade
+replaces the folder of the registry, which may be read-only too.
 """
 
 import errno
@@ -30,7 +29,7 @@ REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
 CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"
 REMOTE_VARIABLE = "ASSISTAX_ZOO_REMOTE"
 DATA_VARIABLE = "ASSISTAX_ZOO_DATA"
-OWN = "own"  # namespace of what the user published without naming a place
+OWN = "own"  # namespace of the user's own zoo
 BUILT_IN_REMOTE: str | None = None  # where a wheel's parameters are published; packagers set it
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -107,12 +106,12 @@ def own_splits_file() -> Path:
 
 
 def default_remote() -> str | None:
-    """Return `$ASSISTAX_ZOO_REMOTE`, what `config remote` set, or the wheel's own, if any."""
+    """Return the remote of `$ASSISTAX_ZOO_REMOTE`, of `config remote`, or of the wheel, if any."""
     return os.environ.get(REMOTE_VARIABLE) or _settings().get("remote") or BUILT_IN_REMOTE
 
 
 def set_default_remote(remote: str | None) -> None:
-    """Remember the remote that is asked when none is named; None forgets it."""
+    """Save the remote of commands that name no remote; None removes it."""
     kept = {name: value for name, value in _settings().items() if name != "remote"}
     settings = {**kept, **({"remote": remote} if remote else {})}
     write_json(data_root() / "config.json", settings)
@@ -120,7 +119,7 @@ def set_default_remote(remote: str | None) -> None:
 
 @contextmanager
 def write_errors(path: Path, size: int) -> Generator[None]:
-    """Turn an OSError while the cache or the data folder is written into a `CacheError`."""
+    """Raise a `CacheError` in place of an OSError of a write to the cache or the data folder."""
     own = path.is_relative_to(data_root())
     what, variable = ("data folder", DATA_VARIABLE) if own else ("cache", CACHE_VARIABLE)
     try:

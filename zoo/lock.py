@@ -38,7 +38,7 @@ class PinnedSplit(StrictModel):
 
 
 class Lock(StrictModel):
-    """What a lock file holds."""
+    """Content of a lock file."""
 
     lock_version: Literal[3]
     sha256: Sha256  # of all the rest
@@ -59,7 +59,7 @@ class Lock(StrictModel):
 
     @property
     def pins(self) -> dict[str, object]:
-        """What a registry must have, by name, as `_pinnable` gives it."""
+        """Values that a registry must have, by the names of `_pinnable`."""
         own = {split.id for split in self.own_splits}
         splits = {split.id: split.sha256 for split in self.splits.values() if split.id not in own}
         return {
@@ -95,11 +95,11 @@ def read_lock(path: Path) -> Lock:
 
 
 def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None = None) -> Registry:
-    """Return the registry narrowed down to what the lock pins, so that nothing else can be loaded.
+    """Return the registry with the pinned entries alone, so that nothing else can be loaded.
 
     Args:
         registry: The registry of this machine.
-        lock: What is allowed.
+        lock: The lock.
         task: Task that is about to be evaluated.
         split: The split that the user names, if any: only the pinned one is allowed, or a side.
 
@@ -163,7 +163,7 @@ def _check(registry: Registry, lock: Lock) -> None:
 
 def _pinnable(registry: Registry, release: str) -> dict[str, object]:
     """Return all that a lock of a release can pin, by the names of `Lock.pins`."""
-    part, name = registry.part_of(release)  # whatever was added to it
+    part, name = registry.part_of(release)
     data = registry.data
     return {
         **_named("environment version of", data.releases[release].environments),

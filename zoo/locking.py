@@ -1,4 +1,4 @@
-"""Making a lock: what a selection of policies and their splits are made of. See `zoo.lock`."""
+"""Make a lock, which pins a selection of policies and their splits. See `zoo.lock`."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Namespaces: what another zoo published, beside one's own, without a collision of ids.
+"""Namespaces: publications of other zoos beside one's own, without a collision of ids.
 
 Every key of the other registry gets `NAME:` in front: teams, egos, releases, runs, shards, splits
 and disability settings, whose numbers may differ from ours.

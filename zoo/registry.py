@@ -44,7 +44,7 @@ T = TypeVar("T")
 class Registry:
     """A validated registry and where it lies, with the zoos that were added to it."""
 
-    data: RegistryFile  # what other zoos published stands in it under their namespace
+    data: RegistryFile  # with the entries of other zoos under their namespaces
     path: Path
     # By namespace, task, algorithm, disability, seed, release, role.
     policies: list[PolicyEntry] = dataclasses.field(repr=False)
@@ -154,7 +154,7 @@ class Registry:
         return environments.get(entry.task, entry.training.env_version)
 
     def root(self, release: str) -> str:
-        """Return the root over all that a release holds here: what a result is traced to."""
+        """Return the root over all entries of a release here, by which results name the release."""
         part, name = self.part_of(release)
         return release_root(part.data, name)
 
@@ -200,7 +200,7 @@ class Registry:
         """Return a task's robots or humans, those of its default release, in registry order.
 
         Raises:
-            UnknownIdError: The release has none. The error names the allowed values.
+            UnknownIdError: The release has no such policies. The error names the allowed values.
         """
         return self.select(task=task, role=role, release=self.release_of(task))
 

@@ -1,7 +1,7 @@
-"""Writing a registry: which one, never against its history, as text laid out for small diffs.
+"""Writing of registries: never against their history, and as text laid out for small diffs.
 
-Official registries are written to only by those who make them. What others publish goes to a
-registry of theirs, or to the user's own zoo (`zoo.locations.own_registry`).
+Only the makers of official registries write to them. Other users publish to a registry of their
+own, or to the user's own zoo (`zoo.locations.own_registry`).
 """
 
 import json
@@ -19,19 +19,19 @@ from zoo.locations import own_splits_file, registry_path, write_errors
 from zoo.registry import Registry, build_registry, parse_registry, read_registry
 from zoo.schema import RegistryFile, Split
 
-MAKER_VARIABLE = "ASSISTAX_ZOO_MAKER"  # set by those who make official releases
+MAKER_VARIABLE = "ASSISTAX_ZOO_MAKER"  # set by the makers of official releases
 _WIDTH = 190  # of a line of the file
 
 
 def save_registry(data: RegistryFile, path: Path) -> Registry:
     """Write the content with its roots, atomically, and return it as a registry.
 
-    It is validated once more as text, and held against what the file published before.
+    It is validated once more as text, and compared with the file's earlier publications.
 
     Raises:
         RegistryError: It would not load.
         ImmutableError: Something that was published is gone or changed.
-        PublishError: What the file published before is an official release.
+        PublishError: The file holds an official release.
     """
     data = with_roots(data)
     text = dump_registry(data)
@@ -73,7 +73,7 @@ def keep_split(split: Split) -> None:
 
 
 def writable_registry(path: Path | str | None = None) -> Path | None:
-    """Return the registry that a publication goes to; None where it goes to the user's own zoo.
+    """Return the registry that a publication goes to; None for the user's own zoo.
 
     Args:
         path: The registry that the user named. If there is none, the registry in use is taken,
@@ -104,7 +104,7 @@ def refuse_official(path: Path) -> NoReturn:
         f"registry {path}",
         "a registry of your own",
         "releases of this project, which only its makers may change",
-        "name another registry, or none; your own teams and splits are then kept beside it",
+        "name another registry, or leave it out to keep your teams and splits in your own zoo",
         "nothing was written",
     )
 

@@ -1,9 +1,9 @@
-"""What `registry.json` holds, as frozen Pydantic models; an unknown field is an error.
+"""Content of `registry.json`, as frozen Pydantic models; an unknown field is an error.
 
 Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its
 spec is its shard's, and training provenance lies in `runs`, once for all teams of a run. Raise
-`SCHEMA_VERSION` where what was written before would be read otherwise. A field that an older
-installation does not know is refused by it, with the advice to upgrade.
+`SCHEMA_VERSION` if older files would be read otherwise. An older installation refuses a new field
+with the advice to upgrade.
 """
 
 import dataclasses
@@ -81,11 +81,11 @@ class Training(StrictModel):
     seconds: float | None = None
     versions: dict[str, str] = {}  # of jax, mujoco, ...
     hyperparameters: dict[str, Scalar] = {}
-    notes: dict[str, Scalar] = {}  # whatever else the trainer recorded
+    notes: dict[str, Scalar] = {}  # further records of the trainer
 
 
 class Citation(StrictModel):
-    """How those who made a release wish to be cited."""
+    """The citation of a release that its makers ask for."""
 
     authors: Annotated[
         tuple[Annotated[str, Field(max_length=200)], ...], Field(max_length=100)
@@ -97,7 +97,7 @@ class Citation(StrictModel):
 class Persons(StrictModel):
     """Persons of a task: rows of numbers that a formula gives, see `zoo.partners`."""
 
-    program: Annotated[int, Field(ge=1)]  # version of what acts by a row
+    program: Annotated[int, Field(ge=1)]  # version of the program that acts by a row
     count: Annotated[int, Field(ge=1, le=50_000)]
     sha256: Sha256  # of the table of rows, little-endian float32
     secret: Sha256 | None = None  # 256 bits in hex, of a season's hidden persons: gives their rows
@@ -164,7 +164,7 @@ class Team(StrictModel):
 
 
 class TrainedAgainst(StrictModel):
-    """The split whose training side an ego's partners were, wherever it is published."""
+    """Split whose training side an ego met; any zoo may have published it."""
 
     split: str
     sha256: Sha256
@@ -192,9 +192,9 @@ class Split(StrictModel):
     sha256: Sha256
     train: tuple[str, ...]
     test: tuple[str, ...]
-    # By which checkpoints, seeds and hyperparameters are chosen; none in splits of two sides.
+    # Side for the choice of checkpoints, seeds and hyperparameters; empty in splits of two sides.
     validation: tuple[str, ...] = ()
-    # Of gentle tasks: what the humans of each side like; none where nothing is held out.
+    # Of gentle tasks: preferences of each side's humans; empty if no preference is held out.
     preferences: dict[Side, tuple[str, ...]] = {}
 
     @property
@@ -303,7 +303,7 @@ class PolicyEntry:
     algorithm: str
     role: Role
     disability: str  # "d3"; "ego" for a robot without a human; "own" for a body of its own
-    setting: Disability | None  # what "d3" is, as the registry has it
+    setting: Disability | None  # numbers of "d3" in the registry
     seed: int
     release: str  # "v1"
     spec: PolicySpec  # of a partner that is no network another `SeatSpec`
@@ -327,7 +327,7 @@ class PolicyEntry:
         return self.setting
 
     def brief(self) -> dict[str, Any]:
-        """Return what a list says of it, JSON-ready."""
+        """Return the fields that a list of policies shows, JSON-ready."""
         names = ("id", "team", "task", "algorithm", "role", "disability", "seed", "release")
         figures = self.self_play.model_dump(mode="json") if self.self_play else None
         return {**{name: getattr(self, name) for name in names}, "self_play": figures}

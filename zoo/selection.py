@@ -74,7 +74,7 @@ def _matching(pattern: str, entries: list[PolicyEntry], everything: list[PolicyE
 
 
 def refuse_unknown(name: str, known: Sequence[str], what: str = "policy") -> NoReturn:
-    """Raise the error for an id or glob that matches none of the known ids, naming the nearest."""
+    """Raise the error for an id or glob without a match, which names the nearest known ids."""
     close = nearest(name, known)
     raise UnknownIdError(
         f"unknown {what} {shorten(name)}",

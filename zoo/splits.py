@@ -1,13 +1,12 @@
-"""Splits: which partners a robot may train with, and which it is tested with.
+"""Splits: partners for training a robot, and partners for its test.
 
-A split is a manifest: task, release, rule, seed, the sorted team ids of its sides, what their
-humans like where preferences are held out, and the sha256 of all that. Its sides are training and
-test; newer ones have a validation side too, by which every choice is made before the test side is
-played. Its id ends in the first
-eight digits of that sha256, so a published split never changes: when a release grows, its default
-split becomes a new one with a new id, and the old one stays for whoever cited it.
+A split is a manifest: task, release, rule, seed, the sorted team ids of its sides, the preferences
+of their humans if preferences are held out, and the sha256 of all these. Its sides are training and
+test. Newer splits have a validation side too, by which every choice is made before the test side is
+played. The id of a split ends in the first eight digits of that sha256, so a published split never
+changes. When a release grows, it gets a new default split with a new id, and the old split stays.
 
-`zoo.splitting` makes splits, by rules. Whoever reads one checks its content, its id, and that no
+`zoo.splitting` makes splits, by rules. A reader of a split checks its content, its id, and that no
 team stands on two sides.
 """
 
@@ -27,7 +26,7 @@ def check_split(split: Split) -> None:
     """Check that a split's content gives its sha256 and id, and that nothing leaks.
 
     Raises:
-        SplitError: The content differs from what was published, or a side is empty.
+        SplitError: The content differs from the published one, or a side is empty.
         LeakageError: A team is on two sides, or a preference of the test side on another.
     """
     content = split.content
@@ -135,7 +134,7 @@ def made_split(
         release: Their release.
         train: Ids of the training side, without roles.
         test: Ids of the test side, without roles.
-        held_out: What names it among the splits of the kind.
+        held_out: Name of the split among those of the kind.
     """
     fields = {"task": task, "release": release, "rule": rule, "held_out": held_out}
     content = {**fields, "n": None, "seed": 0, "train": tuple(train), "test": tuple(test)}

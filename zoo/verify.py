@@ -19,7 +19,7 @@ from zoo.schema import DisabilitySetting, PolicyEntry
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What `verify` looked at and found; notes are worth knowing but no failure."""
+    """Counts and findings of `verify`; its notes are no failures."""
 
     registry: str
     release: str
@@ -71,12 +71,12 @@ def verify(registry: Registry, *, key: Path | None = None) -> Report:
 
 
 def _shards_problems(registry: Registry) -> Iterator[str]:
-    """Yield the problems of every shard; a wheel has none of them, which is said in one line."""
+    """Yield the problems of every shard; of a wheel, which has no shards, a single line."""
     shards = list(registry.data.shards)
     absent = [shard for shard in shards if not registry.shard_path(shard).is_file()]
     if absent and len(absent) == len(shards):
         yield (
-            f"none of the {len(shards)} shards is here, no file at "
+            f"all {len(shards)} shards are missing, no file at "
             f"{registry.shard_path(shards[0])}: `assistax-zoo fetch` brings them"
         )
         return

@@ -12,10 +12,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from assistax_base.errors import ZooError, counted, printable, shorten
+from assistax_base.extensions import METHODS, METRICS, TASKS, usable_extensions
 from assistax_envs import compiled
 from assistax_envs.drawing.gl import CHOICE
+from assistax_envs.registered import OURS
 from assistax_zoo.shell.caches import KINDS, held
+from assistax_zoo.shell.installed import all_errors
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
+from population.hyperparameters import METHODS as OUR_METHODS
 from zoo.history.merkle import root_problems
 from zoo.locations import (
     CACHE_VARIABLE,
@@ -27,6 +31,7 @@ from zoo.locations import (
     default_remote,
     registry_path,
 )
+from zoo.partners.kinds import broken_kinds
 from zoo.registry import Registry, load_registry
 from zoo.transport.addresses import open_remote
 from zoo.transport.remotes import TransientError
@@ -105,6 +110,22 @@ def _extras() -> Iterator[Finding]:
                 {"extra": name, "packages": [package.name for package in missing]},
             )
     yield Finding("extras", "ok", f"installed: {', '.join(there) or 'none'}", {"installed": there})
+
+
+def _additions() -> Iterator[Finding]:
+    """Yield a finding for each addition of an installed package that cannot be used.
+
+    Commands and kinds of partners are imported, since every command reads them.
+    """
+    from assistax_zoo.shell.main import COMMANDS, GROUPS
+
+    errors = [*all_errors(COMMANDS, GROUPS), *broken_kinds()]
+    for group, taken in ((TASKS, OURS), (METHODS, OUR_METHODS), (METRICS, ())):
+        errors += usable_extensions(group, taken)[1].values()
+    for error in errors:
+        yield Finding("additions", "broken", printable(str(error)))
+    if not errors:
+        yield Finding("additions", "ok", "commands and partner kinds of other packages load")
 
 
 def _machine() -> Iterator[Finding]:
@@ -302,6 +323,7 @@ CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
     "python": _python,
     "packages": _packages,
     "extras": _extras,
+    "additions": _additions,
     "jax": _machine,
     "cache": _cache,
     "disk": _disks,

@@ -9,14 +9,14 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
 from assistax_base.errors import ZooError, lacks_memory, printable
 from assistax_envs.drawing.gl import told_choice
 from assistax_zoo.shell.console import remember_command
-from assistax_zoo.shell.installed import check_installed, installed_commands, installed_groups
+from assistax_zoo.shell.installed import broken_commands, installed_commands, installed_groups
 from assistax_zoo.shell.interrupts import EXIT_INTERRUPT, end_now, ended_by_interrupts, interrupted
 from zoo.locations import cache_root
 
@@ -124,10 +124,10 @@ def _run(arguments: Sequence[str]) -> int:
     _use_compilation_cache()
     try:
         _check_stdout()
-        app = build_app()
-        check_installed(arguments)
-        _add_subcommands(app, arguments)
-        _complete_help(app, arguments)
+        broken = broken_commands(arguments, COMMANDS, GROUPS)
+        app = build_app(leave_out=broken)
+        _add_subcommands(app, arguments, leave_out=broken)
+        _complete_help(app, arguments, [*map(str, broken.values())])
         remember_command(arguments)
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
         sys.stdout.flush()
@@ -150,9 +150,14 @@ def _run(arguments: Sequence[str]) -> int:
     return 0
 
 
-def all_commands() -> dict[str, str]:
-    """Return the import path of each command: "list", "split.create", "train.population"."""
-    return {**COMMANDS, **installed_commands(COMMANDS)}
+def all_commands(leave_out: Collection[str] = ()) -> dict[str, str]:
+    """Return the import path of each command: "list", "split.create", "train.population".
+
+    Args:
+        leave_out: Commands of other distributions that are left out.
+    """
+    installed = installed_commands(COMMANDS)
+    return COMMANDS | {name: path for name, path in installed.items() if name not in leave_out}
 
 
 def all_groups() -> dict[str, str]:
@@ -160,8 +165,12 @@ def all_groups() -> dict[str, str]:
     return {**GROUPS, **installed_groups(GROUPS)}
 
 
-def build_app() -> App:
-    """Return the app with every command registered and not yet imported."""
+def build_app(leave_out: Collection[str] = ()) -> App:
+    """Return the app, with every command registered and not yet imported.
+
+    Args:
+        leave_out: Commands of other distributions that are left out.
+    """
     app = App(
         name="assistax-zoo",
         help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
@@ -176,7 +185,7 @@ def build_app() -> App:
         name: App(name=name, help=text, group=boxes.get(name))
         for name, text in all_groups().items()
     }
-    for name, path in all_commands().items():
+    for name, path in all_commands(leave_out).items():
         first, dot, second = name.partition(".")
         if not dot:
             app.command(path, name=name, group=boxes.get(name))
@@ -196,24 +205,26 @@ def in_options(error: Exception) -> str:
     return f" ({option})" if option else ""
 
 
-def _add_subcommands(app: App, arguments: Sequence[str]) -> None:
+def _add_subcommands(app: App, arguments: Sequence[str], leave_out: Collection[str] = ()) -> None:
     """Register the commands under one that also runs alone: it is loaded, so only if named."""
     groups = all_groups()
-    for name, path in all_commands().items():
+    for name, path in all_commands(leave_out).items():
         first, dot, second = name.partition(".")
         if dot and first not in groups and [first] == [*arguments[:1]]:
             app[first].command(path, name=second)
 
 
-def _complete_help(app: App, arguments: Sequence[str]) -> None:
-    """Load the commands of a group's help; end a command's help with its docstring's example."""
+def _complete_help(app: App, arguments: Sequence[str], notes: Sequence[str] = ()) -> None:
+    """Load the commands of a group's help; end a help page with its example, then with notes."""
     named = app.parse_commands([word for word in arguments if word not in app.help_flags])[1][-1]
     named.resolved_commands()
-    if named.default_command is None:
-        return
-    docstring = inspect.getdoc(named.default_command) or ""
+    parts = [f"left out: {note}" for note in notes]
+    command = named.default_command
+    docstring = (inspect.getdoc(command) if command else None) or ""
     if example := re.search(r"^Examples?:\n(?:(?: {4}.*)?\n?)+", docstring, re.MULTILINE):
-        named.help_epilogue = example.group().strip().replace(":\n", ":\n\n", 1)
+        parts.insert(0, example.group().strip().replace(":\n", ":\n\n", 1))
+    if parts:
+        named.help_epilogue = "\n\n".join(parts)
 
 
 def _use_compilation_cache() -> None:

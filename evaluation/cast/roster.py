@@ -88,8 +88,8 @@ class Roster:
         if len(views) > 1:
             names = [name for name in self.ids if self.members[name].view is not View.PLAIN]
             raise ValueError(
-                f"{names[0]} is told what humans like and other robots are not, or less; play them "
-                "apart"
+                f"{names[0]} observes secrets of the humans, and other robots observe fewer; play "
+                "them apart"
             )
         return views.pop() if views else View.PLAIN
 

@@ -103,7 +103,7 @@ def comparable(
             partner in the same episodes.
         parts: Names of methods that played with a part of the partners only; they keep what they
             have of the common ones, and take no partner from the others.
-        told: Whether robots that are told what humans like may stand beside others.
+        told: Whether robots that observe preferences may be compared with others.
 
     Raises:
         ValueError: They were not evaluated alike, or no common partner is left.

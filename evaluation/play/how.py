@@ -76,7 +76,7 @@ class PlaySettings:
 def default_episodes(task: str, series: int = 1) -> int:
     """Return how many episodes a pair plays if nothing else is asked for: whole series.
 
-    Where the partner's preferences take turns, every partner likes each of them equally often.
+    If the preferences take turns, every partner has each of them equally often.
     """
     turns = 2 * len(preferences_of(task)) or 8
     return math.ceil(turns / series) * series

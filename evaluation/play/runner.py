@@ -245,8 +245,8 @@ def _humans(
     parts, start = [], 0
     for stack in stacks:
         rows = slice(start, start := start + len(stack))
-        liked = None if preferences is None else preferences[rows]
-        parts.append(stack.spec.humans(stack.params, settings[rows], liked))
+        codes = None if preferences is None else preferences[rows]
+        parts.append(stack.spec.humans(stack.params, settings[rows], codes))
     humans: EnvParams = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     if job.view is not View.NUMBERS:
         return humans

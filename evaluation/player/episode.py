@@ -30,7 +30,7 @@ LARGEST_ABOUT = 1024 * 1024  # characters of a file's metadata
 LARGEST_VALUE = 1e5  # of any number that is shown: N, m, rad
 MOST_TARGETS, MOST_TERMS = 64, 32
 LONGEST_NAME = 200  # characters
-# What a wish says, its factor, digits and unit, and the words after it.
+# Factor, unit and words of each quantity that a person may prefer.
 PREFERENCE_WORDS = {
     "force": (1.0, "N", "a touch of {} N"),
     "speed": (100.0, "cm/s", "strokes at {} cm/s"),
@@ -107,7 +107,7 @@ def episode_content(episode: Episode) -> dict[str, Any]:
             for name, points in episode.targets.items()
         ],
         "touches": _touches(episode),
-        "wishes": [
+        "preferences": [
             {
                 "name": name,
                 "value": value,
@@ -245,14 +245,14 @@ def _column(rows: pl.DataFrame, name: str, width: int = 0, *, last: bool = True)
 def _preferred(rows: pl.DataFrame, name: str) -> float:
     values = _column(rows, f"wish_{name}")
     if values[0] <= 0.0 or (values != values[0]).any():
-        raise _UnplayableError(f"the person's wish of {name} changes, or is not above 0")
+        raise _UnplayableError(f"the person's preference of {name} changes, or is not above 0")
     return float(values[0])
 
 
 def _facts(episode: Episode) -> list[tuple[str, str]]:
     """Return the facts that are listed beside the scene, as pairs of name and text."""
     about = episode.about
-    wishes = [
+    preferences = [
         PREFERENCE_WORDS[name][2].format(_short(name, v)) for name, v in episode.preferences.items()
     ]
     steps = len(episode.reward) - 1
@@ -262,7 +262,7 @@ def _facts(episode: Episode) -> list[tuple[str, str]]:
         ("robot", about["robot"]),
         ("person", about["person"]),
         ("body", about["setting"]),
-        ("likes", ", ".join(wishes) or "nothing special: people of this task have no wishes"),
+        ("prefers", ", ".join(preferences) or "people of this task have no preferences"),
         ("task", f"{about['task']}, version {about['version']}. {REGISTERED[about['task']].goal}"),
         ("episode", f"{about['number']} of seed {about['seed']}, {steps} steps{end}"),
     ]

@@ -39,9 +39,9 @@ def worst_pair(folder: Path, registry: Registry, *, run_code: bool = False) -> d
     played = [row for row in identity["egos"] if row[0] == robot]
     received_robots(folder, played, registry, task, run_code=run_code)
     _check_human(folder, identity, human, registry)
-    liked = first_preferences(folder).get(human) if "preferences" in identity else None
+    preference = first_preferences(folder).get(human) if "preferences" in identity else None
     seats = {"robot": source_of(robot, folder, registry, run_code=run_code), "human": human}
-    return seats | {"task": task, "seed": int(identity["seed"]), "preference": liked}
+    return seats | {"task": task, "seed": int(identity["seed"]), "preference": preference}
 
 
 def _check_human(folder: Path, identity: Mapping[str, Any], name: str, registry: Registry) -> None:

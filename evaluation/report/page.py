@@ -180,7 +180,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
         images["returns by the partner's disability setting"] = trait_points(named)
     images["performance profile"] = drawn
     if summary["by_preference"]:
-        images["returns by what the human likes"] = trait_points(named, "preference")
+        images["returns by the human's preference"] = trait_points(named, "preference")
     if (folder / tables.BOUNDS_FILE).is_file():
         bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
         partners = partners.join(

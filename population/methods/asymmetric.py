@@ -1,4 +1,4 @@
-"""A critic that sees hidden facts: the world, the wishes and the partner's identity.
+"""A critic that sees hidden facts: the world, the preference and the partner's identity.
 
 Pinto et al., 2018, "Asymmetric Actor Critic for Image-Based Robot Learning". The actor is PPO's.
 """

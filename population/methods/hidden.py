@@ -24,8 +24,8 @@ _SETTING = ("strength", "elbow_range", "tremor")
 class WithHidden(ShowingMore):
     """An environment that also shows the partner's place and its hidden facts.
 
-    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is what it wishes, what its
-    body can do and, of persons, their 25 numbers, standardised.
+    "partner" [N, 1] is its place among the partners. "hidden" [N, W] is its preference, its
+    body's setting and, of persons, their 25 numbers, standardised.
 
     Args:
         env: The environment.
@@ -36,15 +36,15 @@ class WithHidden(ShowingMore):
     def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
         super().__init__(env)
         self._partners, self._num_envs = partners, num_envs
-        self._wishes = len(PREFERRED.get(env.task, ()))
+        self._preferences = len(PREFERRED.get(env.task, ()))
         self._numbers = standardised(partners.numbers)
-        width = self._wishes + len(_SETTING) + self._numbers.shape[1]
+        width = self._preferences + len(_SETTING) + self._numbers.shape[1]
         self.observation_size |= {WHO: 1, HIDDEN: width}
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)
         everything = state.obs["global"]
-        parts = [everything[:, everything.shape[1] - self._wishes :]]
+        parts = [everything[:, everything.shape[1] - self._preferences :]]
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])

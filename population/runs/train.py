@@ -328,9 +328,9 @@ def _provenance(
     config: TrainConfig, env: Environment, shares: DeviceShares, seconds: float
 ) -> Mapping[str, Any]:
     """Return the facts of a run that the registry records."""
-    likes = {"preferences": list(config.preferences)} if config.preferences else {}
+    preferences = {"preferences": list(config.preferences)} if config.preferences else {}
     return (
-        likes
+        preferences
         | config.view.claim
         | {
             "steps": config.updates * config.trainer.batch_steps,

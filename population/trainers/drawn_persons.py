@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from assistax_envs.persons import PersonPlayer, draw_persons, person_params
 from assistax_envs.persons.parameters import WIDTH
 from assistax_envs.persons.senses import SEAT_SIZES
 from population.environment import Environment
+from population.networks.stack import PolicyStack
 from population.trainers.frozen_partners import FrozenPartners
 
 
@@ -73,6 +74,15 @@ class DrawnPersons(FrozenPartners):
     ) -> None:
         self.role, self.player, self.rows, self.ids = "human", player, jnp.asarray(rows), (name,)
 
+    @classmethod
+    def of_stacks(cls, stacks: Sequence[PolicyStack], name: str) -> Self:
+        """Return the persons of stacks, one stack for each family; `name` is that of them all."""
+        players: list[Any] = [stack.spec.player() for stack in stacks]
+        tables = [stack.params["row"] for stack in stacks]
+        if len(players) == 1:
+            return cls(players[0], tables[0], name)
+        return cls(FamiliesPlayer(players), FamiliesPlayer.rows(tables), name)
+
     @property
     def params(self) -> jax.Array:
         """Their rows, as `act` takes them."""
@@ -92,7 +102,7 @@ class DrawnPersons(FrozenPartners):
         """Return the first person [N] in all simulations: `renewed` draws where episodes begin.
 
         Raises:
-            ValueError: Preferences are given, and persons have wishes of their own.
+            ValueError: Preferences are given, and persons have their own.
         """
         if preferences:
             raise ValueError("persons have their own preferences; leave preferences out")
@@ -103,7 +113,7 @@ class DrawnPersons(FrozenPartners):
         return self._of(draw_persons(keys, jnp.arange(len(self.rows), dtype=jnp.int32)))
 
     def settled(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
-        """Return the humans [N]: their wishes are their own."""
+        """Return the humans [N]: their preferences are their own."""
         return humans
 
     def sharing(self, split: str, size: int, envs: int, preset: int, preferences: Any) -> str:

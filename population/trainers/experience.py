@@ -49,7 +49,7 @@ class Simulations:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Series:
-    """Position of simulations in their series of episodes with one partner and wish."""
+    """Position of simulations in their series of episodes with one partner and preference."""
 
     turn: jax.Array  # [N] int32, the episode of the series
     begins: jax.Array  # [N] bool, the current observation starts an episode

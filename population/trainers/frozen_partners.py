@@ -85,11 +85,11 @@ class FrozenPartners:
         """Return the disability setting of each simulation of a member."""
         return [setting for setting in self._settings for _ in range(num_envs // len(self))]
 
-    def likings(self, num_envs: int, preferences: Sequence[str]) -> list[str]:
-        """Return the preference of each simulation of a member: every partner's take turns.
+    def preferences_in_turns(self, num_envs: int, preferences: Sequence[str]) -> list[str]:
+        """Return the preference of each simulation of a member; preferences take turns.
 
-        The next partner begins with the next one, so that few simulations of many partners have
-        all of them alike.
+        Each partner begins with another preference, so that few simulations of many partners have
+        all preferences equally often.
         """
         share = num_envs // len(self)
         return [
@@ -100,8 +100,8 @@ class FrozenPartners:
 
     def humans(self, num_envs: int, preferences: Sequence[str] = (), member: int = 0) -> EnvParams:
         """Return the humans [N] of a member's simulations; without preferences they are drawn."""
-        liked = self.likings(num_envs, preferences) if preferences else None
-        return disability_params(self.settings(num_envs), liked)
+        names = self.preferences_in_turns(num_envs, preferences) if preferences else None
+        return disability_params(self.settings(num_envs), names)
 
     def renewed(self, humans: EnvParams, keys: jax.Array) -> EnvParams:
         """Return the humans [N] of episodes that begin from `keys` [N]: the same as before."""
@@ -121,11 +121,11 @@ class FrozenPartners:
             size: Partners of that side.
             envs: Simulations of a member.
             preset: Simulations of a member in the preset.
-            preferences: Names of what the humans like; empty if it is drawn.
+            preferences: Names of the humans' preferences; empty if they are drawn.
         """
-        likes = ", ".join(preferences)
+        names = ", ".join(preferences)
         line = (
-            f"{counted(len(self), 'partner')} of {split}{likes and f' under {likes}'}, "
+            f"{counted(len(self), 'partner')} of {split}{names and f' under {names}'}, "
             f"{counted(envs // len(self), 'simulation')} each"
         )
         return line if envs == preset else f"{line}, {envs} in place of the preset's {preset}"

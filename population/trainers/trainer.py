@@ -210,7 +210,7 @@ class Trainer(abc.ABC):
     def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
         """Return the environment's state at the start of an episode in each simulation [N].
 
-        `keys` are the members' [M]. Within a series the human and its wish stay.
+        `keys` are the members' [M]. Within a series the human and its preference stay.
         """
         keys = _simulation_keys(keys, self.config.num_envs)
         if not self.partners:

@@ -6,12 +6,14 @@ import re
 import shutil
 import sys
 import tomllib
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from assistax_base.extensions import COMMANDS, HEADS, METHODS, PARTNERS, TASKS
 from assistax_envs import compiled
 from assistax_zoo.shell import doctor, main, requirements
 from tests.zoo.conftest import put, trained_teams
@@ -63,13 +65,28 @@ def test_a_sound_installation_has_nothing_broken(here: Path, capsys) -> None:
     topics = examined(capsys)
     assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before
     expected = "python packages extras jax backend compilers cache disk registry added remote"
-    assert topics.keys() >= {*expected.split()}
+    assert topics.keys() >= {*expected.split(), "additions"}
     assert topics["backend"][0]["details"] == {"auto": "fused"}
     registry = topics["registry"][0]["details"]
     assert (registry["roots"], registry["absent_shards"]) == (True, 0)
     assert registry["releases"] == ["v0"]
     kinds = [finding["details"]["kind"] for finding in topics["cache"] if finding["details"]]
     assert kinds == ["shards", "registries", "references", "xla", "fused"]
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [(COMMANDS, "forces"), (HEADS, "plot"), (PARTNERS, "test"), (METHODS, "gru"), (TASKS, "The")],
+)
+def test_broken_additions_of_packages_are_named(
+    group: str,
+    name: str,
+    install_package: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    install_package(group, name, "textwrap:nothing")
+    [finding] = examined(capsys, 1)["additions"]
+    assert f"{name!r} of the package outside 0.3 (textwrap:nothing)" in finding["text"]
 
 
 def test_problems_come_first_and_end_with_1(here: Path, monkeypatch, capsys) -> None:

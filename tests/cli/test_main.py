@@ -19,6 +19,7 @@ from assistax_zoo.shell import console, installed, main
 
 ROOT = Path(__file__).parents[2]
 FIRST_WORDS = {name.split(".")[0] for name in main.all_commands()}
+ALL_PATHS = main.all_commands()
 ALL_COMMANDS = [tuple(name.split(".")) for name in main.all_commands()]
 
 
@@ -195,23 +196,45 @@ def test_a_package_cannot_replace_a_command(
 ) -> None:
     group = extensions.HEADS if name in main.GROUPS else extensions.COMMANDS
     install_package(group, name, "textwrap:dedent")
-    assert main.run(["list"]) == 1
-    message = capsys.readouterr().err
-    assert f"'{name}' of the package outside 0.3 (textwrap:dedent): expected a name of" in message
+    assert main.all_commands() == ALL_PATHS and main.all_groups()["plot"] == main.GROUPS["plot"]
+    assert main.run(name.split(".")[:-1]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"'{name}' of the package outside 0.3 (textwrap:dedent): expected a name of" in printed
+    assert main.run([*name.split("."), "--help"]) == 0
 
 
+@pytest.mark.parametrize("name", ["plot.forces", "forces"])
 def test_a_broken_command_names_its_package(
-    install_package: Callable[..., None], capsys, tmp_path: Path
+    install_package: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    name: str,
 ) -> None:
     (tmp_path / "outside_commands.py").write_text("import no_such_module\n")
-    install_package(extensions.COMMANDS, "plot.forces", "outside_commands:forces")
-    for words in (["plot", "forces", "--help"], ["plot", "--help"], ["plot"]):
-        assert main.run(words) == 1
+    install_package(extensions.COMMANDS, name, "outside_commands:forces")
+    words = name.split(".")
+    for wanted in (words, [*words, "--help"]):
+        assert main.run(wanted) == 1
         message = capsys.readouterr().err
-        assert message.startswith("error: the command 'plot.forces' of the package outside 0.3 ")
+        assert message.startswith(f"error: the command '{name}' of the package outside 0.3 ")
         assert "No module named 'no_such_module'" in message
-    for words in (["plot", "zsc", "--help"], ["--version"]):
-        assert main.run(words) == 0
+    for wanted in (words[:-1], [*words[:-1], "--help"]):
+        assert main.run(wanted) == 0
+        printed = " ".join(capsys.readouterr().out.split())
+        assert f"left out: the command '{name}' of the package outside 0.3 " in printed
+        assert ("zsc" if "plot" in wanted else "evaluate") in printed
+    for wanted in (["plot", "zsc", "--help"], ["--version"]):
+        assert main.run(wanted) == 0
+
+
+def test_a_broken_group_is_left_out(
+    install_package: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    install_package(extensions.HEADS, "lab", "textwrap:no_such_text")
+    assert main.run(["--help"]) == 0
+    assert "the group of commands 'lab'" in " ".join(capsys.readouterr().out.split())
+    assert main.run(["lab", "run"]) == 1
+    assert "has no attribute 'no_such_text'" in capsys.readouterr().err
 
 
 def test_a_package_adds_a_figure_command(

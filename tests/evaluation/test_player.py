@@ -327,7 +327,7 @@ def test_page_handles_keys_and_shows_preferences(
         for _ in range(worst):
             page.keyboard.press("ArrowRight")
         expect(page.get_by_text(f"{episode.force[worst]:.1f} N").first).to_be_visible()
-        expect(page.locator(".episode-now").get_by_text("harder than liked")).to_be_visible()
+        expect(page.locator(".episode-now").get_by_text("harder than preferred")).to_be_visible()
         expect(page.get_by_text("robot", exact=True).first).to_be_visible()
         page.evaluate(WORDS)
         page.keyboard.press(" ")

@@ -1,8 +1,18 @@
-"""The questions for new readers have answers in the code, and docstrings are drawn by a seed."""
+"""The questions for new readers and the tables of tests name code that exists.
 
+Docstrings are drawn by a seed.
+"""
+
+import csv
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from tools.questions import DRAWN, draw_docstrings, lost_answers, main, read_questions
+
+ROOT = Path(__file__).parents[2]
+# A file of tests, with or without a test of it; or another test of the file named before.
+NAMED = re.compile(r"([\w/]*test_\w+)(?:\.py)?(?:::(test_\w+))?|::(test_\w+)")
 
 
 def test_questions_have_answers_in_the_code() -> None:
@@ -27,3 +37,33 @@ def test_drawn_docstrings_hide_their_functions(capsys) -> None:
     assert main(["docstrings", "3"]) == 0
     printed = capsys.readouterr().out
     assert drawn[0][1] in printed and drawn[0][0] not in printed
+
+
+def lost_tests(cells: list[str]) -> Iterator[str]:
+    """Yield the files and tests that the cells of a table name, and that do not exist."""
+    for cell in cells:
+        files: list[Path] = []
+        for named, test, another in NAMED.findall(cell):
+            if named:
+                files = [*ROOT.glob(f"tests/**/{named.removeprefix('tests/')}.py")]
+            name = test or another
+            sources = [path.read_text("utf-8") for path in files]
+            if not any(not name or re.search(rf"\bdef {name}\(", text) for text in sources):
+                yield f"{named}::{name}" if name else named
+
+
+def test_tables_name_existing_tests() -> None:
+    tables = sorted((ROOT / "docs/tables").glob("*.csv"))
+    cells = [
+        cell
+        for path in tables
+        for row in csv.reader(path.read_text("utf-8").splitlines())
+        for cell in row
+    ]
+    assert sum(len(NAMED.findall(cell)) for cell in cells) > 150
+    assert list(lost_tests(cells)) == []
+    here = "tests/tools/test_questions.py::test_tables_name_existing_tests"
+    assert list(lost_tests([f"{here}, ::test_gone, tests/tools/test_gone.py"])) == [
+        "::test_gone",
+        "tests/tools/test_gone",
+    ]

@@ -34,8 +34,8 @@ def test_stages_write_returns_by_robot_and_person(
         *(f"script with {side}" for side in (SINGLE, *STRANGERS)),
         *(f"search, round {turn} of 5" for turn in range(1, 6)),
         *(f"search with {side}" for side in STRANGERS),
-        "wishes read by probe",
-        "wishes read by script",
+        "preferences read by probe",
+        "preferences read by script",
     ]
     found = files["search"]
     assert len(found["scores"]) == 25 and set(found["numbers"]) == set(SCRIPTS[TASK].ranges)
@@ -94,7 +94,7 @@ def test_gates_are_read_from_what_was_earned() -> None:
     idle = found["robot trained with idle persons"]
     assert idle.holds
     assert idle.value == pytest.approx(0.4, abs=0.1)
-    told = found["told the wishes, muscle: more"]
+    told = found["told the preference, muscle: more"]
     assert told.holds
     assert told.ci[0] < 0.3 < told.ci[1]
     back = found["a memory wins back, of that"]
@@ -123,7 +123,7 @@ def test_gates_that_are_missed_say_so() -> None:
         "script with the same persons: return",
         "script with the same persons: safe success",
         "robot trained with idle persons",
-        "told the wishes, muscle: more",
+        "told the preference, muscle: more",
     ):
         assert found[name].holds is False, name
     assert "needs gru" in found["a memory wins back, of that"].told

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_workshop.gates.persons import recipe_with_persons
+from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
 from population.trainers.gae import advantages
 
 PUSHES, STAY = 0.1, 60  # share of pushes among the robot's acts, steps in the mouth
@@ -48,3 +48,7 @@ def test_recipe_with_persons_prefers_to_wait(task: str) -> None:
 
 def test_shorter_traces_prefer_to_push() -> None:
     assert [preferred_act(decay) for decay in (0.0, 0.95, 1.0)] == ["push", "push", "wait"]
+
+
+def test_task_without_a_recipe_keeps_the_preset() -> None:
+    assert recipe_with_persons("scratch") == {"learning_rate": 5e-4, **WITH_PERSONS}

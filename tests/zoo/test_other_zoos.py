@@ -245,7 +245,7 @@ def test_the_default_remote_is_set_once(
     bare.write_bytes(registry.path.read_bytes())
     installed = load_registry(bare)
     [problem] = verify(installed).problems  # one line, not one for each shard
-    assert "none of the 2 shards is here" in problem and "assistax-zoo fetch" in problem
+    assert "all 2 shards are missing" in problem and "assistax-zoo fetch" in problem
     with pytest.raises(RemoteError, match="config remote"):
         fetch(installed, installed.policies)
     assert run(["config", "remote", str(registry.path.parent)]) == 0

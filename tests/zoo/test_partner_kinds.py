@@ -1,6 +1,7 @@
 """Kinds of partners of installed packages, by entry points."""
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from population.networks.seat import SeatSizes
 from population.networks.stack import PolicyStack
 from zoo.exports.card import find_cards
 from zoo.ids import compile_pattern
-from zoo.partners.kinds import kinds
+from zoo.partners.kinds import OWN_KINDS, broken_kinds, kinds
 from zoo.partners.source import PartnerSource, made_entry
 from zoo.registry import Registry, read_registry
 from zoo.splits import made_split
@@ -114,12 +115,43 @@ def test_package_adds_a_kind(install_package: Callable[..., None], official: Reg
         ("still", f"{__name__}:ROOT", "a subclass of PartnerSource"),
         ("still", "zoo.partners.source:PartnerSource", "the word None"),
         ("other", f"{__name__}:Still", "`word` is 'other'.*the word 'still'"),
-        ("persons", "zoo.partners.persons:Persons", "a partner kind of assistax-zoo"),
+        ("validation", f"{__name__}:Still", "a word that is not a side of splits"),
     ],
 )
-def test_broken_or_colliding_kind_is_named(
+def test_broken_kind_fails_only_queries_for_it(
     install_package: Callable[..., None], official: Registry, name: str, value: str, words: str
 ) -> None:
+    before = official.split(TASK), official.split("gentle_scratch", "persons")
+    kinds.cache_clear()
+    installed = dataclasses.replace(official)
     install_package(PARTNERS, name, value)
+    for pattern in (f"{TASK}/{name}-*", f"{TASK}/{name}-1-v1/human"):
+        with pytest.raises(ExtensionError, match=words):
+            installed.select(pattern)
+    source = installed.source_asked(None, name)
+    assert source is not None
     with pytest.raises(ExtensionError, match=words):
-        official.select("scratch/*")
+        source.choose(TASK, None, name)
+    assert len(installed.select("scratch/*")) == len(official.select("scratch/*"))
+    assert (installed.split(TASK), installed.split("gentle_scratch", "persons")) == before
+    assert installed.source_asked("validation", None) is None
+    assert re.search(words, str(broken_kinds()[0]))
+
+
+@pytest.mark.parametrize("name", ["persons", "Still"])
+def test_words_of_kinds_cannot_be_taken(
+    install_package: Callable[..., None], official: Registry, name: str
+) -> None:
+    install_package(PARTNERS, name, f"{__name__}:Still")
+    assert kinds() == OWN_KINDS
+    [error] = broken_kinds()
+    assert f"the partner kind '{name}' of the package outside 0.3" in str(error)
+
+
+def test_two_packages_of_one_kind_are_refused(
+    install_package: Callable[..., None], official: Registry
+) -> None:
+    install_package(PARTNERS, "still", f"{__name__}:Still")
+    install_package(PARTNERS, "still", f"{__name__}:Still", package="twin")
+    with pytest.raises(ExtensionError, match=r"package twin 0\.3 .* of outside 0\.3"):
+        official.select("scratch/still-*")

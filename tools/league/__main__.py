@@ -74,7 +74,7 @@ def row(
     """Make a row from nothing: train, choose by the validation side, play the test side.
 
     OUT/TASK/ROW is the evaluation with the test side, and OUT/TASK/runs/ROW has the trainings, the
-    validation and row.json: seeds, steps, command and device minutes. What was interrupted goes on.
+    validation and row.json: seeds, steps, command and device minutes. An interrupted row continues.
 
     Args:
         name: Row, such as ppo; `rows` prints them.
@@ -83,14 +83,14 @@ def row(
         split: Split of three sides, or persons; default the release's own.
         seeds: How many, or which; default 32, and 64 in gentle_lift.
         part: 2/4 trains the second quarter of the seeds, and chooses by the validation side. all/4
-            puts the four together, wherever each was made, and plays the test side.
+            joins the four, which may come from several machines, and plays the test side.
         steps: Environment steps of each robot, such as 50M.
         episodes: Of each pair; default the task's.
         seed: Seed of the episodes.
         checkpoints: At how many equal steps the validation side is played.
-        best_of: Of how many seeds the best is the row ppo-best-of-4's.
+        best_of: Seeds of a group; the best of each group is a robot of the row ppo-best-of-4.
         sampled: Partners of the side that have best responses.
-        side: Whose partners these are. With those of the training side the best robots of all
+        side: Side of these partners. With those of the training side the best robots of all
             methods in OUT play too, and the folder is OUT/TASK/training-side.
         persons: How many persons of the test side play.
         validators: How many of the validation side; default as many.
@@ -138,7 +138,7 @@ def queue(file: Path, /, *, out: Path) -> None:
     """Make many rows on all GPUs of this host, several side by side on each.
 
     Each line of FILE has the GB of memory that JAX takes for a row, and the words of `row`.
-    OUT/logs has what each row says. What was interrupted goes on by the same command.
+    OUT/logs has the output of each row. After an interruption the same command continues.
 
     Args:
         file: The queue, such as docs/data/league/queue.txt.
@@ -170,8 +170,8 @@ def page(
         out: Folder of the tables; FOLDER/page if not given.
         images: Folder of the figures; that of the tables if not given.
         contrasts: File of named contrasts.
-        text: Page to write; none if not given.
-        earlier: Tables of an earlier page, whose rows that FOLDER lacks are shown too.
+        text: Page to write; if not given, no page is written.
+        earlier: Tables of an earlier page; its rows are shown too if FOLDER lacks them.
 
     Example:
         python -m tools.league page league --contrasts contrasts.toml --text league/page/page.md
@@ -190,7 +190,7 @@ def cards(
 
     Args:
         pattern: Glob over robots.
-        out: Folder; what it holds already is not made again.
+        out: Folder; cards and films that it has are not made again.
         persons: Most persons that play with a robot.
         steps: Steps of 20 ms in a film.
 

@@ -53,7 +53,7 @@ def validation_curves(curves: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figur
 def failures(by_partner: pl.DataFrame) -> pl.DataFrame:
     """Return each row's mean with each partner as a share of the best row's with that partner.
 
-    Partners with whom no row earns anything have no share.
+    If no row has a return above 0 with a partner, its share is null.
 
     Args:
         by_partner: Of `evaluation.figures.league.League`.

@@ -63,8 +63,8 @@ class Making:
     folder: Path  # of the task
     command: str
     contrasts: Path | None = None
-    side: Side = "test"  # whose partners have best responses
-    part: Part | None = None  # of the seeds; None where all are trained at once
+    side: Side = "test"  # side of the partners that have best responses
+    part: Part | None = None  # of the seeds; None if all are trained at once
 
     @property
     def place(self) -> Path:
@@ -108,11 +108,11 @@ class Made:
 def make_row(making: Making) -> dict[str, Any]:
     """Train, choose and play a row, and return its record, which lies beside its trainings.
 
-    What was interrupted goes on, and what is finished is not repeated. A part of a row is trained
+    An interrupted stage continues, and a finished stage is not repeated. A part of a row is trained
     and chosen alone; its record lies in its folder.
 
     Raises:
-        ValueError: The split has no validation side, or what is there is of another row.
+        ValueError: The split has no validation side, or the folder has another row.
     """
     validation_side(making.registry, making.split)
     if making.side != "test" and making.row.source != "each":
@@ -134,7 +134,7 @@ def make_row(making: Making) -> dict[str, Any]:
         played[f"m_{making.side}"] = {"mean": mean.mean, "mean_ci": mean.mean_ci}
     path = (making.runs if played else making.training) / RECORD
     before = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    # What was found finished took no time now: it took what it took before.
+    # A stage that was finished before took no time now, so its earlier minutes count.
     old = before.get("device_minutes", {})
     minutes = {name: max(round(s / 60, 2), old.get(name, 0.0)) for name, s in seconds.items()}
     record = {
@@ -160,7 +160,7 @@ def make_row(making: Making) -> dict[str, Any]:
 
 
 def _robots(making: Making, seconds: dict[str, float]) -> Made:
-    """Train the robots of a row, or choose them where they are trained."""
+    """Train the robots of a row, or choose those that are trained already."""
     row, split = making.row, making.split
     if making.part and row.source != "train":
         raise ValueError(
@@ -245,7 +245,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     alone = row.source == "each" and bool(making.registry.source_of_split(split).word)
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
-    if split.task in PREFERRED and row.algorithm != "sac":  # SAC has none of PPO's hyperparameters
+    if split.task in PREFERRED and row.algorithm != "sac":  # the recipe is of PPO's hyperparameters
         recipe = recipe_with_persons(split.task)
     if not making.registry.source_of_split(split).word:
         # Every team gets the same share of the preset's simulations, and teams have no own will.

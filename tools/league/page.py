@@ -34,7 +34,7 @@ def write_page(
 ) -> list[Path]:
     """Write tables as CSV, three figures and the page of all tasks of a folder; return their paths.
 
-    Of each task: `TASK-league.csv`, `TASK-partners.csv` (who fails with whom), and
+    Of each task: `TASK-league.csv`, `TASK-partners.csv` (failures of robots by partner), and
     `TASK-validation.csv`; of all tasks: `rows.csv` (steps and device minutes) and, with a file of
     contrasts, `contrasts.csv`; the figures `league.png`, `validation.png` and `partners.png`.
 

@@ -65,14 +65,14 @@ class Part:
 
         Args:
             folder: Has the parts.
-            split: With whose training side they are to have learned.
-            seeds: Which they are to have, in this order.
-            best_of: Seeds of a group, whose best is chosen too.
+            split: Split that each part must have been trained with.
+            seeds: Seeds of all parts together, in this order.
+            best_of: Seeds of a group; the best seed of each group is chosen too.
 
         Raises:
-            ValueError: They have other seeds, or learned or were chosen otherwise; or the folder
+            ValueError: The parts have other seeds, or another training or choice; or the folder
                 has a training of all seeds at once.
-            FileNotFoundError: A part is not finished; says which.
+            FileNotFoundError: A part is not finished. The error names it.
         """
         whole_run = RunFolder(folder / TRAINED)
         if whole_run.checkpoints.exists() or whole_run.teams.exists():

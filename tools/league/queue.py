@@ -82,7 +82,7 @@ def read_queue(path: Path) -> list[Queued]:
     """Return the rows of a queue file; a line has the GB that JAX takes, and the words of `row`.
 
     Raises:
-        ValueError: A line is none; says which.
+        ValueError: A line names no row. The error has its number.
     """
     found = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):

@@ -49,7 +49,7 @@ class Played:
 
     task: str
     rows: tuple[ShownRow, ...]
-    by_partner: pl.DataFrame | None  # none of the training side
+    by_partner: pl.DataFrame | None  # None for the training side
     # By row, the mean return of its chosen robots with the validation side.
     validated: Mapping[str, float]
 
@@ -217,7 +217,7 @@ def results_page(
     if named and shown.contrasts is not None:
         contrasts, asked = _of_table(ShownContrast, shown.contrasts), named.contrasts
     missing = {task.task: [name for name in rows() if task.row(name) is None] for task in tasks}
-    # The best of each four seeds are another row's robots, whose training is counted there.
+    # The best of each four seeds are robots of another row, which counts their training.
     made = shown.records.filter(pl.col("row") != BEST_OF_FOUR)
     return _template("results").render(
         **places,

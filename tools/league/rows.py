@@ -34,7 +34,7 @@ class Row:
 
     @property
     def of(self) -> str:
-        """The row whose training this one uses."""
+        """Name of the row that provides the training."""
         return PPO if self.source == "best-of" else self.name
 
     @property

@@ -21,7 +21,7 @@ from tools.league.making import RUNS, TRAINING_SIDE
 from tools.league.parts import RECORD, TRAINED
 from tools.league.rows import rows
 
-# By what they hold; each task has a file of each, but of the last two all tasks have one.
+# Kinds of tables: a file for each task, but one for all tasks of the last two.
 LEAGUE, PARTNERS, TRAINING, VALIDATION = "league", "partners", TRAINING_SIDE, "validation"
 RECORDS, CONTRASTS = "rows", "contrasts"
 _KEY = ("task", "method", "baseline", "metric")
@@ -92,7 +92,7 @@ def read_tables(folder: Path) -> Tables:
     """Return the tables that an earlier page wrote.
 
     Raises:
-        FileNotFoundError: There are none.
+        FileNotFoundError: The folder has no such tables.
     """
     found: dict[str, dict[str, pl.DataFrame]] = {}
     for what in (LEAGUE, PARTNERS, TRAINING, VALIDATION):
@@ -183,7 +183,7 @@ def _with_families(league: League, place: Path) -> pl.DataFrame:
 
 
 def _curves(task: Path) -> pl.DataFrame | None:
-    """Return the learning curves of a task's rows, concatenated; None if there are none."""
+    """Return the learning curves of a task's rows, concatenated; None if no row has a curve."""
     found = [
         tables.read_parquet(path).select(pl.lit(row).alias("row"), pl.all())
         for row in ordered(place.name for place in (task / RUNS).glob("*"))

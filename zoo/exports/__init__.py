@@ -1,1 +1,1 @@
-"""What leaves the zoo to be read elsewhere: cards, and policies in other formats."""
+"""Exports for readers outside the zoo: cards, and policies in other formats."""

@@ -1,4 +1,4 @@
-"""A team's or policy's card: what it is, how it was trained, what it reaches, how to use it."""
+"""Card of a team or a policy: its spec, its training, its returns, and commands to use it."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
     """Return the card of a policy, or of both policies of a team, JSON-ready.
 
     Raises:
-        UnknownIdError: There is none of that id; the nearest ids are named.
+        UnknownIdError: No policy or team has that id. The error names the nearest ids.
     """
     entries = [entry for entry in registry.policies if name in (entry.id, entry.team)]
     entries = entries or registry.known([f"{name}/human"]) or [registry.policy(name)]
@@ -35,10 +35,10 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
 def write_card(
     cards: Sequence[Mapping[str, Any]], path: Path, image: Path | None = None, namespace: str = ""
 ) -> None:
-    """Write a card as Markdown; a picture stands in it relative to the card.
+    """Write a card as Markdown; the address of its picture is relative to the card.
 
-    A robot's may have `m_test`: `mean`, `mean_ci`, `n` partners, and the `split` that they are of.
-    In its commands `namespace` stands before ids: "NAME:" for a zoo that readers have to add first.
+    A robot's card may have `m_test`: `mean`, `mean_ci`, `n` partners, and their `split`. In
+    commands `namespace` is a prefix of ids: "NAME:" for a zoo that readers have to add first.
 
     Raises:
         ValueError: There is no such picture.
@@ -60,7 +60,7 @@ def markdown_card(
     Args:
         cards: Of each of its policies, see `find_cards`.
         image: Path or address of a picture, as it is to stand in the card.
-        namespace: What stands before its ids in commands; none for the official zoo.
+        namespace: Prefix of its ids in commands, such as "lab:"; empty for the official zoo.
     """
     first = cards[0]
     many = len(cards) > 1
@@ -95,7 +95,7 @@ def markdown_card(
 
 
 def _head(card: Mapping[str, Any]) -> str:
-    """Return what hubs read of a card: licence, kind, and M_test or the return in self-play."""
+    """Return the metadata for hubs as YAML: licence, kind, and M_test or the self-play return."""
     from huggingface_hub import EvalResult, ModelCardData
 
     task, m_test = card["id"].split("/")[0], card.get("m_test")
@@ -141,7 +141,7 @@ def _mean(figures: Mapping[str, Any]) -> str:
 
 
 def _flat(training: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Return the training's fields, those of an object by `name.key`, without what is unknown."""
+    """Return the known fields of a training, those of an object by `name.key`."""
     rows = []
     for name, value in training.items():
         pairs = value.items() if isinstance(value, Mapping) else ()
@@ -151,7 +151,7 @@ def _flat(training: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def render(template: str, **values: Any) -> str:
-    """Return a text of `zoo/templates`; what stands in a table's cell there is escaped."""
+    """Return the text of a template of `zoo/templates`; the filter `cell` escapes table cells."""
     import jinja2
 
     environment = jinja2.Environment(

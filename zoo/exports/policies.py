@@ -23,9 +23,9 @@ _WRITERS: dict[Format, str] = {  # functions of spec, parameters and metadata; l
 def export_policy(
     name: str, format: Format, out: Path, registry: Callable[[], Registry], *, force: bool = False
 ) -> dict[str, Any]:
-    """Write one policy, deterministic and with its normaliser, and return what was written.
+    """Write one policy, deterministic and with its normaliser, and describe the file, JSON-ready.
 
-    The same policy again writes nothing.
+    A file that holds the same policy is not written again.
 
     Args:
         name: A policy's id, or a `.safetensors` file that was exported before.

@@ -1,1 +1,1 @@
-"""What is published never changes: the tree of leaves, signatures, official and own splits."""
+"""History of publications: the tree of leaves, signatures, official and own splits."""

@@ -1,10 +1,10 @@
-"""One digest for all that a release is: the root of a Merkle tree over its entries.
+"""Root of a release: the digest of a Merkle tree over its entries.
 
 A leaf is the sha256 of one entry: a team with its self-play, an ego, a shard, a run's provenance, a
 split, a disability setting that is used, a task's persons, and the release's own record. A tree's
-node is the sha256 of its children's; an odd one goes up as it is. Entries are written without the
-fields that are at their defaults, so that a later schema gives the same leaves. A release grows by
-leaves, and never loses one but its own record, which names its default splits.
+node is the sha256 of its children's; an odd node goes up unchanged. Entries are written without
+the fields that are at their defaults, so that a later schema gives the same leaves. A release grows
+by leaves. Only the leaf of its own record, which names its default splits, may change.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from assistax_base.errors import IntegrityError
 from zoo.ids import EGO, parse_team
 from zoo.schema import RegistryFile
 
-RECORD = "release"  # the kind of the one leaf that may change
+RECORD = "release"  # kind of the leaf that may change
 
 
 def leaves(data: RegistryFile, release: str) -> dict[str, str]:
@@ -43,12 +43,12 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
 
 
 def release_root(data: RegistryFile, release: str) -> str:
-    """Return the root of what the registry holds of a release now, whatever it records."""
+    """Return the root of a release's present entries, which the recorded root may differ from."""
     return merkle_root(leaves(data, release).values())
 
 
 def with_roots(data: RegistryFile) -> RegistryFile:
-    """Return the registry with every release's root recorded; a signature of another root goes."""
+    """Return the registry with the root of every release; signatures of other roots are removed."""
     releases = {}
     for name, release in data.releases.items():
         root = release_root(data, name)
@@ -58,7 +58,7 @@ def with_roots(data: RegistryFile) -> RegistryFile:
 
 
 def root_problems(data: RegistryFile) -> list[str]:
-    """Return the releases whose entries are not those of the root that is recorded."""
+    """Return a message for each release whose entries differ from its recorded root."""
     return [
         f"release {name}: expected root {release.root}, found {found}; an entry, a split, a "
         "setting or the provenance of a run was changed, added or removed"
@@ -68,7 +68,7 @@ def root_problems(data: RegistryFile) -> list[str]:
 
 
 def check_roots(data: RegistryFile, source: str) -> None:
-    """Check that every release is what its root says; `source` names the registry in the error.
+    """Check every release against its recorded root; `source` names the registry in the error.
 
     Raises:
         IntegrityError: An entry was changed, added or removed.
@@ -84,7 +84,7 @@ def check_roots(data: RegistryFile, source: str) -> None:
 
 
 def lost_leaves(old: RegistryFile, new: RegistryFile) -> list[str]:
-    """Return what the old registry published and the new one lacks or has otherwise."""
+    """Return the names of the old registry's entries that the new one lacks or has changed."""
     lost = []
     for release, record in old.releases.items():
         versions = new.releases[release].environments if release in new.releases else {}

@@ -1,7 +1,7 @@
 """Official registries: releases of this project, which only its makers may change.
 
 A registry is official if one of its releases has the root of a release that came with this code,
-whatever the file is called and wherever it lies. `zoo.saving` writes to none of them.
+under any name and in any folder. `zoo.saving` never writes to an official registry.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ def is_official_file(path: Path) -> bool:
 
 
 def _recorded_roots(path: Path) -> frozenset[str]:
-    """Return the roots that a registry records; none where the file is no registry."""
+    """Return the roots that a registry records; empty if the file is no registry."""
     try:
         text = read_text(path, MAX_REGISTRY_BYTES, ZooError, "registry", "")
         roots = [release.get("root") for release in parse_json(text)["releases"].values()]

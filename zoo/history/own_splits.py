@@ -19,7 +19,7 @@ MAX_SPLITS_BYTES = 16 * 1024 * 1024
 
 
 class SplitsFile(StrictModel):
-    """What the file holds."""
+    """Content of the file of own splits."""
 
     schema_version: Literal[1] = 1
     splits: tuple[Split, ...]

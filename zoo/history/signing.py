@@ -26,7 +26,7 @@ def sign(release: str, root: str, key: Path) -> str:
 
 
 def check_signature(release: str, root: str, signature: str | None, key: Path) -> str | None:
-    """Return what is wrong with a release's signature, or None; the key is public, in PEM.
+    """Return the problem of a release's signature; None if it is valid. The key is public, in PEM.
 
     Raises:
         SignatureError: The file holds no such key.

@@ -1,1 +1,1 @@
-"""Whom a robot met in training: as the registry has it, and as others claim."""
+"""Partners that a robot met in training, by the registry or by the claims of others."""

@@ -1,4 +1,4 @@
-"""Whom a robot from outside met in training, as its file claims or its user declares."""
+"""Partners that a received robot met in training, by the claim of its file or its user."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -17,21 +17,21 @@ from zoo.met.published import (
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split, TrainedAgainst
 
-MOST_VERSIONS = 10_000  # of an environment: a claim beyond is none
-NOBODY = "nobody"  # what is declared of a robot that met no partner of the zoo
+MOST_VERSIONS = 10_000  # of an environment: a claim of a later one is ignored
+NOBODY = "nobody"  # declared of a robot that met no partner of the zoo
 
 
 def side_met(registry: Registry, split: Split) -> Met:
-    """Return what a robot met that was trained with a split's training side."""
+    """Return the partners of a robot that was trained with a split's training side."""
     partners = registry.source_of_split(split).identities(split)
     against = TrainedAgainst(split=split.id, sha256=split.sha256)
     return Met(source="registry", partners=partners, split=against)
 
 
 def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
-    """Return whom a robot met as its file claims; whoever wrote the file may have said anything.
+    """Return the partners that a robot met, by the claim of its file, which may be false.
 
-    Files that were written before they carried it name the policy that they are of, or the split.
+    Older files name their policy or the split of the training in place of the partners.
     """
     if "met" in metadata:
         try:
@@ -54,9 +54,10 @@ def claimed_met(registry: Registry, metadata: Mapping[str, Any]) -> Met:
 
 
 def claimed_version(metadata: Mapping[str, Any]) -> int | None:
-    """Return the version of the environment that a robot was trained in, as its file claims.
+    """Return the environment version of a robot's training, by its file.
 
-    None where it does not say so in a known form.
+    Returns:
+        None if the file names no valid version.
     """
     training = metadata.get("training")
     claims = metadata, training if isinstance(training, Mapping) else {}
@@ -65,16 +66,16 @@ def claimed_version(metadata: Mapping[str, Any]) -> int | None:
 
 
 def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str]) -> Met:
-    """Return whom a robot met as its user declares.
+    """Return the partners that a robot met, by the declaration of its user.
 
     Args:
         registry: Where the partners are looked up.
-        task: Whose partners.
+        task: Task of the partners.
         trained_with: "nobody"; or split ids, each for its training side, and globs over partners or
             teams.
 
     Raises:
-        ValueError: It is no text and no list of texts, or "nobody" stands beside others.
+        ValueError: It is no text and no list of texts, or "nobody" is one of several names.
         ZooError: There is no such split, or no partner matches.
     """
     names = [trained_with] if isinstance(trained_with, str) else list(trained_with)
@@ -106,7 +107,7 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
 
 
 def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[str]:
-    """Return the ids of the entries, humans all, that are among those a robot met."""
+    """Return the ids of those human entries that a robot met."""
     digests = set(humans.values())
     return frozenset(
         entry.id for entry in entries if entry.team in humans or entry.sha256 in digests
@@ -114,13 +115,11 @@ def known_humans(entries: Iterable[PolicyEntry], humans: Humans) -> frozenset[st
 
 
 def _with_partners(registry: Registry, met: Met) -> Met:
-    """Return a file's claim with the partners of the split that it names, if it lists none."""
+    """Return a file's claim; if it lists no partners, with those of the split that it names."""
     if met.split is None or met.partners:
         return met
     if (made := made_split_met(registry, met.split)) is None:
-        reason = (
-            f"split {shorten(met.split.split)}, of which its file speaks, is not in this registry"
-        )
+        reason = f"split {shorten(met.split.split)}, which its file names, is not in this registry"
         return Met(source="not known", split=met.split, reason=reason)
     return met.model_copy(update={"partners": made.partners})
 

@@ -1,8 +1,8 @@
-"""Whom a robot met in training: the partners that are not new to it.
+"""Partners that a published robot met in training, and which are not new to it.
 
 A team's robot learned with its own human. An ego was trained with frozen humans, those of a split's
 training side. Humans are told apart by the sha256 of their parameters, so that a human that was
-published under two ids is one human. `zoo.met.claims` has what others say of their robots.
+published under two ids is one human. `zoo.met.claims` reads what others claim of their robots.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,28 +19,28 @@ from zoo.schema import PolicyEntry, Split, StrictModel, Team, TrainedAgainst
 
 
 class Met(StrictModel):
-    """Whom a robot met in training, and who says so."""
+    """Partners that a robot met in training, and the source of this knowledge."""
 
     source: Literal["registry", "file", "declared", "not known"]
     own: Humans = Field(default={})  # humans that learned together with it
     partners: Humans = Field(default={})  # frozen humans that it was trained with
-    split: TrainedAgainst | None = None  # whose training side these are
+    split: TrainedAgainst | None = None  # split of which they are the training side
     reason: str = ""  # why nothing is known
 
     @property
     def known(self) -> bool:
-        """Whether anybody says it."""
+        """Whether the partners are known."""
         return self.source != "not known"
 
     @property
     def claim(self) -> dict[str, Any]:
-        """What a file of the robot says, JSON-ready; empty where nothing is known."""
+        """The claim for a file of the robot, JSON-ready; empty if nothing is known."""
         if not self.known:
             return {}
-        said = set(CLAIMED)
+        fields = set(CLAIMED)
         if self.split is not None and len(self.partners) > MOST_NAMED:
-            said -= {"partners"}  # whom the split says
-        return {"met": self.model_dump(mode="json", include=said, exclude_none=True)}
+            fields -= {"partners"}  # a reader takes them from the split
+        return {"met": self.model_dump(mode="json", include=fields, exclude_none=True)}
 
 
 NOT_KNOWN = Met(source="not known")
@@ -49,7 +49,7 @@ CLAIMED = ("own", "partners", "split")
 
 
 def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
-    """Return whom a published robot met, as the registry has it.
+    """Return the partners that a published robot met, by the registry.
 
     Args:
         registry: Has the robot; an ego's split may be of any zoo that was added to it.
@@ -73,15 +73,15 @@ def met_in_training(registry: Registry, robot: PolicyEntry) -> Met:
             partners = humans_of(teams, names, place)
             return Met(source="registry", partners=partners, split=against)
     problem = "has another sha256 in this registry" if named else "is not in this registry"
-    reason = f"split {shorten(against.split)}, with whose training side it was trained, {problem}"
+    reason = f"split {shorten(against.split)}, the split of its training, {problem}"
     return Met(source="not known", split=against, reason=reason)
 
 
 def made_split_met(registry: Registry, against: TrainedAgainst) -> Met | None:
-    """Return what a robot met that trained with a split which a kind of partner makes.
+    """Return the partners of a robot that trained with a split which a kind of partner makes.
 
     Returns:
-        None if no kind makes such a split, or makes another one now.
+        None if no kind makes that split, or if its content is now another.
     """
     task = plain_name(against.split).partition("/")[0]
     for source in registry.sources[1:]:
@@ -97,7 +97,7 @@ def made_split_met(registry: Registry, against: TrainedAgainst) -> Met | None:
 def _published_splits(
     registry: Registry, first: str
 ) -> Iterator[tuple[str, Mapping[str, Team], Split]]:
-    """Yield namespace, teams and split of each zoo, one zoo's before all others'."""
+    """Yield namespace, teams and split for each split of each zoo; the zoo `first` comes first."""
     for namespace in dict.fromkeys([first, *registry.parts]):
         data = registry.part(namespace).data
         for split in data.splits:

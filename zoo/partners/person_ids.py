@@ -15,7 +15,7 @@ _PERSON = re.compile(
 
 
 def parse_person(text: str) -> tuple[str, str, int, str] | None:
-    """Return namespace, task, number and release of a person's id; None of any other text."""
+    """Return namespace, task, number and release of a person's id; None for any other text."""
     match = _PERSON.fullmatch(text)
     if match is None:
         return None

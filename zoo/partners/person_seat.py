@@ -1,6 +1,6 @@
-"""What persons ask of the human's seat: a spec, which makes the player of all of a family.
+"""Spec of persons in the human's seat, which makes the player of a family.
 
-Imports no JAX until somebody plays.
+The module imports JAX only for play.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ class PersonSpec(SeatSpec):
     """Persons of a task and a family: one program, whose parameters are "row", [25] each."""
 
     own_preferences: ClassVar[bool] = True
-    episodes: ClassVar[int | None] = 4  # a person has one wish, and there are many persons
+    episodes: ClassVar[int | None] = 4  # a person has one preference, and there are many persons
 
     task: str
     family: str
@@ -25,7 +25,7 @@ class PersonSpec(SeatSpec):
 
     @property
     def observation_size(self) -> int:
-        """Width of what the human of the task observes."""
+        """Width of the human's observation in the task."""
         from assistax_envs.persons.senses import SEAT_SIZES
 
         return SEAT_SIZES[self.task][0]
@@ -38,20 +38,20 @@ class PersonSpec(SeatSpec):
         return SEAT_SIZES[self.task][1]
 
     def to_json(self) -> dict[str, Any]:
-        """Return what a card says of it."""
+        """Return the fields for a card."""
         return {"program": PROGRAM_VERSION, "family": self.family, "role": self.role}
 
     @property
     def digest(self) -> str:
-        """A name beside those of networks."""
+        """Name of the spec, which differs from those of networks."""
         return f"persons-{self.family}"
 
     def player(self) -> Player:
-        """Return what acts for them; imports JAX."""
+        """Return the player of the family; imports JAX."""
         return _player(self.task, self.family)
 
     def humans(self, params: Any, settings: Any, preferences: Any) -> Any:
-        """Return the bodies and preferences [P] that stacked rows say."""
+        """Return the bodies and preferences [P] of stacked rows."""
         from assistax_envs.persons.player import person_params
 
         return person_params(self.task, params["row"])

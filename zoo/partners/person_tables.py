@@ -107,12 +107,12 @@ def check_table(release: str, task: str, table: Persons) -> None:
             f"{here.count} rows of sha256 {here.sha256}",
             "fetch the registry again from its publisher, or report that this machine makes other "
             "rows",
-            "nobody was loaded",
+            "no person was loaded",
         )
 
 
 def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
-    """Return the entry of one person by its id; None where the registry has none of it."""
+    """Return the entry of one person by its id; None if the registry has no such person."""
     named = parse_person(policy)
     if named is None:
         return None
@@ -179,10 +179,10 @@ def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
 
 
 def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
-    """Return the split of persons that an id, or its beginning, names; None of another split.
+    """Return the split of persons with an id or its beginning; None for names of other splits.
 
     Raises:
-        SplitError: It is called a split of persons, and there is none of this name.
+        SplitError: The name is one of a split of persons, and there is no such split.
     """
     namespace, plain = split_namespace(name)
     plain = plain.removeprefix(f"{task}/")
@@ -232,7 +232,7 @@ def _entry(data: RegistryFile, release: str, someone: Person) -> PolicyEntry:
         number=someone.number,
         digest=someone.identity,
         env_version=data.releases[release].environments[someone.task],
-        # Strength and tremor are in what a person does, see `assistax_envs.persons.player`.
+        # A person's own program applies strength and tremor: `assistax_envs.persons.player`.
         setting=Disability(1.0, float(someone.row[index(someone.task)["range"]]), 0.0),
         disability=OWN,
         release=release,

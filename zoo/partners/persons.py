@@ -12,9 +12,7 @@ from zoo.schema import PolicyEntry, Split
 if TYPE_CHECKING:
     import numpy as np
 
-    from assistax_envs.adapters.partners import Partners
     from population.networks.stack import PolicyStack
-    from population.trainers.frozen_partners import FrozenPartners
 
 _SPLIT = re.compile(rf"{PERSONS}(-|$)")
 
@@ -23,10 +21,10 @@ class Persons(PartnerSource):
     """The persons that the registry's releases name."""
 
     word = PERSONS
-    own_preferences = True
+    own_preferences = drawn = True
     most = 200  # a command then takes minutes
     without_bytes = "a person, who is a program and its numbers"
-    pinned = "all of whom the release's root pins"
+    pinned = "which the release's root pins"
     has_numbers = True
 
     @classmethod
@@ -140,25 +138,6 @@ class Persons(PartnerSource):
     def settings(self, split: Split) -> list[list[Any]]:
         """Return nothing: a person's identity covers its body."""
         return []
-
-    def training_partners(self, split: Split, *, each: bool = False) -> "FrozenPartners":
-        """Return the persons of the training side: a new one each episode, or one each member."""
-        from assistax_envs.persons import PersonPlayer
-        from population.trainers.drawn_persons import DrawnPersons, FamiliesPlayer, OnePersonEach
-
-        stacks = self.stacks(self.known(f"{team}/human" for team in split.train))
-        players = [PersonPlayer(split.task, stack.spec.family) for stack in stacks]
-        tables = [stack.params["row"] for stack in stacks]
-        kind = OnePersonEach if each else DrawnPersons
-        if len(players) == 1:
-            return kind(players[0], tables[0], split.id)
-        return kind(FamiliesPlayer(players), FamiliesPlayer.rows(tables), split.id)
-
-    def vector_partners(self, task: str) -> "Partners":
-        """Return the persons of the training side for `vector_env`."""
-        from assistax_envs.adapters.partners import Persons as DrawnForEnvironments
-
-        return DrawnForEnvironments(task)
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":

@@ -1,4 +1,4 @@
-"""What a user asks of a split: which one, and which side of it."""
+"""Names of a split and of a side of it, as a user gives them."""
 
 from collections.abc import Collection
 
@@ -18,7 +18,7 @@ def parse_split(text: str | None, namespaces: Collection[str]) -> tuple[str | No
     the namespace of a zoo that was added ("lab:half-s0:both"), "lab:" alone for its default split.
 
     Raises:
-        ValueError: What stands after the last colon is no side.
+        ValueError: The text after the last colon is no side.
     """
     text = text or DEFAULT_SIDE
     namespace, _, rest = text.partition(":")

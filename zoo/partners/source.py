@@ -16,10 +16,8 @@ from zoo.partners.sides import DEFAULT_SIDE, SIDES
 from zoo.schema import PolicyEntry, Split, Training
 
 if TYPE_CHECKING:
-    from assistax_envs.adapters.partners import Partners
     from assistax_envs.disability import Disability
     from population.networks.stack import PolicyStack
-    from population.trainers.frozen_partners import FrozenPartners
     from zoo.registry import Registry
 
 
@@ -33,6 +31,8 @@ class PartnerSource:
         word: Names the kind where partners or a split are chosen, such as "persons", and is the
             rule of its splits. Empty for teams, which are chosen by their ids.
         own_preferences: Whether its partners bring preferences of their own.
+        drawn: Whether each episode of a training draws a person, by the "row" of its parameters.
+            If false, every partner has an equal share of the simulations.
         most: How many of a side play if no number is asked for. None for all.
         without_bytes: Why a partner has no bytes to export.
         pinned: Why a lock cannot pin a partner.
@@ -41,6 +41,7 @@ class PartnerSource:
 
     word: ClassVar[str]
     own_preferences: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
     most: ClassVar[int | None] = None
     without_bytes: ClassVar[str] = "a partner that a package makes"
     pinned: ClassVar[str] = "which a package makes"
@@ -189,41 +190,13 @@ class PartnerSource:
         return []
 
     def problems(self) -> Iterator[str]:
-        """Yield the problems of what the registry says of this kind."""
+        """Yield the problems of the registry's records of this kind."""
         yield from ()
 
     def settings(self, split: Split) -> list[list[Any]]:
         """Return id and disability setting of each partner of a split's training side."""
         entries = self.known(f"{team}/human" for team in split.train)
         return [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in entries]
-
-    def training_partners(self, split: Split, *, each: bool = False) -> "FrozenPartners":
-        """Return the partners of a split's training side, as a trainer of robots takes them.
-
-        Args:
-            split: Split whose training side is meant.
-            each: Give the first member the first partner alone, and so on.
-
-        Raises:
-            ValueError: `each` is asked for, and this kind has no such training.
-        """
-        from population.trainers.frozen_partners import FrozenPartners, PartnersWithBodies
-
-        if each:
-            raise ValueError(f"{self.word or 'teams'} cannot be one partner of each member")
-        entries = [self.registry.policy(f"{team}/human") for team in split.train]
-        settings = {entry.id: entry.partner_setting for entry in entries}
-        kind = PartnersWithBodies if self.own_preferences else FrozenPartners
-        return kind(self.registry.stacks(entries), settings)
-
-    def vector_partners(self, task: str) -> "Partners":
-        """Return the partners of the default split's training side for `vector_env`."""
-        from population.trainers.rotating_partners import RotatingPartners
-
-        dealt = self.split(task, self.word)
-        if dealt is None:
-            raise ValueError(f"task {task!r} has no {self.word}; choose other partners")
-        return RotatingPartners(self.training_partners(dealt))
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> Any:

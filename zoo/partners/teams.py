@@ -108,7 +108,7 @@ class Teams(PartnerSource):
         return humans_of(self.registry.data.teams, split.train)
 
     def offered(self, task: str, release: str) -> str | None:
-        """Return how to choose a release's default split; a release of egos alone has none."""
+        """Return how to choose a release's default split; None for a release of egos alone."""
         split = self.registry.data.releases[release].splits.get(task)
         return f"split {split}" if split else None
 
@@ -159,7 +159,7 @@ class Teams(PartnerSource):
         exact = [split for split in known if split.id == full]
         matching = exact or [split for split in known if split.id.startswith(f"{full}-")]
         newest, releases = registry.release_of(task), registry.data.releases.values()
-        # A split that a user made later does not change what the name of a default one means.
+        # A split that a user makes later does not take over the name of a default split.
         defaults = {id for release in releases for id in release.splits.values()}
         default = [split for split in matching if split.id in defaults]
         candidates = [matching, default]

@@ -17,8 +17,8 @@ from zoo.splits import leaks, refuse_leak
 from zoo.splitting.rules import LEAVE_ONE_OUT, THREE, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
 
-LEAST = 0.25  # of the median of what partners let robots earn; who lets them earn less leaves
-SINCE = 3  # release from which on such partners stand in no split but those made by hand
+LEAST = 0.25  # share of the median return; partners with whom robots earn less are left out
+SINCE = 3  # from this release on every rule but `custom` leaves them out
 
 
 def create_split(
@@ -35,10 +35,9 @@ def create_split(
 
     A split that exists is left as it is. An official registry is never written to: splits of its
     partners go to a file of the user's, and stand beside the published ones from then on.
-    A leave-one-out rule leaves out training partners that act nearly as one of the test partners
-    does. `three-sides` leaves them out too, and partners with whom nobody earns much: less than a
-    quarter of what the median partner lets its best response earn. From release v3 on every rule
-    but `custom` leaves the latter out.
+    A leave-one-out rule leaves out training partners that act nearly as a test partner does.
+    `three-sides` leaves them out too, and partners whose best response earns less than a quarter of
+    the median. From release v3 on every rule but `custom` leaves out partners of such low returns.
 
     Args:
         registry_path: The registry to write to; if not given, the one in use, or the user's own
@@ -48,8 +47,8 @@ def create_split(
         release: Release of the partners; the newest whole one that has the task if not given.
             "own:v0" is one of the user's own zoo.
         default: Make it the release's default split of the task.
-        earned: What the best response to a team's human earns, by team; of others it is what the
-            team earns itself.
+        earned: Return of the best response to a team's human, by team; for other teams the
+            self-play return is taken.
         **arguments: The others of `zoo.splitting.rules.make_split`.
 
     Raises:
@@ -105,14 +104,14 @@ def _checked_split(
             return split
         if rule not in (*LEAVE_ONE_OUT, THREE):
             raise similar_leak(split.id, alike)
-        twins = {pair.train for pair in alike}  # what is held out stays whole
+        twins = {pair.train for pair in alike}  # the held-out side stays whole
         partners = [team for team in partners if team not in twins]
 
 
 def competent(data: RegistryFile, teams: Iterable[str], earned: Mapping[str, float]) -> list[str]:
     """Return the teams whose human lets a robot earn `LEAST` of the median, or more.
 
-    A team of which nothing is known stays, and all stay where the median is not above 0.
+    Teams without a known return stay. If the median is not above 0, all teams stay.
     """
     teams = list(teams)
     own = {team: data.teams[team].self_play for team in teams}

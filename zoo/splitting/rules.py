@@ -14,9 +14,9 @@ hyperparameters are chosen, so that the test side is played once. Teams are deal
 stratum, each to the side that lacks most of its share so far: the sides have their shares of all
 teams to within one team, and nearly so of each stratum.
 
-With any rule, a gentle task's split may hold preferences out too: its test partners then like what
-no training partner did, nor any partner of the validation side. Such a split is another one, with
-an id of its own, so that new partners and new preferences are told apart.
+With any rule, a gentle task's split may hold preferences out too: its test partners then have
+preferences that no partner of the training and validation sides has. Such a split has an id of its
+own, so that results with new preferences differ from those with new partners alone.
 
 Humans that act nearly alike (`zoo/splitting/similar_humans.py`) may not stand on two sides.
 `zoo.splitting.create.create_split` leaves one of them out where the rule can do without, and
@@ -44,7 +44,7 @@ from zoo.splits import check_split, split_id
 LEAVE_ONE_OUT = {
     "leave-one-algorithm-out": "algorithm",
     "leave-one-disability-out": "disability",
-}  # what is held out
+}  # the held-out property
 THREE = "three-sides"
 SHARES = {"train": 0.60, "validation": 0.15, "test": 0.25}  # of the teams, by `three-sides`
 
@@ -76,8 +76,9 @@ def make_split(
         n: Number of training partners of `small-train`.
         train: Team ids of the train side of `custom`.
         test: Those of the test side.
-        train_preferences: What the train side's humans like; one side's alone leaves the rest.
-        test_preferences: What the test side's like.
+        train_preferences: Preferences of the train side's humans; if only one side's are given, the
+            other side has the rest.
+        test_preferences: Those of the test side's humans.
         groups: Convention group of each team, by which `three-sides` stratifies too.
 
     Raises:
@@ -140,7 +141,7 @@ def half_side(team: TeamId, seed: int = 0) -> Literal["train", "test"]:
 
 
 def _preferences(task: str, train: list[str], test: list[str]) -> dict[str, tuple[str, ...]]:
-    """Return what the humans of each side like: of one that names nothing, what the other lacks."""
+    """Return the preferences of each side; a side without any has those that the other lacks."""
     if not train and not test:
         return {}
     lists = {"train": (train, test), "test": (test, train)}

@@ -1,20 +1,18 @@
 """Partners that act alike: leakage between the sides of a split that no hash can see.
 
 Two humans of one network are compared by the mean absolute difference of their deterministic
-actions over fixed
-probes: observations drawn around the population's own normalisers, played in short sequences so
-    that recurrent
-policies show their memory.
+actions over fixed probes: observations drawn around the population's own normalisers, played in
+short sequences so that recurrent policies show their memory.
 
 `THRESHOLD` follows from the scratch teams of release v0. The 496 pairs of 32 humans differ by 0.29
 (the closest) to 0.98, 0.56 in the median. A copy in half precision differs by at most 0.002, a copy
-with 1 % of noise in every weight by 0.01, with 10 % by 0.06. So 0.1 lies above what copies reach,
-and three times below what training from another seed gives. Training further from a copy may move
-it beyond: what is alike here is a copy, what is not may be a relative.
+with 1 % of noise in every weight by 0.01, with 10 % by 0.06. So 0.1 lies above the differences of
+copies, and three times below those of trainings from two seeds. Further training of a copy may move
+it above 0.1: humans below the threshold are copies, humans above it may be related.
 
 In release v1 the closest of a task differ by 0.21 on scratch, 0.18 on bed bath and 0.095 on arm
-assist, where two pairs of MAPPO's humans, who have little to do there, stand below the threshold
-without being copies: they may share a side.
+assist. There two pairs of MAPPO's humans are below the threshold without being copies, because the
+task asks little of them. They may share a side.
 """
 
 import itertools

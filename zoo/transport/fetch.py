@@ -1,4 +1,4 @@
-"""Fetching partners: what a selection needs of a remote, in parallel, into the cache."""
+"""Fetch the shards of a selection of partners from a remote, in parallel, into the cache."""
 
 import dataclasses
 import threading
@@ -43,7 +43,7 @@ OnTotal = Callable[[int], Advance]
 
 @dataclasses.dataclass(frozen=True)
 class Report:
-    """What a fetch did; all that was selected is here now, with the registry's hashes."""
+    """Report of a fetch, after which all selected policies are here with the registry's hashes."""
 
     registry: str
     remote: str | None
@@ -65,10 +65,11 @@ def fetch(
     """Make sure that the entries' parameters are on this machine, verified.
 
     Args:
-        registry: Says which bytes; whatever the remote sends is held against it.
+        registry: Has the hashes, with which received bytes are compared.
         entries: Policies of the registry; those of an added zoo come from where it was added from.
         remote: Where to take missing shards from; None is enough when nothing is missing.
-        on_total: Given the number of bytes to come at most; returns what is called as they arrive.
+        on_total: Called with the most bytes to come; returns a function that is called with numbers
+            of received bytes.
 
     Raises:
         RemoteError: Shards are missing and the remote does not have them, or there is no remote.
@@ -120,7 +121,7 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
 
 
 def _has_bytes(entry: PolicyEntry) -> bool:
-    return bool(entry.shard)  # a person has none
+    return bool(entry.shard)
 
 
 def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:
@@ -131,11 +132,11 @@ def remote_registry(remote: Remote, accept: Accept = take_none) -> Registry:
         accept: See `zoo.transport.updates.check_update`.
 
     Raises:
-        IntegrityError: It lost or changed something that it published before, or its content is
-            not what its roots say.
-        UpdateError: It changed what its users get by default, and nobody accepted that.
+        IntegrityError: It lost or changed something that it published before, or its content
+            differs from its roots.
+        UpdateError: It changed a default of its users, and the change was not accepted.
         RemoteError: The remote has no registry, or cannot be reached.
-        RegistryError: What it has is no registry.
+        RegistryError: Its registry is malformed.
     """
     path = cached_registry(remote.name)
     try:
@@ -202,7 +203,7 @@ def _fetch_part(
 
 
 def _is_here(registry: Registry, shard: str) -> bool:
-    """Return whether a shard is on this machine; what is damaged in the cache is removed."""
+    """Return whether a shard is on this machine; a damaged file in the cache is removed."""
     path = registry.shard_path(shard)
     if not path.is_file():
         return False

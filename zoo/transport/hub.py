@@ -1,4 +1,4 @@
-"""A hub's model repository as a remote, and what its client raises as errors of the zoo."""
+"""A hub's model repository as a remote, and its client's errors as errors of the zoo."""
 
 import contextlib
 import re
@@ -50,7 +50,7 @@ class HubRemote(HttpRemote):
 
 @contextlib.contextmanager
 def hub_errors(remote: HubRemote) -> Generator[None]:
-    """Turn what the hub's client raises into `RemoteError` and `TransientError`."""
+    """Raise `RemoteError` or `TransientError` in place of the errors of the hub's client."""
     try:
         with network_errors(remote):
             yield

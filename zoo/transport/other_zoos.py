@@ -16,7 +16,7 @@ from zoo.transport.addresses import open_remote
 from zoo.transport.fetch import remote_registry
 from zoo.transport.updates import Accept, check_update, refuse_changes, take_none
 
-TAKEN = (OWN, "zoo", "python", "onnx")  # the user's own zoo, and what says which kind a robot is
+TAKEN = (OWN, "zoo", "python", "onnx")  # the user's own zoo, and prefixes of robots' names
 
 
 def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
@@ -24,14 +24,14 @@ def add(remote: str, namespace: str, accept: Accept = take_none) -> Registry:
 
     Args:
         remote: A folder, an address, or a hub's repository.
-        namespace: What stands before its ids.
-        accept: Called with what the zoo changed since it was added, if anything; returns whether
-            the changes are taken.
+        namespace: Prefix of its ids.
+        accept: Called with the changes since the zoo was added, if any; returns whether they are
+            taken.
 
     Raises:
         IdError: The namespace is no lower-case name, or one that stands before a robot's name
             anyway.
-        IntegrityError: The remote lost or changed what was added before.
+        IntegrityError: The remote lost or changed entries that were added before.
         UpdateError: Changes are not accepted; the error lists them.
         ZooError: The remote has no registry, or cannot be reached.
     """
@@ -70,7 +70,7 @@ def remove(namespace: str) -> None:
     """Forget an added zoo; fetched parameters stay in the cache.
 
     Raises:
-        UnknownIdError: There is none of that name, or it is the user's own, which was never added.
+        UnknownIdError: No added zoo has that name, or it is the user's own.
     """
     if namespace == OWN:
         raise UnknownIdError(

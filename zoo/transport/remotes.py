@@ -1,4 +1,4 @@
-"""Remotes: where published bytes can be read. A folder, a web server, a hub, whatever fsspec opens.
+"""Remotes, which hold published bytes: a folder, a web server, a hub, or a place for fsspec.
 
 A remote has the layout of a checkout: `registry.json`, and the shards at the paths that it lists.
 """
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Retry:
-    """How often, and after which pauses, a request is made again that failed for a while."""
+    """Number and pauses of further attempts after a request that failed."""
 
     attempts: int = 5  # without any progress
     pause: float = 0.5  # seconds, doubled each time
@@ -35,7 +35,7 @@ RETRY = Retry()
 
 
 class TransientError(Exception):
-    """A failure that may pass; `wait` is what the server asked for, in seconds."""
+    """A failure that may pass; `wait` is the pause that the server asked for, in seconds."""
 
     def __init__(self, reason: str, wait: float | None = None) -> None:
         super().__init__(reason)
@@ -46,7 +46,7 @@ Stream = tuple[int, Iterator[bytes]]  # a file's bytes from that offset on: 0 wi
 
 
 class Remote(Protocol):
-    """What fetching needs of a remote."""
+    """Protocol of remotes, as fetching uses them."""
 
     @property
     def name(self) -> str:
@@ -54,7 +54,7 @@ class Remote(Protocol):
 
     @property
     def revision(self) -> str | None:
-        """The commit that is read, where the remote has commits; it is asked for once."""
+        """The commit that is read, asked for once; None if the remote has no commits."""
 
     def open(self, path: str, start: int = 0) -> contextlib.AbstractContextManager[Stream]:
         """Open a file's bytes from `start` on.
@@ -73,19 +73,19 @@ def with_retries(
     refuse: Callable[[str], ZooError] | None = None,
     stop: threading.Event | None = None,
 ) -> T:
-    """Return what `work` returns, tried again with growing pauses while it raises `TransientError`.
+    """Return the result of `work`, tried again with growing pauses after a `TransientError`.
 
     Args:
         work: May fail `RETRY.attempts` times in a row.
         what: Names it in errors.
         reached: How far it is; getting further ends the row.
-        refuse: Makes the last error of what was found.
+        refuse: Makes the error of the last attempt, given the failure in words.
         stop: Ends a pause.
 
     Raises:
         RemoteError: It failed for the last time.
     """
-    advice = "try again later; what is complete is kept"
+    advice = "try again later; complete files are kept"
     refuse = refuse or functools.partial(RemoteError, what, "an answer", next_step=advice)
     attempt = 0
     before = reached()
@@ -124,7 +124,7 @@ def read_file(remote: Remote, path: str, limit: int) -> bytes:
 
 @dataclasses.dataclass(frozen=True)
 class FileRemote:
-    """A folder, or whatever else fsspec opens."""
+    """A folder, or another place that fsspec can open."""
 
     name: str
     revision: str | None = None
@@ -190,7 +190,7 @@ class HttpRemote:
         return f"{self.name.rstrip('/')}/{path}"
 
     def headers(self) -> dict[str, str]:
-        """Return what every request carries."""
+        """Return the headers of every request."""
         return {}
 
     @contextlib.contextmanager
@@ -248,7 +248,7 @@ def missing(path: str, remote: Remote) -> MissingFileError:
 
 @contextlib.contextmanager
 def network_errors(remote: Remote) -> Generator[None]:
-    """Turn what the HTTP client raises into `RemoteError` and `TransientError`."""
+    """Raise `RemoteError` or `TransientError` in place of the errors of the HTTP client."""
     import httpx2
     from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
 

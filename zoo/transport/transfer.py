@@ -16,12 +16,12 @@ from zoo.transport.remotes import Remote, TransientError, with_retries
 
 
 class Stopped(Exception):
-    """Another file failed, or the user interrupted; what arrived is kept for the next time."""
+    """Another file failed, or the user interrupted; received bytes are kept for the next time."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Item:
-    """A file to fetch, and what the registry says of its bytes."""
+    """A file to fetch, with the number and the digest of its bytes in the registry."""
 
     path: str  # at the remote
     target: Path
@@ -43,7 +43,7 @@ def download(
     Args:
         remote: Where the file is.
         item: The file; its bytes are held against `item.sha256` before it gets its name.
-        advance: Called with the number of bytes that arrived; what was there before counts too.
+        advance: Called with numbers of further bytes, those of an earlier download included.
         stop: Set by others to make it stop.
 
     Raises:
@@ -61,7 +61,7 @@ def download(
                 transfer = _Transfer(remote, item, file, advance, stop or threading.Event())
                 transfer.run()
                 os.fsync(file.fileno())
-        except (IntegrityError, OSError):  # what is there is of no use, or finds no room
+        except (IntegrityError, OSError):  # the bytes are wrong, or there is no room
             partial.unlink(missing_ok=True)
             raise
         os.replace(partial, item.target)
@@ -69,7 +69,7 @@ def download(
 
 
 class _Transfer:
-    """The state of one download: the file, its size so far, and what came over the wire."""
+    """State of one download: the file, its size so far, and the bytes over the wire."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class _Transfer:
             self._refuse(f"sha256 {self.item.sha256}", f"sha256 {digest}")
 
     def _complete(self) -> str:
-        """Fetch what is missing, and return the sha256 of the whole."""
+        """Fetch the missing bytes, and return the sha256 of the whole file."""
         what = f"{self.item.path} of {self.remote.name}"
         expected = f"{self.item.bytes} bytes"
 

@@ -1,7 +1,7 @@
-"""What another zoo changed since it was last read: a rewritten history is refused, the rest shown.
+"""Changes of another zoo since it was last read: a rewritten history is refused, others are shown.
 
-A zoo grows by entries, and may then give a task another default split or release. Who evaluates
-with its defaults gets other figures, so such a change is taken only by who accepts it.
+A zoo grows by entries, and may then give a task another default split or release. Evaluations with
+its defaults then give other figures, so a user has to accept such a change.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +51,7 @@ def check_update(old: Registry, new: Registry, source: str, accept: Accept = tak
 def refuse_changes(source: str, changed: Sequence[str]) -> None:
     """Raise the error for changes that were not accepted."""
     raise UpdateError(
-        f"registry.json of {source}", "what it was when it was last read", "; ".join(changed)
+        f"registry.json of {source}", "the state in which it was last read", "; ".join(changed)
     )
 
 

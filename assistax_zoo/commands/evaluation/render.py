@@ -40,7 +40,7 @@ def render(
         width: Pixels of a frame.
         height: Pixels of a frame.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
+        preference: Preference of the human of a gentle task, p1 to p9; drawn if not given.
         sheet: Write a .png of twelve moments beside the film, and a .gif beside an .mp4.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
 
@@ -98,7 +98,7 @@ def trajectories(
         steps: Steps of 20 ms of each; the whole episode of 1000 if not given.
         seed: Seed of the episodes.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; else drawn each episode.
+        preference: Preference of a gentle task's human, p1 to p9; else drawn each episode.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
         format: parquet; or minari or lerobot (version 3.0), each an extra of its name.

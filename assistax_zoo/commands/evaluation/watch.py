@@ -43,7 +43,7 @@ def watch(
         seed: Seed of the episode.
         episode: Which episode of a file.
         disability: The human's setting, d1 to d9, instead of its own.
-        preference: What the human of a gentle task likes, p1 to p9; drawn if not given.
+        preference: Preference of the human of a gentle task, p1 to p9; drawn if not given.
         registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:

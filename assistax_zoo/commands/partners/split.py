@@ -60,9 +60,9 @@ def show(id: str, *, registry: Path | None = None, json: bool = False) -> None:
     split = load_registry(registry).split(task, id if rest else None)
     lines = [f"{name:8} {value}" for name, value in _brief(split).items()]
     for side, teams in split.sides.items():
-        likes = ", ".join(split.preferences.get(side, ()))
+        preferences = ", ".join(split.preferences.get(side, ()))
         lines += [
-            f"\n{side}{f', under {likes}' if likes else ''}",
+            f"\n{side}{f', under {preferences}' if preferences else ''}",
             *(f"  {team}" for team in teams),
         ]
     answer(json, split.model_dump(mode="json"), *lines)
@@ -99,8 +99,8 @@ def create(
         n: Training partners of small-train.
         train: Team ids or globs of a custom split's train side; repeat the option for more.
         test: Team ids or globs of a custom split's test side.
-        train_preferences: What its humans like, such as p2,p3; default what the test side lacks.
-        test_preferences: What humans of the test side like, such as p1,p5,p9, for any rule.
+        train_preferences: Preferences of its humans, such as p2,p3; default all others.
+        test_preferences: Preferences of the test side's humans, such as p1,p5,p9, for any rule.
         best_responses: Finished evaluation or cross-play. With it three-sides leaves out partners
             with whom the best robot earns less than a quarter of the median. Repeat it for more.
         conventions: Finished cross-play, by whose two groups of humans three-sides stratifies.

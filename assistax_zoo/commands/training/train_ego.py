@@ -48,9 +48,9 @@ def train_ego(
         algorithm: ppo, sac, or a method: gru, asymmetric, asymmetric_gru, liam, palm,
             rma, rl2.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
-        preferences: What the humans of a gentle task like, such as p2,p3, in turns; default those
+        preferences: Preferences of a gentle task's humans, such as p2,p3, in turns; default those
             of the split's training side, or all, drawn anew each episode.
-        told: Let robots observe what the human likes: a row to compare with.
+        told: Let robots observe the human's preference: a row to compare with.
         choosing: What is chosen among.
         training: How it trains.
         registry: Registry to read instead of the installed one.

@@ -45,7 +45,7 @@ def public_entries(registry: Any, task: str) -> list[Any]:
 
 
 def panel_episodes(task: str, panel: str) -> int:
-    """Return how many episodes each partner of a panel plays: all its wishes equally often."""
+    """Return how many episodes each partner of a panel plays: all its preferences equally often."""
     from evaluation.play.how import default_episodes
 
     usual = default_episodes(task)
@@ -84,8 +84,8 @@ class ZooCatalogue:
         from assistax_envs.versions import engine
         from evaluation.play.jobs import EVALUATOR_VERSION
 
-        wishes = self._registry.split(task).preferences.get("test") or preferences_of(task)
-        optional: dict[str, Any] = {"preferences": list(wishes)} if wishes else {}
+        preferences = self._registry.split(task).preferences.get("test") or preferences_of(task)
+        optional: dict[str, Any] = {"preferences": list(preferences)} if preferences else {}
         if preferences_of(task):
             optional["persons"] = PROGRAM_VERSION  # whom a season may hide
         return optional | {

@@ -153,11 +153,11 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     if "preference" not in table.columns:
         return values
     safe = with_safety(table)["safe_success"]
-    liked = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
+    by_preference = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
     return values | {
         "safe_success": float(safe.to_numpy().mean()),
         "violations": float(table["violated"].to_numpy().mean()),
-        "by_preference": dict(liked.sort("preference").rows()),
+        "by_preference": dict(by_preference.sort("preference").rows()),
     }
 
 

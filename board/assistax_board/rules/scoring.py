@@ -22,8 +22,8 @@ COLUMNS = {
     "nonfinite": pl.Boolean(),
 }
 OWN = "own"  # preference of a partner that brings its own
-# Of the gentle tasks: what the human liked, "own" of a person, and whether a contact was above the
-# hard limit.
+# Of the gentle tasks: the human's preference, "own" of a person, and whether a contact was above
+# the hard limit.
 GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
 MAX_TABLE_BYTES = 4 * 1024 * 1024
 
@@ -46,7 +46,7 @@ class Work:
     partners: tuple[str, ...]  # ids; of a private release ordinals, such as "hidden-0007"
     episodes: int
     seed: str  # hexadecimal, up to 128 bits: JSON readers elsewhere would round it
-    preferences: tuple[str, ...] = ()  # of a gentle task: what its humans like, in turns
+    preferences: tuple[str, ...] = ()  # of a gentle task's humans, in turns
 
 
 class Scorer(Protocol):

@@ -49,7 +49,7 @@ class ZooScorer:
             hidden = unpack(release, Path(folder))
             humans = hidden_partners(hidden, work.task)
             pairs = [(humans[ordinal_index(name)], name) for name in work.partners]
-            # Persons have wishes of their own: a job of theirs is no job of other partners.
+            # Persons have preferences of their own: a job of theirs is no job of other partners.
             apart = [
                 [p for p in pairs if p[0].spec.own_preferences is own] for own in (False, True)
             ]
@@ -68,8 +68,8 @@ class ZooScorer:
 
         entries = [entry for entry, _ in pairs]
         version = env_version(registry, work.task, entries)
-        wishes = () if entries[0].spec.own_preferences else work.preferences
-        seed, preferences = int(work.seed, 16), ",".join(wishes) or None
+        names = () if entries[0].spec.own_preferences else work.preferences
+        seed, preferences = int(work.seed, 16), ",".join(names) or None
         how = PlaySettings(work.task, work.episodes, seed, self._backend, preferences=preferences)
         env, job = make_job(how, egos, registry_roster(registry, entries), version=version)
         if work.kind == "reference" and work.format in REFERENCE_ROWS:

@@ -1,5 +1,5 @@
 "use strict";
-// Plays an episode: the scene, what the person wishes, and forces and reward over time.
+// Plays an episode: the scene, what the person prefers, and forces and reward over time.
 // `playEpisode(place, bytes)` fills an element; places that hold their episode are filled at once.
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -143,7 +143,7 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     else requestAnimationFrame(advance);
   }
 
-  // Who plays, and what the person wishes.
+  // Who plays, and what the person prefers.
   const who = element("dl", "episode-who");
   for (const [name, value] of episode.facts) who.append(element("dt", "", name), element("dd", "", value));
   left.append(who);
@@ -160,17 +160,17 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
       box.style.setProperty("--level", colour ?? "var(--p-line)");
     });
   }
-  const wishes = episode.wishes.filter((wish) => episode[wish.name]); // that are seen
+  const preferences = episode.preferences.filter((preference) => episode[preference.name]); // that are seen
   const shown = (name, step) => {
-    const { scale, unit } = episode.wishes.find((wish) => wish.name === name) ?? { scale: 1, unit: "N" };
+    const { scale, unit } = episode.preferences.find((preference) => preference.name === name) ?? { scale: 1, unit: "N" };
     return `${figure(episode[name][step] * scale)} ${unit}`;
   };
-  for (const name of new Set(["force", ...wishes.map((wish) => wish.name)])) {
-    const wished = wishes.some((wish) => wish.name === name);
-    tile(WISHED[name].name, (step) => {
+  for (const name of new Set(["force", ...preferences.map((preference) => preference.name)])) {
+    const preferred = preferences.some((preference) => preference.name === name);
+    tile(QUANTITIES[name].name, (step) => {
       const mood = moodOf(episode, step, name);
       const level = levelOf(episode, episode.force[step]);
-      if (wished || mood === "hurt") return [shown(name, step), moodWords(mood, name), MOODS[mood]];
+      if (preferred || mood === "hurt") return [shown(name, step), moodWords(mood, name), MOODS[mood]];
       const touched = episode.force[step] > FELT;
       return [shown(name, step), touched ? level.label : "no touch", touched ? level.colour : undefined];
     });
@@ -211,16 +211,16 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     plot.append(top, bottom);
     return plot;
   }
-  for (const name of new Set(["force", ...wishes.map((wish) => wish.name)])) {
-    const wish = wishes.find((one) => one.name === name);
-    const { scale, unit } = wish ?? { scale: 1, unit: "N" };
-    const high = 1.15 * Math.max(...episode[name], wish ? 2 * wish.value : 1e-3);
-    const [height, label] = [name === "force" ? 92 : 64, `${WISHED[name].name} over time`];
-    const plot = curveOf(episode[name], { height, low: 0, high, wish, label, roots: true });
-    const liked = wish ? `, likes ${figure(wish.value * scale)} ${unit} (green)` : "";
-    const curve = add(limits(plot, 0, figure(high * scale, 0), unit), WISHED[name].name + liked, (step) => shown(name, step));
+  for (const name of new Set(["force", ...preferences.map((preference) => preference.name)])) {
+    const preference = preferences.find((one) => one.name === name);
+    const { scale, unit } = preference ?? { scale: 1, unit: "N" };
+    const high = 1.15 * Math.max(...episode[name], preference ? 2 * preference.value : 1e-3);
+    const [height, label] = [name === "force" ? 92 : 64, `${QUANTITIES[name].name} over time`];
+    const plot = curveOf(episode[name], { height, low: 0, high, preference, label, roots: true });
+    const preferred = preference ? `, prefers ${figure(preference.value * scale)} ${unit} (green)` : "";
+    const curve = add(limits(plot, 0, figure(high * scale, 0), unit), QUANTITIES[name].name + preferred, (step) => shown(name, step));
     curve.dataset.curve = name;
-    if (wish && name !== "speed") addMoods(curve, name);
+    if (preference && name !== "speed") addMoods(curve, name);
   }
   const [worst, best] = [Math.min(0, ...episode.reward), Math.max(1e-3, ...episode.reward)];
   const rewards = curveOf(episode.reward, { height: 64, low: worst, high: best, label: "Reward over time" });
@@ -245,12 +245,12 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
       word.append(swatch, moodWords(mood, name));
       key.append(word);
     }
-    const share = shareLiked(moods);
+    const share = sharePreferred(moods);
     const [time, never] = name === "force"
       ? ["Of the time with a touch", "The robot never touches the person."]
       : ["Of the time that the arm rests", "The arm never rests."];
-    const told = isNaN(share) ? never : `${time}, ${figure(100 * share, 0)}% was as liked (within a factor of two).`;
-    curve.append(strip, key, element("p", "episode-liking", told));
+    const told = isNaN(share) ? never : `${time}, ${figure(100 * share, 0)}% was as preferred (within a factor of two).`;
+    curve.append(strip, key, element("p", "episode-share", told));
   }
 
   function addTerms() {

@@ -52,17 +52,17 @@ class Claim:
 
     title: str
     task: str
-    figure: str  # what the last criterion's figure is, in few words
-    criteria: Sequence[Criterion]  # none where nothing was measured
+    figure: str  # name of the last criterion's figure, in few words
+    criteria: Sequence[Criterion]  # empty if nothing was measured
 
     @property
     def headline(self) -> str:
-        """Return the verdict with the last criterion's figure."""
+        """The verdict with the last criterion's figure."""
         return f"**{self.verdict}**, {self.criteria[-1].value}" if self.criteria else self.verdict
 
     @property
     def verdict(self) -> str:
-        """Say whether the claim holds: every criterion is met; without the last nothing is left."""
+        """Verdict: whether every criterion is met; a claim does not hold if the last is not met."""
         if not self.criteria:
             return "not measured yet"
         outcomes = {criterion.outcome for criterion in self.criteria}
@@ -187,7 +187,7 @@ def _egos(ppo: Egos | None, sac: Egos | None) -> list[Criterion]:
 
 
 def _against(what: str, figure: Interval, threshold: float, *, above: bool) -> Criterion:
-    """Compare a share with a threshold: decided where its whole interval is on one side."""
+    """Compare a share with a threshold; decided if the whole interval is on one side."""
     sign = 1 if above else -1
     if figure.value_ci is None:
         outcome: Outcome = "undecided"

@@ -51,7 +51,7 @@ class Egos:
     pairs: pl.DataFrame
     summary: Mapping[str, Any]
     run: Mapping[str, Any]
-    training: Mapping[str, Any] | None  # None where nothing was collected of it
+    training: Mapping[str, Any] | None  # None if no record of it was collected
 
     @functools.cached_property
     def partners(self) -> pl.DataFrame:
@@ -203,7 +203,7 @@ def _read_egos(folder: Path) -> Egos:
 
 
 def _read_curves(folder: Path) -> pl.DataFrame | None:
-    """Return the learning curves of a folder in one table; None if there are none."""
+    """Return the learning curves of a folder in one table; None if it has no curves."""
     files = sorted(folder.glob("*.parquet"))
     tables_read = [tables.read_parquet(path) for path in files]
     for path, table in zip(files, tables_read, strict=True):

@@ -25,9 +25,8 @@ class Exchange:
     """The two branches of the tree that lose the most with each other, and their significance."""
 
     loss: float  # share of the return; 0 if no two branches lose
-    groups: tuple[
-        np.ndarray, ...
-    ]  # members of either branch, as rows of the matrix; none if no two lose
+    # Members of either branch, as rows of the matrix; empty if no two branches lose.
+    groups: tuple[np.ndarray, ...]
     null: float  # 95th percentile of the losses under permutation
     p: float  # share of permutations that reach the loss
 
@@ -38,14 +37,14 @@ class VarianceShares:
 
     robot: Interval  # of the robots' means
     human: Interval  # of the humans' means
-    rest: Interval  # who fits whom, and the noise of the episodes
+    rest: Interval  # of interactions of robot and human, and the noise of the episodes
 
 
 def incompatible_share(matrix: np.ndarray, fraction: float = 0.5) -> float:
     """Return the share of pairs of different teams that earn less than a fraction of self-play.
 
     The yardstick is the lesser of the two teams' self-play returns: a poor team is no evidence of
-    incompatibility. Where it is not positive, a pair is counted as compatible.
+    incompatibility. If that return is not positive, the pair counts as compatible.
     """
     own = np.diag(matrix)
     lesser = np.minimum(own[:, None], own[None])
@@ -59,13 +58,11 @@ def largest_exchange_loss(
     """Return the two branches of Figure 4's tree, of at least 5% of the teams, that lose the most.
 
     Two branches lose `1 - max(A's robots with B's humans, B's with A's) / min(within A, within B)`,
-    of mean cross-play
-    returns: both lose against the poorer of the two, which branches of merely better and poorer
-        teams do not.
+    of mean cross-play returns. So both lose in comparison with the poorer of the two, which is not
+    the case if one branch merely has the better teams.
 
-    Chance is what is left when the interactions, which are what remains of returns without the
-    robots' and the humans' means, are permuted among each human's robots; self-play is left out.
-    Every permutation gets a tree of its own.
+    The null distribution permutes the interactions (the returns minus the robots' and the humans'
+    means) among each human's robots; self-play is left out. Every permutation gets its own tree.
 
     Args:
         matrix: returns [T, T].
@@ -89,9 +86,9 @@ def variance_shares(
 ) -> VarianceShares:
     """Return the shares of robots, humans and the rest in the variance of cross-play returns.
 
-    Two-way analysis of variance of [T, T]; the diagonal, self-play, is replaced by what the means
-    predict. Resampling adds about 1 / T of the rest to either mean's share, so that one near 0 may
-    lie below its interval.
+    Two-way analysis of variance of [T, T]; the means' prediction replaces the diagonal, which is
+    self-play. Resampling adds about 1 / T of the rest to either mean's share, so that a share near
+    0 may lie below its interval.
     """
     filled = _fill_diagonal(matrix)
     rng = np.random.default_rng(seed)

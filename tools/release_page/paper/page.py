@@ -10,16 +10,16 @@ from tools.release_page.paper import population, sections
 from tools.release_page.paper.claims import check_claims
 from tools.release_page.paper.data import Results
 
-_NO_REASONS = ("summary", "made")  # sections that set nothing beside the paper's figures
+_NO_REASONS = ("summary", "made")  # sections without figures of the paper
 
 
 def make_page(results: Results, pictures: str, command: str) -> str:
     """Return the page as Markdown.
 
     Args:
-        results: what there is of the release.
-        pictures: folder of the figures, relative to the page.
-        command: the command that makes the page, for its last section.
+        results: The release's data.
+        pictures: Folder of the figures, relative to the page.
+        command: The command that makes the page, for its last section.
     """
     claims = check_claims(results)
 

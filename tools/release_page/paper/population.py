@@ -53,7 +53,7 @@ def population(results: Results, picture: Picture) -> str:
 
 
 def _made_of(settings: Mapping[str, int]) -> str:
-    """Return a number of teams as settings × seeds, or setting by setting where seeds differ."""
+    """Return a number of teams as settings × seeds, or by setting if numbers of seeds differ."""
     if not settings:
         return "0"
     total, sizes = sum(settings.values()), set(settings.values())
@@ -69,7 +69,7 @@ def _planned_of(kind: Mapping[str, int]) -> str:
 def _differences(
     settings: Mapping[tuple[str, str, str], int], paper: Mapping[str, Any]
 ) -> list[str]:
-    """Name the task and algorithm where a setting's number of seeds is not the paper's."""
+    """Return each task and algorithm with a setting whose number of seeds is not the paper's."""
     planned_teams = {
         (task, name, f"d{i + 1}"): kind["seeds"]
         for task, kinds in paper.items()

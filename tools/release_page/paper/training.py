@@ -1,4 +1,4 @@
-"""Learning curves of the unimpaired setting, as the paper's Figure 3 has them."""
+"""Learning curves of the unimpaired setting, as in the paper's Figure 3."""
 
 import polars as pl
 
@@ -6,7 +6,7 @@ from assistax_envs.versions import PAPER_TASKS
 from evaluation.figures.metrics.curves import learning_curves
 from tools.release_page.paper.data import Results
 
-POINTS = 50  # half of what is stored of a member, so that every bin holds a point of each
+POINTS = 50  # half the stored points of a member, so that every bin has a point of each
 RISING = 0.05  # a curve whose last fifth gains more than this share of the return is still rising
 
 

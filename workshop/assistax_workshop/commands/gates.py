@@ -72,10 +72,10 @@ def persons(
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Stages are ppo, told, gru, told-gru (robots that are told the wishes, or have a memory), idle
-    (trained with idle persons), best (one robot for each of some persons), script, search (the best
-    numbers for the script, which stays unchanged) and read (are wishes read?). Each has a run and a
-    file in FOLDER, and resumes where it stopped. The table covers all files.
+    Stages are ppo, told, gru, told-gru (robots that are told the preference, or have a memory),
+    idle (trained with idle persons), best (one robot for each of some persons), script, search (the
+    best numbers for the script, which stays unchanged) and read (are preferences read?). Each has a
+    run and a file in FOLDER, and resumes where it stopped. The table covers all files.
 
     Args:
         task: Gentle task.

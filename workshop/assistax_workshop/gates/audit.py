@@ -100,8 +100,8 @@ class WrongBeliefEnv:
         return self._exchanged(self._env.step(state, actions))
 
     def _exchanged(self, state: Any) -> Any:
-        task, likes = self._env.task, state.task.preference
-        other = {wish: _next(getattr(likes, wish), values) for wish, values in VALUES.items()}
+        task, preference = self._env.task, state.task.preference
+        other = {name: _next(getattr(preference, name), values) for name, values in VALUES.items()}
         believed = Preferences(**other).observed(task)
         human = state.obs["human"].at[:, -len(PREFERRED[task]) :].set(believed)
         obs = {**state.obs, "human": human}

@@ -26,7 +26,7 @@ from assistax_workshop.gates.persons_play import (
     play_single,
     play_strangers,
 )
-from assistax_workshop.gates.persons_reading import read_wishes
+from assistax_workshop.gates.persons_reading import read_preferences
 from assistax_workshop.gates.script_search import search_script
 from assistax_workshop.gates.training import CHANGES, KNOWING
 from assistax_zoo.shell.console import TrainingLine
@@ -46,7 +46,7 @@ class Robots:
     """Kind of robot: its partners, its observations and its hyperparameters.
 
     Attributes:
-        told: Roles that observe the person's wishes.
+        told: Roles that observe the person's preference.
         changes: Changes of the task's hyperparameters.
         partners: The training side's persons, a new one each episode; the same but idle; or one
             person of a sample for each robot.
@@ -111,7 +111,7 @@ def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, 
     if name == SEARCH:
         return search_script(plan, progress)
     if name == READ:
-        return read_wishes(plan, progress)
+        return read_preferences(plan, progress)
     return play_robots(plan, name)
 
 

@@ -1,4 +1,4 @@
-"""Reading of wishes from a robot's observations, by scripts and by trained robots.
+"""Reading of preferences from a robot's observations, by scripts and by trained robots.
 
 A robot's behaviour limits what it can read: see `assistax_envs.persons.measure`.
 """
@@ -17,32 +17,32 @@ from assistax_workshop.gates.persons_play import Plan
 from population.networks.policy import Policy
 from population.runs.trained import read_trained_run
 
-READERS = 900  # persons; the wishes of a third are predicted from the others
+READERS = 900  # persons; the preferences of a third are predicted from the others
 STEPS = 600  # of each episode
 TRAINED = ("gru", "ppo")  # kinds whose first robot reads too, if it was trained in this folder
 
 
-def read_wishes(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
-    """Return the share of persons whose wish is read, by robot, wish and seconds."""
+def read_preferences(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
+    """Return the share of persons whose preference is read, by robot, quantity and seconds."""
     task, found = plan.task, {}
     rows = persons(task)[numbers("training")][:READERS]
     robots: dict[str, Any] = {kind: _trained(plan, kind) for kind in TRAINED}
     robots |= {"probe": "probe"} if SCRIPTS[task].force is not None else {}
     robots["script"] = "script"
+    columns = {quantity: index(task)[quantity] for quantity in measure.preference_parameters(task)}
     for name, robot in robots.items():
         if robot is not None:
             seen = measure.episodes(task, rows, robot, steps=plan.horizon or STEPS)
-            of = {wish: rows[:, index(task)[wish]] for wish in measure.preference_parameters(task)}
-            found[name] = {wish: _read(seen, values) for wish, values in of.items()}
-            progress(f"wishes read by {name}: {found[name]}")
+            found[name] = {key: _read(seen, rows[:, column]) for key, column in columns.items()}
+            progress(f"preferences read by {name}: {found[name]}")
     return {"about": {"task": task, "persons": len(rows)}, "read": found}
 
 
-def _read(seen: dict[str, np.ndarray], wish: np.ndarray) -> dict[str, dict[str, float]]:
+def _read(seen: dict[str, np.ndarray], values: np.ndarray) -> dict[str, dict[str, float]]:
     """Return by seconds the share of persons read, their number, and the share by chance."""
-    mixed, shares = np.random.default_rng(0).permutation(wish), {}
+    mixed, shares = np.random.default_rng(0).permutation(values), {}
     for window in measure.WINDOWS:
-        (share, count), (chance, _) = (measure.read(seen, of, window) for of in (wish, mixed))
+        (share, count), (chance, _) = (measure.read(seen, of, window) for of in (values, mixed))
         shares[f"{window:g}"] = {"share": share, "of": count, "shuffled": chance}
     return shares
 

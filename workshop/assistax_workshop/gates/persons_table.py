@@ -23,7 +23,7 @@ PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stag
 CONVERGED = 0.5  # share of the best robot's return below which a robot has not learned
 FEW = "hardly anybody was touched for so long"
 TUNED = 0.9
-CHANCE = 1 / 3  # share of wishes read by chance: wishes are binned in thirds
+CHANCE = 1 / 3  # share of preferences read by chance: they are binned in thirds
 RESAMPLED = 200  # bootstrap samples of a share of variance
 
 Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
@@ -40,7 +40,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
         *_with_one(files),
         _as_searched(files),
         _lost(files),
-        *(_worth(f"told the wishes, {side}: more", files, ("ppo", KNOWING), side, MORE)
+        *(_worth(f"told the preference, {side}: more", files, ("ppo", KNOWING), side, MORE)
           for side in STRANGERS),
         _worth(f"told, of those that remember, {SIDE}: more", files, ("gru", "told-gru"), SIDE),
         *(_worth(f"with a memory, {side}: more", files, ("ppo", "gru"), side)
@@ -167,17 +167,17 @@ def _share_of_pairs(returns: np.ndarray) -> float:
 
 
 def _read(files: Files) -> list[Gate]:
-    """Return the gates of each wish's reading, by the first robot of the stage."""
-    name = "a wish is read from what the robot observes"
+    """Return the gates of each preference's reading, by the first robot of the stage."""
+    name = "a preference is read from the robot's observations"
     if READ not in files:
         return [_missing(name, "above chance at 5 s, the interval above it", READ)]
-    robot, wishes = next(iter(files[READ]["read"].items()))
+    robot, preferences = next(iter(files[READ]["read"].items()))
     gates = []
-    for wish, shares in wishes.items():
+    for preference, shares in preferences.items():
         for seconds, found in shares.items():
             share, count = found["share"], found["of"]
             if not count:
-                gates.append(Gate(f"{wish}, read in {seconds} s", "", None, None, None, FEW))
+                gates.append(Gate(f"{preference}, read in {seconds} s", "", None, None, None, FEW))
                 continue
             half = 1.96 * np.sqrt(share * (1.0 - share) / max(count, 1))
             told = f"by {robot}, {count} persons; labels shuffled {found['shuffled']:.0%}"
@@ -185,7 +185,7 @@ def _read(files: Files) -> list[Gate]:
             bar = f"{'> ' if late else 'beside '}{CHANCE:.0%}"
             holds = bool(share - half > CHANCE) if late else None
             ends = float(share - half), float(share + half)
-            gates.append(Gate(f"{wish}, read in {seconds} s", bar, share, ends, holds, told))
+            gates.append(Gate(f"{preference}, read in {seconds} s", bar, share, ends, holds, told))
     return gates
 
 

@@ -30,10 +30,8 @@ from population.trainers.frozen_partners import FrozenPartners
 from population.views import View
 from zoo.registry import load_registry
 
-# Changes of PPO's presets for all runs of a task.
-CHANGES: Mapping[str, Mapping[str, Any]] = ByTask(
-    lambda kind: kind.recipe, lambda kind: bool(kind.recipe)
-)
+# Changes of PPO's presets for all runs of a task; empty for a task without a recipe.
+CHANGES: Mapping[str, Mapping[str, Any]] = ByTask(lambda kind: kind.recipe)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +150,7 @@ def _trainer(task: str, condition: Condition, changes: Mapping[str, Any]) -> Tra
     """Return the hyperparameters of a condition."""
     of_task = CHANGES[task]
     if preset(condition.algorithm).kind == "sac":
-        of_task = {"initial_log_std": of_task["initial_log_std"]}
+        of_task = {name: of_task[name] for name in ("initial_log_std",) if name in of_task}
     recurrent = {"torso": "gru"} if condition.torso == "gru" else {}
     return preset(condition.algorithm, **{**of_task, **recurrent, **changes})
 

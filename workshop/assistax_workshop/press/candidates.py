@@ -52,7 +52,7 @@ def make_candidate(team: TrainedTeam, release: str, check: Check) -> Candidate:
     """
     name = _name(team, release)
     if team.training.get(CLAIM):
-        found = "one that is told what the human likes, which no robot may observe"
+        found = "one that observes the human's preference, which no robot may observe"
         raise PublishError(f"ego {name}", "a robot that observes what robots do", found)
     leaves = {role: flatten(team.params[role]) for role in team.specs}
     for role, spec in team.specs.items():
