@@ -58,14 +58,12 @@ def test_own_teams_and_splits_are_played_right_after(home: Path) -> None:
     registry, settings = load_registry(), PlaySettings("scratch", 1, backend="native")
     robots = ["zoo:own:scratch/ippo-d1-s0-v0/robot"]
     evaluate_policies(registry, robots, settings, home / "mine", split=f"{split.id}:both")
-    played = set(tables.read_episodes(home / "mine" / tables.EPISODES_FILE)["partner"])
-    assert played == {f"{team}/human" for team in (*split.train, *split.test)}
-    evaluate_policies(
-        registry, ["scratch/ippo-d1-s0-v0/robot"], settings, home / "own", split="own:"
-    )
-    played = set(tables.read_episodes(home / "own" / tables.EPISODES_FILE)["partner"])
-    assert played == {f"{team}/human" for team in registry.split("scratch", "own:").test}
-    for folder in ("mine", "own"):
+    robots = ["scratch/ippo-d1-s0-v0/robot"]
+    evaluate_policies(registry, robots, settings, home / "own", split="own:")
+    own = registry.split("scratch", "own:").test
+    for folder, expected in (("mine", (*split.train, *split.test)), ("own", own)):
+        played = set(tables.read_episodes(home / folder / tables.EPISODES_FILE)["partner"])
+        assert played == {f"{team}/human" for team in expected}
         report = check_sources(home / folder)
         assert (report.problems, report.absent) == ((), ())
 

@@ -91,18 +91,13 @@ def test_every_form_takes_its_seat(registry: Registry, tmp_path: Path):
 def test_outside_robot_gets_batches_of_one(
     registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    lines = [
-        "import numpy as np",
-        "def make():",
-        "    return lambda obs: np.ones((len(obs), 2)) * obs[:, :1]",
-    ]
-    (tmp_path / "outside_robot.py").write_text("\n".join(lines))
+    code = "import numpy as np\nmake = lambda: lambda obs: np.ones((len(obs), 2)) * obs[:, :1]"
+    (tmp_path / "outside_robot.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
     robot = seat("python:outside_robot:make", "robot", registry)
     for value in (0.5, -0.25):
-        np.testing.assert_array_equal(
-            robot(np.full(6, value, np.float32)), np.full(2, value, np.float32)
-        )
+        action = robot(np.full(6, value, np.float32))
+        np.testing.assert_array_equal(action, np.full(2, value, np.float32))
 
 
 def test_refusals(registry: Registry, tmp_path: Path):

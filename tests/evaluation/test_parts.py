@@ -90,11 +90,8 @@ def test_parts_of_two_machines_name_both(tmp_path: Path) -> None:
     assert "processor" not in made
     names = {machine["processor"] for machine in made["machines"]}
     assert names == {"Another Processor 9000", describe_machine()["processor"]}
-
-
-def test_parts_of_one_machine_name_it(tmp_path: Path) -> None:
-    run_job(MatrixGame(), make_job(), tmp_path)
-    assert (read_manifest(tmp_path) or {})["made_with"] == describe_machine()
+    run_job(MatrixGame(), job, tmp_path / "one")
+    assert (read_manifest(tmp_path / "one") or {})["made_with"] == describe_machine()
 
 
 def test_merging_without_keys_would_be_caught(

@@ -1,6 +1,7 @@
 """The interval that a plan promises is the one that the bootstrap gives."""
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from evaluation.figures.planning import (
     plan_contrast,
     plan_evaluation,
 )
+from tests.evaluation.test_variance import drawn
 
 EGOS = Path(__file__).parents[2] / "docs" / "data" / "v1" / "egos"
 TRUE = Spread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0, starts=90.0)
@@ -31,15 +33,10 @@ def published(task: str, method: str) -> tuple[np.ndarray, np.ndarray, int]:
     return scores, deviations, int(table["episodes"][0])
 
 
-def drawn(rng: np.random.Generator, seeds: int, partners: int, episodes: int) -> np.ndarray:
-    """Return returns [S, P, K] of the true spread."""
-    return (
-        rng.normal(900.0, TRUE.seeds, (seeds, 1, 1))
-        + rng.normal(0.0, TRUE.partners, (1, partners, 1))
-        + rng.normal(0.0, TRUE.pairs, (seeds, partners, 1))
-        + rng.normal(0.0, TRUE.starts, (1, partners, episodes))
-        + rng.normal(0.0, TRUE.episodes, (seeds, partners, episodes))
-    )
+def as_table(returns: np.ndarray) -> pl.DataFrame:
+    ego, partner, episode = (axis.ravel().astype(str) for axis in np.indices(returns.shape))
+    columns = {"ego": ego, "partner": partner, "episode": episode, "return": returns.ravel()}
+    return pl.DataFrame(columns)
 
 
 def found(scores: np.ndarray, resamples: int = 1000) -> float:
@@ -49,24 +46,25 @@ def found(scores: np.ndarray, resamples: int = 1000) -> float:
     return (interval[1] - interval[0]) / 2
 
 
+@functools.cache
+def typical_width(shape: tuple[int, int]) -> float:
+    """Return the root mean square of half-widths: the formula is of an expected variance."""
+    rng = np.random.default_rng(3)
+    squares = [found(drawn(rng, TRUE, (*shape, 4)), 400) ** 2 for _ in range(80)]
+    return float(np.sqrt(np.mean(squares)))
+
+
 @pytest.mark.parametrize("shape", [(1, 40), (2, 40), (5, 20), (16, 60), (30, 8)])
 def test_the_bootstrap_gives_the_promised_width(shape: tuple[int, int]) -> None:
-    """Squares are averaged over tables, because the formula is of an expected variance."""
-    rng = np.random.default_rng(3)
-    squares = [found(drawn(rng, *shape, 4), 400) ** 2 for _ in range(80)]
-    promised = TRUE.half_width(*shape, 4)
-    assert np.sqrt(np.mean(squares)) == pytest.approx(promised, rel=0.1)
+    assert typical_width(shape) == pytest.approx(TRUE.half_width(*shape, 4), rel=0.1)
 
 
 @pytest.mark.parametrize("missing", ["seeds", "partners", "pairs", "episodes", "starts"])
 def test_planted_defect_missing_variance_term_is_caught(missing: str) -> None:
     without = dataclasses.replace(TRUE, **{missing: 0.0})
-    shape = {"seeds": (16, 60), "partners": (30, 8), "pairs": (1, 40), "episodes": (1, 40)}.get(
-        missing, (30, 8)
-    )
-    rng = np.random.default_rng(3)
-    squares = [found(drawn(rng, *shape, 4), 400) ** 2 for _ in range(80)]
-    assert np.sqrt(np.mean(squares)) > 1.1 * without.half_width(*shape, 4)
+    shapes = {"seeds": (16, 60), "pairs": (1, 40), "episodes": (1, 40)}
+    shape = shapes.get(missing, (30, 8))
+    assert typical_width(shape) > 1.1 * without.half_width(*shape, 4)
 
 
 @pytest.mark.parametrize("task", MEASURED)
@@ -82,10 +80,7 @@ def test_published_tables(task: str, method: str) -> None:
 
 
 def test_a_spread_is_measured_from_episodes() -> None:
-    rng, (s, p, k) = np.random.default_rng(5), (40, 50, 6)
-    ego, partner, episode = (axis.ravel().astype(str) for axis in np.indices((s, p, k)))
-    columns = {"ego": ego, "partner": partner, "episode": episode}
-    table = pl.DataFrame({**columns, "return": drawn(rng, s, p, k).ravel()})
+    table = as_table(drawn(np.random.default_rng(5), TRUE, (40, 50, 6)))
     shuffled = table.sample(fraction=1.0, shuffle=True, seed=1)
     measured = dataclasses.asdict(measure_spread(shuffled))
     assert measured == pytest.approx(dataclasses.asdict(TRUE), rel=0.25)
@@ -126,12 +121,6 @@ def two_pilots(rng: np.random.Generator, shape: tuple[int, int, int], effect: fl
         )
 
     return method(apart), method(np.zeros((1, p, 1)))
-
-
-def as_table(returns: np.ndarray) -> pl.DataFrame:
-    ego, partner, episode = (axis.ravel().astype(str) for axis in np.indices(returns.shape))
-    columns = {"ego": ego, "partner": partner, "episode": episode, "return": returns.ravel()}
-    return pl.DataFrame(columns)
 
 
 def test_contrast_spread_omits_partner_effects() -> None:

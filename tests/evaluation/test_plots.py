@@ -45,13 +45,22 @@ from tools.release_page.paper.panels import training_panels
 ROOT = Path(__file__).parents[2]
 
 
+def written(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
+    """Return what a cross-play writes of its episodes: pairs and summary."""
+    content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    return derived.pair_table(recorded(table)), content
+
+
 def saved(population: list[Team], clusters: int = 3) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """What crossplay saves: pairs and summary."""
-    table = episode_table(
-        clustered_matrix(len(population), clusters)[:, :, None], population, population
-    )
-    pairs = derived.pair_table(recorded(table))
-    return pairs, tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
+    matrix = clustered_matrix(len(population), clusters)
+    return written(episode_table(matrix[:, :, None], population, population))
+
+
+def draw_robot(values: np.ndarray) -> tuple[Matrix, Figure]:
+    """Draw returns of one robot from outside with as many partners."""
+    partners = teams(len(values))
+    pairs, figures = written(episode_table(values.reshape(1, -1, 1), ["my robot"], partners))
+    return arrange(pairs), crossplay_heatmap(arrange(pairs), figures)
 
 
 def draw(population: list[Team], how: Any = None, clusters: int = 3) -> tuple[Matrix, Figure]:
@@ -64,64 +73,42 @@ def axes_by_label(figure: Figure) -> dict[str, Any]:
     return {str(axes.get_label()): axes for axes in figure.axes}
 
 
+def visible_texts(figure: Figure) -> list[Text]:
+    return [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+
+
 def texts(figure: Figure) -> list[str]:
-    return [
-        text.get_text() for text in figure.findobj(Text) if text.get_text() and text.get_visible()
-    ]
+    return [text.get_text() for text in visible_texts(figure)]
 
 
-def test_shared_order_keeps_self_play_on_the_diagonal():
-    population = teams(20, ("ippo", "isac"), ("d1", "d9"))
-    matrix, _ = draw(population)
-    assert matrix.shared
-    np.testing.assert_array_equal(matrix.self_play, np.eye(20, dtype=bool))
-    assert matrix.rows.teams == matrix.columns.teams
-    original = clustered_matrix(20, 3)
-    places = [[team_id(team) for team in population].index(str(team)) for team in matrix.rows.teams]
-    np.testing.assert_allclose(matrix.values, original[np.ix_(places, places)], rtol=1e-6)
-
-
-def test_separate_orders_keep_values():
-    population = teams(12)
-    matrix, _ = draw(population, "separate")
-    assert not matrix.shared
+@pytest.mark.parametrize("how", ["shared", "separate"])
+def test_orders_keep_values_and_self_play(how: str):
+    population = teams(12, ("ippo", "isac"), ("d1", "d9"))
+    matrix, _ = draw(population, how)
+    assert matrix.shared == (how == "shared") and matrix.self_play.sum() == 12
+    if matrix.shared:
+        np.testing.assert_array_equal(matrix.self_play, np.eye(12, dtype=bool))
+        assert matrix.rows.teams == matrix.columns.teams
     names = [team_id(team) for team in population]
-    rows, columns = (
-        [names.index(str(team)) for team in side.teams] for side in (matrix.rows, matrix.columns)
-    )
-    np.testing.assert_allclose(
-        matrix.values, clustered_matrix(12, 3)[np.ix_(rows, columns)], rtol=1e-6
-    )
-    assert matrix.self_play.sum() == 12
+    sides = (matrix.rows, matrix.columns)
+    places = ([names.index(str(team)) for team in side.teams] for side in sides)
+    np.testing.assert_allclose(matrix.values, clustered_matrix(12, 3)[np.ix_(*places)], rtol=1e-6)
 
 
 def test_heatmap_has_all_parts():
     population = teams(32, ("ippo",), ("d1", "d3", "d7", "d9"))
     matrix, figure = draw(population, clusters=4)
     parts = axes_by_label(figure)
-    assert set(parts) == {
-        *(
-            "matrix",
-            "colourbar",
-            "legend",
-            "tree:ego",
-            "tree:partner",
-            "clusters:ego",
-            "clusters:partner",
-        ),
-        *(
-            f"strip:{seat}:{trait}"
-            for seat in ("ego", "partner")
-            for trait in ("algorithm", "disability")
-        ),
-    }
+    kinds = ("tree:{}", "clusters:{}", "strip:{}:algorithm", "strip:{}:disability")
+    beside = {kind.format(seat) for kind in kinds for seat in ("ego", "partner")}
+    assert set(parts) == {"matrix", "colourbar", "legend"} | beside
     assert parts["matrix"].get_xlabel() == "human (partner)"
     assert parts["tree:ego"].get_ylabel() == "robot (ego)"
     assert parts["colourbar"].get_ylabel() == "mean return of an episode"
     labels = [label.get_text() for label in parts["matrix"].get_yticklabels()]
     assert labels == list(matrix.rows.names)
     assert set(labels) == {f"{a}-{d}-s{s}" for a, d, s in population}
-    written = " ".join(texts(figure)).replace("\n", " ")
+    caption = " ".join(texts(figure)).replace("\n", " ")
     for words in (
         "Cross-play: scratch",
         "n = 32 robots × 32 humans, 1 episode a pair (1,024 episodes, 0 non-finite)",
@@ -130,7 +117,7 @@ def test_heatmap_has_all_parts():
         "d9  range 0.4, strength 0.4",
         "n = 8, medoid ippo-d1",
     ):
-        assert words in written
+        assert words in caption
 
 
 def test_strips_follow_order_of_policies():
@@ -181,13 +168,10 @@ def test_texts_are_inside_and_apart(count: int, how: Any):
         for label in bar.get_yticklabels()
         if not bar.get_ylim()[0] <= label.get_position()[1] <= bar.get_ylim()[1]
     ]
-    matches = [
-        text
-        for text in figure.findobj(Text)
-        if text.get_text() and text.get_visible() and text not in unseen
-    ]
     boxes = [
-        (text.get_text(), np.array(text.get_window_extent(renderer).extents)) for text in matches
+        (text.get_text(), np.array(text.get_window_extent(renderer).extents))
+        for text in visible_texts(figure)
+        if text not in unseen
     ]
     size = figure.get_size_inches() * figure.dpi
     for words, box in boxes:
@@ -217,11 +201,8 @@ def test_small_matrix_shows_numbers():
 
 
 def test_rounded_zero_has_no_sign():
-    values = np.array([-0.3, 0.3, -12.4, 7.0])
-    table = episode_table(values.reshape(1, 4, 1), ["my robot"], teams(4))
-    pairs = derived.pair_table(recorded(table))
-    summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
-    shown = axes_by_label(crossplay_heatmap(arrange(pairs), summarised))["matrix"].texts
+    _, figure = draw_robot(np.array([-0.3, 0.3, -12.4, 7.0]))
+    shown = axes_by_label(figure)["matrix"].texts
     assert sorted(text.get_text() for text in shown) == ["-12", "0", "0", "7"]
 
 
@@ -231,10 +212,7 @@ def test_rounded_zero_has_no_sign():
 def test_colours_ignore_few_bad_pairs(least: float, message: str | None):
     values = np.linspace(0.0, 500.0, 20)
     values[0] = least
-    table = episode_table(values.reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs = derived.pair_table(recorded(table))
-    summarised = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
-    figure = crossplay_heatmap(arrange(pairs), summarised)
+    _, figure = draw_robot(values)
     [image] = axes_by_label(figure)["matrix"].images
     first = 0.0 if message is None else 0.95 * values[1] + 0.05 * least
     assert (image.norm.vmin, image.norm.vmax) == (pytest.approx(first), 500.0)
@@ -242,13 +220,10 @@ def test_colours_ignore_few_bad_pairs(least: float, message: str | None):
 
 
 def test_an_outsider_is_drawn_without_self_play():
-    table = episode_table(np.arange(20.0).reshape(1, 20, 1), ["my robot"], teams(20))
-    pairs = derived.pair_table(recorded(table))
-    matrix = arrange(pairs)
-    content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
-    figure = crossplay_heatmap(matrix, content)
+    matrix, figure = draw_robot(np.arange(20.0))
     assert not matrix.self_play.any()
     assert "from outside the zoo" in texts(figure)
+    pairs, _ = written(episode_table(np.ones((1, 4, 1)), ["my robot"], teams(4)))
     with pytest.raises(ValueError, match="so they share no order; choose 'separate'"):
         arrange(pairs, "shared")
 
@@ -297,24 +272,14 @@ def test_short_names_drop_common_parts():
 
 def evaluations() -> dict[str, dict[str, Any]]:
     rng = np.random.default_rng(0)
-    partners = teams(8, ("ippo",), ("d1", "d9"))
-    sides = ["test", "train", "train", "test"] * 2
-    return {
-        name: tables.to_json(
-            summary.summarise_evaluation(
-                recorded(
-                    episode_table(
-                        rng.normal(500, 50, (egos, 8, 2)),
-                        [f"{name}{i}" for i in range(egos)],
-                        partners,
-                        sides,
-                    )
-                ),
-                CONTEXT,
-            )
-        )
-        for name, egos in (("ppo", 3), ("fcp", 1))
-    }
+    partners, sides = teams(8, ("ippo",), ("d1", "d9")), ["test", "train", "train", "test"] * 2
+
+    def summarised(name: str, egos: int) -> dict[str, Any]:
+        returns = rng.normal(500, 50, (egos, 8, 2))
+        table = episode_table(returns, [f"{name}{i}" for i in range(egos)], partners, sides)
+        return tables.to_json(summary.summarise_evaluation(recorded(table), CONTEXT))
+
+    return {"ppo": summarised("ppo", 3), "fcp": summarised("fcp", 1)}
 
 
 def test_dots_show_mean_and_interval():
@@ -326,15 +291,9 @@ def test_dots_show_mean_and_interval():
     assert dots == pytest.approx(sorted(value["mean"] for value in values))
     whiskers = sorted(tuple(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2)
     np.testing.assert_allclose(whiskers, sorted(tuple(value["mean_ci"]) for value in values))
-    written = " ".join("\n".join(texts(figure)).split())
-    assert (
-        "PPO: 3 seeds × 4 train partners, 4 test partners × 2 episodes; scratch, release v0"
-        in written
-    )
-    assert (
-        "95% interval for new partners and starts; 95% interval for new seeds, partners and starts"
-        in written
-    )
+    caption = " ".join("\n".join(texts(figure)).split())
+    assert "PPO: 3 seeds × 4 train partners, 4 test partners × 2 episodes; scratch" in caption
+    assert "95% interval for new partners and starts; 95% interval for new seeds" in caption
 
 
 @pytest.mark.parametrize("zero_action", [3.0, 990.0])
@@ -382,25 +341,17 @@ def test_numbers_overlap_no_dot():
 def test_axis_zooms_to_near_references():
     summaries = evaluations()
     low, high = axes_by_label(zsc_dots(summaries, {"self-play": 510.0}))["returns"].get_ylim()
-    ends = [
-        end
-        for figures in summaries.values()
-        for key in ("m_test", "m_train")
-        for end in figures[key]["mean_ci"]
-    ]
+    sides = [figures[key] for figures in summaries.values() for key in ("m_test", "m_train")]
+    ends = [end for side in sides for end in side["mean_ci"]]
     assert min(ends) - 40 < low < min(ends) and max(ends) < high < max(ends) + 40
 
 
-def test_missing_side_has_no_dot():
-    summaries = {
-        name: {**figures, "m_train": None, "gap": None} for name, figures in evaluations().items()
-    }
+def test_missing_side_has_no_dot_and_no_plural():
+    summaries = evaluations()
+    for figures in summaries.values():
+        figures |= {"m_train": None, "gap": None}
     lines = axes_by_label(zsc_dots(summaries))["returns"].lines
     assert sum(len(line.get_ydata()) == 1 for line in lines) == 2
-
-
-def test_a_caption_counts_one_partner_as_one():
-    summaries = evaluations()
     summaries["fcp"] |= {"partners": {"train": 0, "test": 1}, "episodes_per_pair": 1}
     assert "1 seed × 1 test partner × 1 episode;" in provenance(summaries)
 
@@ -420,9 +371,8 @@ def test_lines_are_the_saved_tables():
     profile = pl.DataFrame(
         {"threshold": [0.0, 1.0], "share": [1.0, 0.0], "low": [None, None], "high": [None, None]}
     )
-    axes = axes_by_label(performance_profile({"ppo": profile}, task="scratch", caption="n"))[
-        "lines"
-    ]
+    figure = performance_profile({"ppo": profile}, task="scratch", caption="n")
+    axes = axes_by_label(figure)["lines"]
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.0])
     assert not axes.collections  # no band without an interval
     curves = pl.DataFrame(
@@ -476,14 +426,10 @@ def test_caption_fits_figure(draw: Callable[[], Figure]):
 
 
 def test_grid_counts_partners():
-    rows = (
-        [("scratch", "ippo", "d1")] * 6
-        + [("scratch", "ippo", "d9")] * 3
-        + [("bed_bath", "isac", "d1")] * 2
-    )
-    figure = population_grid(
-        pl.DataFrame(rows, schema=["task", "algorithm", "disability"], orient="row"), caption="n"
-    )
+    columns = ["task", "algorithm", "disability"]
+    rows = [("scratch", "ippo", "d1")] * 6 + [("scratch", "ippo", "d9")] * 3
+    rows += [("bed_bath", "isac", "d1")] * 2
+    figure = population_grid(pl.DataFrame(rows, schema=columns, orient="row"), caption="n")
     scratch = axes_by_label(figure)["population:scratch"]
     cells = {text.get_position(): text.get_text() for text in scratch.texts}
     assert cells[(0.47, 0.46)] == "6" and cells[(8.47, 0.46)] == "3"
@@ -493,7 +439,7 @@ def test_grid_counts_partners():
     settings = style.disability_colours(["d1", "d9"])
     assert coloured[0] == settings["d1"] and coloured[8] == settings["d9"]
     with pytest.raises(ValueError, match="the population is empty"):
-        population_grid(pl.DataFrame(schema=["task", "algorithm", "disability"]), caption="n")
+        population_grid(pl.DataFrame(schema=columns), caption="n")
 
 
 def test_speeds_and_names_are_inside_figure():
@@ -539,10 +485,3 @@ def test_too_small_width_is_refused():
         crossplay_heatmap(arrange(pairs), figures, width=1.0)
     with pytest.raises(ValueError, match="width is 1 inches"):
         zsc_dots(evaluations(), width=1.0)
-
-
-def test_saved_matrix_survives_its_file(tmp_path: Path):
-    pairs, _ = saved(teams(6), 2)
-    tables.write_parquet(pairs, tmp_path / tables.PAIRS_FILE)
-    arranged = arrange(tables.read_parquet(tmp_path / tables.PAIRS_FILE))
-    np.testing.assert_array_equal(arranged.values, arrange(pairs).values)

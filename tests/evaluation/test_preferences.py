@@ -1,9 +1,9 @@
 """What the humans of a gentle task like, from the job to the figures."""
 
 import dataclasses
-from collections import Counter
+from collections import Counter, namedtuple
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,13 +33,7 @@ from evaluation.replay.replay import replay_folder
 from evaluation.report.page import write_report
 from tests import untrained
 from tests.evaluation.episode_tables import CONTEXT, recorded
-from tests.evaluation.matrix_game import (
-    HUMAN,
-    ROBOT,
-    MatrixGame,
-    humans,
-    robots,
-)
+from tests.evaluation.matrix_game import HUMAN, ROBOT, MatrixGame, Measures, humans, robots
 from tests.studies import cross_play, evaluate_policies
 from zoo.registry import Registry, load_registry
 from zoo.splitting.create import create_split
@@ -129,19 +123,17 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
     assert summary.preference_fairness is not None
     assert (summary.preference_fairness.worst, summary.preference_fairness.best) == ("p1", "p9")
     assert summary.violations is not None and summary.violations.mean == pytest.approx(1 / 9)
+    # Preferences without a partner are left out.
+    few = summarise_evaluation(recorded(table.filter(pl.col("episode") < 2)), CONTEXT)
+    counts = Counter(job_of().preferences_of(job_of().partners.ids, range(2)).ravel())
+    assert {name: figure.n for name, figure in few.by_preference.items()} == {
+        str(name): 2 * count for name, count in counts.items()
+    }
     safe = with_safety(table)
     assert summary.safe_success is not None
     assert summary.safe_success.mean == pytest.approx(safe["safe_success"].mean())
     hurt = safe.filter(pl.col("violated"))
     assert hurt["success"].any() and not hurt["safe_success"].any()
-
-
-def test_preference_figures_omit_other_partners(tmp_path: Path) -> None:
-    summary = summarise_evaluation(recorded(played(tmp_path, episodes=2)), CONTEXT)
-    counts = Counter(job_of().preferences_of(job_of().partners.ids, range(2)).ravel())
-    assert {name: figure.n for name, figure in summary.by_preference.items()} == {
-        str(name): 2 * count for name, count in counts.items()
-    }
 
 
 def test_gentle_folder_has_tables_and_report(tmp_path: Path) -> None:
@@ -170,16 +162,7 @@ class Pressing(Fond):
         return Pressed(*state.measures[:3], felt, felt == 9.0, 1.5 * felt, felt > 6.0, felt, felt)
 
 
-class Pressed(NamedTuple):
-    force: jax.Array
-    distance: jax.Array
-    success: jax.Array
-    contact: jax.Array
-    violated: jax.Array
-    together: jax.Array
-    at_end: jax.Array
-    speed: jax.Array
-    face: jax.Array
+Pressed = namedtuple("Pressed", (*Measures._fields, "together", "at_end", "speed", "face"))
 
 
 @pytest.mark.slow
@@ -220,9 +203,8 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
     tested = job_of(preferences=SIDES["test"])
     assert job.with_side_preferences(SIDES).identity() == tested.identity()
     partners = job.partners.ids
-    mixed = dataclasses.replace(
-        job, sides=dict(zip(partners, ("train", "test", "test"), strict=True))
-    )
+    sides = dict(zip(partners, ("train", "test", "test"), strict=True))
+    mixed = dataclasses.replace(job, sides=sides)
     both = mixed.with_side_preferences(SIDES)
     assert both.identity() == {
         **mixed.identity(),
@@ -243,15 +225,11 @@ def test_partners_play_under_the_preferences_of_their_side(tmp_path: Path) -> No
 def test_preferences_of_other_side_are_noted(tmp_path: Path) -> None:
     split = SplitName("gentle/half-p1-p5-p9", "0" * 64, SIDES)
     context = dataclasses.replace(CONTEXT, split=split)
-    right = summarise_evaluation(
-        recorded(played(tmp_path / "a", preferences=("p1", "p5"))), context
-    )
-    assert not any("split's" in note for note in right.notes)
-    wrong = summarise_evaluation(
-        recorded(played(tmp_path / "b", preferences=("p1", "p3"))), context
-    )
     warning = "test partners played under p3; the split's test preferences are p1, p5, p9"
-    assert warning in wrong.notes
+    for names, expected in ((("p1", "p5"), []), (("p1", "p3"), [warning])):
+        record = recorded(played(tmp_path / names[1], preferences=names))
+        notes = summarise_evaluation(record, context).notes
+        assert [note for note in notes if "split's" in note] == expected
 
 
 def test_comparison_refuses_other_preferences(tmp_path: Path) -> None:
@@ -317,7 +295,7 @@ def test_training_uses_preferences_of_training_side(gentle: Registry) -> None:
     assert named.config.preferences == ()
 
 
-def test_how_knows_which_tasks_have_preferences() -> None:
+def test_settings_know_preferences_of_their_task() -> None:
     assert PlaySettings("scratch", 8).turns == ()
     assert PlaySettings("gentle_bath", 8).turns == NAMES
     assert PlaySettings("gentle_bath", 8, preferences="p1,p5").turns == ("p1", "p5")
@@ -326,11 +304,7 @@ def test_how_knows_which_tasks_have_preferences() -> None:
 @pytest.mark.parametrize(
     ("task", "names", "message"),
     [
-        (
-            "scratch",
-            "p1",
-            "humans of scratch have no preferences; leave them out, or choose gentle",
-        ),
+        ("scratch", "p1", "humans of scratch have no preferences; leave them out, or choose"),
         ("gentle_lift", "p1,p10", "preferences are p1, p10; give each .* once, of p1, p2"),
         ("gentle_lift", "p1,p1", "preferences are p1, p1; give each .* once"),
         ("gentle_lift", "", "preferences are none; give each"),

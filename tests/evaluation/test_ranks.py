@@ -67,18 +67,11 @@ def covers(ranks: Ranks, truth: np.ndarray) -> bool:
 def test_methods_far_apart_have_one_rank_each() -> None:
     ranks = rank_methods(played(np.array([0.0, 30.0, 10.0, 20.0]), np.random.default_rng(0)))
     assert ranks.places.tolist() == ranks.lowest.tolist() == [4, 1, 3, 2]
-
-
-def test_a_method_shares_the_place_of_its_copy() -> None:
+    alone = rank_methods(played(np.array([0.0]), np.random.default_rng(2)))
+    assert (alone.places.tolist(), alone.lowest.tolist()) == ([1], [1])
     scores = played(np.array([0.0, 20.0]), np.random.default_rng(1))
-    ranks = rank_methods([*scores, scores[1]])
-    assert ranks.places.tolist() == [3, 1, 1]
-    assert ranks.lowest.tolist() == [3, 2, 2]
-
-
-def test_one_method_alone_is_first() -> None:
-    ranks = rank_methods(played(np.array([0.0]), np.random.default_rng(2)))
-    assert (ranks.places.tolist(), ranks.lowest.tolist()) == ([1], [1])
+    ranks = rank_methods([*scores, scores[1]])  # a copy shares the place
+    assert (ranks.places.tolist(), ranks.lowest.tolist()) == ([3, 1, 1], [3, 2, 2])
 
 
 def test_hard_partners_do_not_blur_order() -> None:
@@ -101,19 +94,15 @@ def test_claims_are_transitive() -> None:
 def test_three_seeds_find_four_of_five_true_orders() -> None:
     """Six methods 100 apart, seeds of standard deviation 40, which is known beforehand."""
     world, rng = World(gap=GAP), np.random.default_rng(5)
-    ranks = {
-        (seeds, known): np.mean(
-            [
-                rank_methods(world.draw(seeds, rng), seed_sd=known).better[np.tril_indices(6, -1)]
-                for _ in range(100)
-            ]
-        )
-        for seeds, known in ((2, SEED), (3, SEED), (3, None), (5, None))
-    }
-    assert ranks[3, SEED] > 0.77  # 81% of many; the error of 100 lists is 1%
-    assert ranks[2, SEED] > 0.3
-    assert ranks[3, None] > 0.5
-    assert ranks[5, None] > 0.9
+
+    def share(seeds: int, known: float | None) -> float:
+        ranks = [rank_methods(world.draw(seeds, rng), seed_sd=known) for _ in range(100)]
+        return float(np.mean([rank.better[np.tril_indices(6, -1)] for rank in ranks]))
+
+    assert share(2, SEED) > 0.3
+    assert share(3, SEED) > 0.77  # 81% of many; the error of 100 lists is 1%
+    assert share(3, None) > 0.5
+    assert share(5, None) > 0.9
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from evaluation.record.columns import COLUMNS, validate_episodes
 from evaluation.record.record import lay_out
 from tests.attack.commands import small_zoo
 from tests.evaluation.episode_tables import CONTEXT, episode_table, recorded, team_id, teams
-from tests.population.toy_env import ToyEnv, match
+from tests.evaluation.test_sources import toy
 from tests.studies import cross_play, evaluate_policies
 from zoo.registry import load_registry
 
@@ -30,11 +30,6 @@ def layouts(monkeypatch: pytest.MonkeyPatch) -> list[pl.DataFrame]:
     def counted(table: pl.DataFrame) -> Any:
         tables.append(table)
         return lay_out(table)
-
-    def toy(task: str, backend: str = "native", **_: Any) -> ToyEnv:
-        env = ToyEnv(match)
-        env.task, env.backend = task, "native"
-        return env
 
     monkeypatch.setattr(records, "lay_out", counted)
     monkeypatch.setattr("assistax_envs.make", toy)

@@ -51,14 +51,8 @@ def made(zoo: Registry, tmp_path_factory: pytest.TempPathFactory) -> Path:
         for backend in ("native", "mjx"):
             how = PlaySettings("scratch", EPISODES, backend=backend)
             evaluate_policies(zoo, ROBOTS, how, home / backend, split="both")
-        humans = "scratch/*/human"
-        cross_play(
-            zoo,
-            "scratch/*/robot",
-            humans,
-            PlaySettings("scratch", 2, backend="native"),
-            home / "xp",
-        )
+        how = PlaySettings("scratch", 2, backend="native")
+        cross_play(zoo, "scratch/*/robot", "scratch/*/human", how, home / "xp")
     return home
 
 

@@ -20,7 +20,7 @@ from evaluation.replay.replay import replay_folder
 from population.networks.onnx_export import to_onnx
 from tests.attack.commands import small_zoo
 from tests.evaluation.matrix_game import ROBOT, MatrixGame, humans
-from tests.population.toy_env import ToyEnv, match
+from tests.evaluation.test_sources import toy
 from tests.studies import evaluate_policies
 from tests.untrained import params_of
 from zoo.parameters.storage import load_stacks, write_policy_file
@@ -208,12 +208,6 @@ def test_received_notes_use_own_words() -> None:
     assert first == f"host {NOTES['rows']}" and second.startswith("host loaded b.py only while")
 
 
-def toy(task: str, backend: str = "native", **_: Any) -> ToyEnv:
-    made = ToyEnv(match)
-    made.task, made.backend = task, "native"
-    return made
-
-
 @pytest.mark.slow
 def test_told_evaluation_is_noted_and_replayed(
     folder: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
@@ -268,34 +262,16 @@ def copies(folder: Path, registry: Registry) -> dict[str, Any]:
         "two graphs": ["own.onnx", f"onnx:{folder}/own.onnx"],
         "code": ["python:mine.py:make?gain=1", f"python:{folder}/mine.py:make?gain=1"],
         "copied code": ["python:mine.py:make?gain=1", "python:copy.py:make?gain=1"],
-        "arguments": [
-            "python:mine.py:make?gain=1&path=a.pt",
-            "python:mine.py:make?gain=1&path=b.pt",
-        ],
+        "arguments": [f"python:mine.py:make?gain=1&path={name}.pt" for name in "ab"],
         "object": [act, act],
     }
 
 
-COPIES = (
-    "id and file",
-    "file and its metadata",
-    "file and link",
-    "two paths",
-    "id and graph",
-    "two graphs",
-    "code",
-    "copied code",
-    "arguments",
-    "object",
-)
-
-
-@pytest.mark.parametrize("kind", COPIES)
-def test_copies_of_one_robot_are_no_seeds(folder: Path, registry: Registry, kind: str) -> None:
-    given = copies(folder, registry)
-    assert tuple(given) == COPIES
-    with pytest.raises(ValueError, match=r".* and .* are the same robot, .*; give it once"):
-        check_distinct(read_egos(given[kind], registry, "scratch"))
+def test_copies_of_one_robot_are_no_seeds(folder: Path, registry: Registry) -> None:
+    for given in copies(folder, registry).values():
+        egos = read_egos(given, registry, "scratch")
+        with pytest.raises(ValueError, match=r".* and .* are the same robot, .*; give it once"):
+            check_distinct(egos)
 
 
 def test_seeds_of_one_method_are_taken(folder: Path, registry: Registry) -> None:

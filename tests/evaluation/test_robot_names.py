@@ -1,5 +1,4 @@
 import re
-from pathlib import Path
 
 import pytest
 
@@ -49,13 +48,3 @@ def test_every_form_is_read(text: str, parts: tuple) -> None:
 def test_unknown_reference_gets_suggestion(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         parse_reference(text)
-
-
-def test_no_other_module_parses_references() -> None:
-    """A second parser would begin with a check of a scheme in another module."""
-    root = Path(__file__).parents[2]
-    for package in ("evaluation", "assistax_zoo", "population", "zoo"):
-        for path in (root / package).rglob("*.py"):
-            text = path.read_text(encoding="utf-8")
-            if path.name != "policy_reference.py":
-                assert not re.search(r'"(zoo|python|onnx):"', text), path

@@ -105,17 +105,6 @@ def test_more_episodes_extend_fewer():
     assert episode_seeds(3, range(4)) != episode_seeds(4, range(4))
 
 
-def strengths(state: Any, shape: tuple[int, int, int]) -> np.ndarray:
-    return np.asarray(state.params.strength).reshape(shape)
-
-
-def carries_its_own_setting(started: np.ndarray) -> bool:
-    return np.array_equal(
-        started,
-        np.broadcast_to(np.array([1.0, 0.7, 0.4], np.float32)[None, :, None], started.shape),
-    )
-
-
 def test_every_partner_plays_under_its_own_disability():
     tally = play(robots(-0.5, 0.5), humans(-0.5, -0.5, -0.5, disabilities=tuple(SETTINGS)))
     expected = 4 * PAYOFF[:, 0, None] * np.array([1.0, 0.7, 0.4])[None, :]
@@ -124,43 +113,20 @@ def test_every_partner_plays_under_its_own_disability():
     )
 
 
-def programs(spec: PolicySpec = ROBOT) -> Programs:
-    return Programs(
-        MatrixGame(),
-        [Policy(spec)],
-        [Policy(HUMAN)],
-        4,
-        paired=False,
-        stochastic=False,
-        forgets=True,
-    )
+def programs(spec: PolicySpec) -> Programs:
+    policies = [Policy(spec)], [Policy(HUMAN)]
+    return Programs(MatrixGame(), *policies, 4, paired=False, stochastic=False, forgets=True)
 
 
-def block_of(spec: PolicySpec = ROBOT, episodes: int = 2, **changes: Any) -> Block:
-    """Two robots with three humans."""
-    block = Block(
+def block_of(spec: PolicySpec, episodes: int) -> Block:
+    """Return two robots with three humans."""
+    return Block(
         robots=(stack_of(random_roster(spec, 2, 1)).params,),
         humans=(stack_of(random_roster(HUMAN, 3, 2)).params,),
         env_params=disability_params(SETTINGS),
         keys=jax.vmap(jax.random.key)(jnp.arange(episodes)),
         trips=np.int32(1),
     )
-    return dataclasses.replace(block, **changes)
-
-
-def start_of_block(**changes: Any) -> tuple[Loop, Layout]:
-    block = block_of(**changes)
-    return programs().start(block), programs().layout(block)
-
-
-def test_the_disability_check_sees_one_setting_for_all():
-    right, layout = start_of_block()
-    planted = jax.tree.map(
-        lambda leaf: jnp.broadcast_to(leaf[:1], leaf.shape), disability_params(SETTINGS)
-    )
-    wrong, _ = start_of_block(env_params=planted)
-    assert carries_its_own_setting(strengths(right.state, layout.block))
-    assert not carries_its_own_setting(strengths(wrong.state, layout.block))
 
 
 def test_nonfinite_episode_earns_nothing_afterwards():
@@ -169,10 +135,6 @@ def test_nonfinite_episode_earns_nothing_afterwards():
     assert tally.nonfinite.all()
     assert np.isfinite(tally.force_sum).all()
     np.testing.assert_allclose(tally.force_peak, 2.5)
-
-
-def row_of(roster: Roster, row: int) -> Any:
-    return stack_of(roster).row(row)
 
 
 @pytest.mark.parametrize("spec", [ROBOT, GRU], ids=["mlp", "gru"])
@@ -185,11 +147,9 @@ def test_block_equals_single_pairs(spec: PolicySpec):
     params = [stack_of(robot).params], [stack_of(human).params]
     block = rollout.run(*params, settings, seeds)
     for e, p, k in np.ndindex(block.returns.shape):
-        mine, theirs = row_of(robot, e), row_of(human, p)
-        state = env.reset(
-            jax.random.key(seeds[k])[None],
-            jax.tree.map(lambda leaf, p=p: leaf[p : p + 1], settings),
-        )
+        mine, theirs = stack_of(robot).row(e), stack_of(human).row(p)
+        setting = jax.tree.map(lambda leaf, p=p: leaf[p : p + 1], settings)
+        state = env.reset(jax.random.key(seeds[k])[None], setting)
         policies = {"robot": (Policy(spec), mine), "human": (Policy(HUMAN), theirs)}
         carries = {role: policy.initial_carry((1,)) for role, (policy, _) in policies.items()}
         total = 0.0
@@ -232,13 +192,8 @@ def test_mixed_block_equals_single_networks(options: dict[str, Any]):
         *(zip(seat, shares, strict=True) for seat in SEVERAL)
     ):
         alone = play_stacks([robot], [human], THEIR_SETTINGS[p], **options)
-        jax.tree.map(
-            lambda alone, every, e=e, p=p: np.testing.assert_allclose(
-                alone, every[e, p], rtol=1e-5
-            ),
-            alone,
-            whole,
-        )
+        for value, every in zip(jax.tree.leaves(alone), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_allclose(value, every[e, p], rtol=1e-5)
 
 
 def test_paired_block_equals_own_pairs():
@@ -262,16 +217,8 @@ def test_drawn_actions_depend_on_episode_step_role():
         play(robots(0.0), humans(0.0), episodes=8, env=env, stochastic=True).returns[0, 0],
         tally.returns[0, 0, :8],
     )
-    assert (
-        len(
-            set(
-                (
-                    play(robots(0.0), humans(0.0), episodes=8, stochastic=True).force_sum[0, 0]
-                ).tolist()
-            )
-        )
-        == 8
-    )
+    whole = play(robots(0.0), humans(0.0), episodes=8, stochastic=True)
+    assert len(set(whole.force_sum[0, 0].tolist())) == 8
 
 
 def test_own_episodes_draw_own_actions():
@@ -297,12 +244,9 @@ def test_values_do_not_depend_on_the_block(stochastic: bool):
     whole = play(robot, human, episodes=2, stochastic=stochastic)
     rollout = Rollout(MatrixGame(), [Policy(wide)], [Policy(HUMAN)], stochastic=stochastic)
     for e, p, k in np.ndindex(3, 5, 2):
-        mine, theirs = (
-            stack_of(roster).take([row]).params for roster, row in ((robot, e), (human, p))
-        )
-        alone = rollout.run(
-            [mine], [theirs], disability_params([f"d{1 + p}"]), episode_seeds(7, range(k, k + 1))
-        )
+        params = [[stack_of(robot).take([e]).params], [stack_of(human).take([p]).params]]
+        settings = disability_params([f"d{1 + p}"])
+        alone = rollout.run(*params, settings, episode_seeds(7, range(k, k + 1)))
         assert alone.returns[0, 0, 0] == whole.returns[e, p, k]
         assert alone.force_sum[0, 0, 0] == whole.force_sum[e, p, k]
 

@@ -121,35 +121,29 @@ def test_values_do_not_depend_on_the_tile(monkeypatch: pytest.MonkeyPatch) -> No
     assert few.equals(whole.filter(pl.col("episode") < 4))  # more series extend fewer
 
 
+class Host:
+    """Acts beyond the range from its second episode on."""
+
+    def __init__(self) -> None:
+        self.resets: list[int] = []
+        self.steps = 0
+
+    def reset(self, rows: int) -> None:
+        self.resets.append(rows)
+        assert self.steps == 0
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        self.steps += 1
+        return np.full((len(obs), 2), 2.0 if self.steps > 4 else 0.5)
+
+
 def test_outside_robot_is_reset_per_series() -> None:
-    class Host:
-        told: list[int] = []  # noqa: RUF012
-
-        def reset(self, rows: int) -> None:
-            self.told.append(rows)
-
-        def act(self, obs: np.ndarray) -> np.ndarray:
-            self.told.append(-1)
-            return np.zeros((len(obs), 2))
-
-    egos = Roster((HostEgo("host", Host()),), {"host": Member("host", "0")})
-    played(job_of(egos, humans(0.5), episodes=6, series=3))
-    assert Host.told == [2, *[-1] * 12]  # two series at once, of three episodes of four steps
-
-
-def test_clipping_is_counted_per_episode() -> None:
-    class Growing:
-        """Beyond the range from its second episode on."""
-
-        def reset(self, rows: int) -> None:
-            self.steps = 0
-
-        def act(self, obs: np.ndarray) -> np.ndarray:
-            self.steps += 1
-            return np.full((len(obs), 2), 2.0 if self.steps > 4 else 0.5)
-
-    egos = Roster((HostEgo("host", Growing()),), {"host": Member("host", "0")})
+    """And what is clipped is counted by episode."""
+    host = Host()
+    egos = Roster((HostEgo("host", host),), {"host": Member("host", "0")})
     table = played(job_of(egos, humans(0.5), episodes=6, series=3))
+    # Two series at once, of three episodes of four steps.
+    assert (host.resets, host.steps) == ([2], 12)
     assert set(table.select("place", "clipped").rows()) == {(1, 0.0), (2, 1.0), (3, 1.0)}
 
 
@@ -165,19 +159,10 @@ def test_partners_begin_series_at_different_starts() -> None:
     assert all(sorted(row[:, 0]) == ["p1", "p5", "p9"] for row in wishes)
 
 
-def test_identity_has_series_only_if_used() -> None:
+def test_series_are_of_identity_only_if_used() -> None:
     job = job_of(robots(0.5))
     assert "series" not in job.identity()
-    assert dataclasses.replace(job, series=3).identity() == {**job.identity(), "series": 3}
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"series": 4}, "series is 4 of 6 episodes; give 1 or more, and a multiple of it"),
-        ({"series": 0}, "series is 0"),
-    ],
-)
-def test_series_that_cannot_be_played_are_refused(changes: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        job_of(robots(0.5), **changes)
+    assert job_of(robots(0.5), series=3).identity() == {**job.identity(), "series": 3}
+    for series in (4, 0):
+        with pytest.raises(ValueError, match=f"series is {series} of 6 episodes; give 1 or more"):
+            job_of(robots(0.5), series=series)

@@ -15,7 +15,7 @@ from evaluation.play.jobs import Job
 from evaluation.play.shares import run_blocks_on_ray
 from tests import untrained
 from tests.evaluation.matrix_game import GRU, MatrixGame, humans, random_roster, robots
-from tests.untrained import HUMAN, ROBOT, params_of, untrained_team
+from tests.untrained import ROBOT
 
 SMALL = dataclasses.replace(ROBOT, hidden=(4,))
 
@@ -23,32 +23,14 @@ SMALL = dataclasses.replace(ROBOT, hidden=(4,))
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A registry of teams whose robots are of two specs, which cannot share a chunk."""
-    teams = [
-        untrained_team(
-            "d9",
-            seed,
-            robot=(robot, params_of(robot, seed)),
-            human=(HUMAN, params_of(HUMAN, 10 + seed)),
-        )
-        for seed, robot in enumerate((ROBOT, SMALL))
-    ]
+    teams = [untrained.teams_of(2, robot)[seed] for seed, robot in enumerate((ROBOT, SMALL))]
     return untrained.published(teams, tmp_path_factory.mktemp("zoo"))
 
 
 @pytest.mark.slow
 def test_crossplay_on_ray_equals_single_run(published: Path, tmp_path: Path, capfd: Any):
-    words = [
-        "crossplay",
-        "--task",
-        "scratch",
-        "--registry",
-        str(published),
-        "--backend",
-        "native",
-        "--max-envs",
-        "2",
-    ]
-    words += ["--episodes", "1"]
+    words = ["crossplay", "--task", "scratch", "--registry", str(published), "--episodes", "1"]
+    words += ["--backend", "native", "--max-envs", "2"]
     assert run([*words, "--out", str(tmp_path / "local")]) == 0
     assert run([*words, "--out", str(tmp_path / "ray"), "--engine", "ray", "--ray-cpus", "1"]) == 0
     printed = capfd.readouterr()
@@ -61,22 +43,15 @@ def test_crossplay_on_ray_equals_single_run(published: Path, tmp_path: Path, cap
 
 def test_parts_that_are_not_here_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tiles, "SMALL_JOB", 0)  # a part for each network
-    job = Job(
-        "matrix",
-        1,
-        "native",
-        joined(robots(1.0), random_roster(GRU, 1, 3)),
-        humans(1.0, -1.0),
-        episodes=2,
-    )
-    # All workers wrote to their own disks.
-    monkeypatch.setattr(blocks, "run_blocks", lambda *_: None)
-    with pytest.raises(ValueError, match=r"has 0 of 2 parts here; write to a folder that all"):
-        run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
-    # One worker of two wrote to its own disk.
-    monkeypatch.setattr(blocks, "run_blocks", lambda *args: blocks._run_remotely(0, 2, *args[3]))
-    with pytest.raises(ValueError, match=r"has 1 of 2 parts here; write to a folder that all"):
-        run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
+    egos = joined(robots(1.0), random_roster(GRU, 1, 3))
+    job = Job("matrix", 1, "native", egos, humans(1.0, -1.0), episodes=2)
+    for here, played in (  # no worker, and one worker of two, wrote to this disk
+        (0, lambda *_: None),
+        (1, lambda *args: blocks._run_remotely(0, 2, *args[3])),
+    ):
+        monkeypatch.setattr(blocks, "run_blocks", played)
+        with pytest.raises(ValueError, match=rf"has {here} of 2 parts here; write to a folder"):
+            run_blocks_on_ray(MatrixGame, job, tmp_path, RayCluster(), max_envs=1)
 
 
 @pytest.mark.parametrize(

@@ -56,14 +56,10 @@ def test_groups_use_test_partners():
     table = evaluation_table()
     figures = summarised(table)
     test = table.filter(side="test")
-    for column, key in (
-        ("partner_algorithm", "by_algorithm"),
-        ("partner_disability", "by_disability"),
-    ):
-        expected = dict(test.group_by(column).agg(pl.col("return").mean()).iter_rows())
-        assert {name: figure["mean"] for name, figure in figures[key].items()} == pytest.approx(
-            expected
-        )
+    for trait in ("algorithm", "disability"):
+        means = test.group_by(f"partner_{trait}").agg(pl.col("return").mean())
+        found = {name: figure["mean"] for name, figure in figures[f"by_{trait}"].items()}
+        assert found == pytest.approx(dict(means.iter_rows()))
     worst = test.group_by("partner").agg(pl.col("return").mean()).sort("return").row(0, named=True)
     assert figures["worst_partner"]["partner"] == worst["partner"]
     assert figures["worst_partner"]["mean"] == pytest.approx(worst["return"])
@@ -71,12 +67,6 @@ def test_groups_use_test_partners():
     assert figures["fairness"]["gap"]["value"] == pytest.approx(
         abs(figures["by_disability"]["d1"]["mean"] - figures["by_disability"]["d9"]["mean"])
     )
-
-
-def test_only_training_partners_leave_m_test_empty():
-    figures = summarised(evaluation_table().filter(side="train"))
-    assert (figures["m_test"], figures["gap"], figures["side"]) == (None, None, "train")
-    assert figures["m_train"]["n"] == 12
 
 
 def test_single_ego_and_episode_are_noted():
@@ -88,6 +78,14 @@ def test_single_ego_and_episode_are_noted():
     assert any("groups of partners have as few as" in note for note in figures["notes"])
 
 
+def test_only_training_partners_leave_m_test_empty():
+    figures = summarised(evaluation_table().filter(side="train"))
+    assert (figures["m_test"], figures["gap"], figures["side"]) == (None, None, "train")
+    assert figures["m_train"]["n"] == 12
+    with pytest.raises(ValueError, match="evaluate against a split"):
+        summarised(evaluation_table().with_columns(side=pl.lit(None, pl.String)))
+
+
 def test_clipped_actions_are_noted():
     table = evaluation_table()
     shares = pl.Series("clipped", [0.0, 0.5] * (table.height // 2), pl.Float32())
@@ -97,21 +95,14 @@ def test_clipped_actions_are_noted():
 
 
 def test_nonfinite_episodes_are_counted_and_never_left_out():
-    table = evaluation_table().with_columns(
-        (pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)).alias("nonfinite"),
-        pl.when(pl.col("episode").eq(0) & pl.col("partner_seed").eq(0))
-        .then(0.0)
-        .otherwise("return")
-        .alias("return"),
-    )
+    broken = pl.col("episode").eq(0) & pl.col("partner_seed").eq(0)
+    earned = pl.when(broken).then(0.0).otherwise("return")
+    table = evaluation_table().with_columns(earned.alias("return"), nonfinite=broken)
     figures = summarised(table)
-    assert figures["nonfinite"] == 3
-    assert figures["episodes"] == 144
+    assert (figures["nonfinite"], figures["episodes"]) == (3, 144)
     assert figures["m_test"]["mean"] == pytest.approx(table.filter(side="test")["return"].mean())
-    assert (
-        "3 of 144 episodes became non-finite and earn 0 from then on; they count"
-        in figures["notes"]
-    )
+    note = "3 of 144 episodes became non-finite and earn 0 from then on; they count"
+    assert note in figures["notes"]
     assert derived.partner_table(recorded(table))["nonfinite"].sum() == 3
 
 
@@ -123,20 +114,11 @@ def test_outside_egos_are_seeds_of_method():
     assert figures["m_test"]["n"] == 16
 
 
-def test_partners_without_a_side_are_refused():
-    table = evaluation_table().with_columns(pl.lit(None, pl.String).alias("side"))
-    with pytest.raises(ValueError, match="evaluate against a split"):
-        summarised(table)
-
-
 def test_crossplay_of_the_matrix_game():
     payoff = np.array([[4.0, 1.0], [0.5, 3.0]])
     pair = teams(2)
-    content = tables.to_json(
-        summary.summarise_crossplay(
-            recorded(episode_table(payoff[:, :, None], pair, pair)), CONTEXT
-        )
-    )
+    record = recorded(episode_table(payoff[:, :, None], pair, pair))
+    content = tables.to_json(summary.summarise_crossplay(record, CONTEXT))
     figures = [content[key]["mean"] for key in ("self_play", "cross_play", "gap")]
     assert figures == [3.5, 0.75, 2.75]
     assert content["relative_gap"]["value"] == pytest.approx(2.75 / 3.5)
@@ -150,20 +132,10 @@ def test_crossplay_order_keeps_diagonal():
     shuffled = np.random.default_rng(0).permutation(12)
     table = episode_table(matrix[:, shuffled, None], population, [population[i] for i in shuffled])
     pairs, order = derived.crossplay_matrix(recorded(table))
-    by_team = {
-        (row["ego_team"], row["partner_team"]): row["return"] for row in pairs.iter_rows(named=True)
-    }
-    shared = order["teams"]["order"]
-    assert sorted(shared) == sorted(team_id(team) for team in population)
-    diagonal = [by_team[team, team] for team in shared]
-    np.testing.assert_allclose(sorted(diagonal), sorted(np.diag(matrix)), rtol=1e-6)
+    assert sorted(order["teams"]["order"]) == sorted(team_id(team) for team in population)
+    diagonal = pairs.filter(pl.col("ego_team") == pl.col("partner_team"))["return"].sort()
+    np.testing.assert_allclose(diagonal, sorted(np.diag(matrix)), rtol=1e-6)
     assert [len(cluster["members"]) for cluster in order["teams"]["clusters"]] == [4, 4, 4]
-
-
-def test_single_robot_matrix_has_one_team():
-    table = episode_table(np.zeros((1, 20, 1)), teams(1), teams(20))
-    notes = summary.summarise_crossplay(recorded(table), CONTEXT).notes
-    assert any(note.startswith("1 team: intervals over fewer than 16") for note in notes)
 
 
 def test_other_teams_on_the_axes_share_no_order():
@@ -171,6 +143,9 @@ def test_other_teams_on_the_axes_share_no_order():
     _, order = derived.crossplay_matrix(recorded(table))
     assert order["teams"] is None
     assert (len(order["rows"]["order"]), len(order["columns"]["order"])) == (2, 3)
+    table = episode_table(np.zeros((1, 20, 1)), teams(1), teams(20))
+    notes = summary.summarise_crossplay(recorded(table), CONTEXT).notes
+    assert any(note.startswith("1 team: intervals over fewer than 16") for note in notes)
 
 
 def test_comparison_refuses_other_partners_or_keys():
@@ -208,19 +183,15 @@ def test_own_starts_are_inside_interval():
     assert not any("starts" in note for note in second.notes)
 
 
-def test_profile_falls_from_one_to_nothing():
-    profile = derived.profile_table(recorded(evaluation_table()))
-    assert profile["share"][0] == 1.0
-    assert profile["share"][-1] == 0.0
-    assert (profile["low"] <= profile["share"]).all()
-
-
 def test_saved_figures_equal_printed_figures(tmp_path: Path):
     saved = derived.save_evaluation(Record(evaluation_table(), tmp_path / "m"), CONTEXT)
     assert tables.read_json(tmp_path / "m" / tables.SUMMARY_FILE) == tables.to_json(saved)
     partners = tables.read_parquet(tmp_path / "m" / tables.PARTNERS_FILE)
     assert partners.height == 12
     assert (partners["return_low"] < partners["return"]).all()
+    profile = tables.read_parquet(tmp_path / "m" / tables.PROFILE_FILE)
+    assert (profile["share"][0], profile["share"][-1]) == (1.0, 0.0)
+    assert (profile["low"] <= profile["share"]).all()
     population = teams(6)
     table = episode_table(clustered_matrix(6, 2)[:, :, None], population, population)
     saved = derived.save_crossplay(Record(table, tmp_path / "x"), CONTEXT)
@@ -257,20 +228,14 @@ def test_training_partners_are_kept_not_counted(tmp_path: Path):
 
 def test_validation_side_has_own_figure():
     table = evaluation_table(egos=2)
-    sides = dict(table.select("partner", "side").unique().rows())
-    some = sorted(name for name, side in sides.items() if side == "test")[:2]
-    table = table.with_columns(
-        pl.when(pl.col("partner").is_in(some))
-        .then(pl.lit("validation"))
-        .otherwise("side")
-        .alias("side")
-    )
-    figures = summary.summarise_evaluation(Record(table, Path("nowhere")), CONTEXT)
+    chosen = table.filter(side="test")["partner"].unique().sort()[:2].implode()
+    validated = pl.when(pl.col("partner").is_in(chosen)).then(pl.lit("validation"))
+    table = table.with_columns(side=validated.otherwise("side"))
+    figures = summary.summarise_evaluation(recorded(table), CONTEXT)
     assert figures.m_validation is not None and figures.m_validation.n == 2 * 2
     assert figures.m_test is not None and figures.side == "test"
     assert figures.partners["validation"] == 2
-    alone = summary.summarise_evaluation(
-        Record(table.filter(side="validation"), Path("nowhere")), CONTEXT
-    )
-    assert (alone.side, alone.m_test, alone.gap) == ("validation", None, None)
-    assert alone.m_validation is not None and alone.variance is not None
+    alone = recorded(table.filter(side="validation"))
+    figures = summary.summarise_evaluation(alone, CONTEXT)
+    assert (figures.side, figures.m_test, figures.gap) == ("validation", None, None)
+    assert figures.m_validation is not None and figures.variance is not None

@@ -26,9 +26,8 @@ def small(k: int = 2) -> pl.DataFrame:
 
 def test_layout_ignores_order_of_rows():
     returns = np.random.default_rng(0).normal(size=(3, 4, 5))
-    block = lay_out(
-        episode_table(returns, teams(3), teams(4)).sample(fraction=1.0, shuffle=True, seed=1)
-    )
+    table = episode_table(returns, teams(3), teams(4))
+    block = lay_out(table.sample(fraction=1.0, shuffle=True, seed=1))
     np.testing.assert_array_equal(block.values, returns)
     np.testing.assert_allclose(block.scores, returns.mean(axis=2))
     assert block.egos["ego_seed"].to_list() == [0, 1, 2]
@@ -40,18 +39,8 @@ def test_layout_ignores_order_of_rows():
 def test_seeds_sort_as_numbers():
     egos = ["mine", ("ippo", "d1", 10), ("ippo", "d1", 9)]
     block = lay_out(episode_table(np.zeros((3, 1, 1)), egos, teams(1)))
-    assert block.egos["ego"].to_list() == [
-        "scratch/ippo-d1-s9-v0/robot",
-        "scratch/ippo-d1-s10-v0/robot",
-        "mine",
-    ]
-
-
-def test_keys_that_differ_between_pairs_are_noticed():
-    table = small().with_columns(
-        pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key").alias("key")
-    )
-    assert lay_out(table).keys is None
+    names = [f"scratch/ippo-d1-s{seed}-v0/robot" for seed in (9, 10)]
+    assert block.egos["ego"].to_list() == [*names, "mine"]
 
 
 def test_own_and_common_starts_are_distinguished():
@@ -64,6 +53,8 @@ def test_own_and_common_starts_are_distinguished():
     alone = block.select_partners(np.array([True, False, False]))
     assert alone.keys is not None and alone.keys.shape[0] == 1
     assert not alone.common_starts
+    of_pairs = pl.when(pl.col("ego_seed") == 1).then(7).otherwise("key")
+    assert lay_out(small().with_columns(key=of_pairs)).keys is None
 
 
 def test_missing_and_doubled_episodes_are_refused():
@@ -74,12 +65,9 @@ def test_missing_and_doubled_episodes_are_refused():
 
 
 def test_two_descriptions_of_one_partner_are_refused():
-    table = small().with_columns(
-        pl.when((pl.col("ego_seed") == 1) & (pl.col("partner_seed") == 2))
-        .then(pl.lit("d9"))
-        .otherwise("partner_disability")
-        .alias("partner_disability")
-    )
+    rows = (pl.col("ego_seed") == 1) & (pl.col("partner_seed") == 2)
+    other = pl.when(rows).then(pl.lit("d9")).otherwise("partner_disability")
+    table = small().with_columns(partner_disability=other)
     with pytest.raises(ValueError, match=r"d1-s2-v0/human has several values of partner_dis"):
         lay_out(table)
 
@@ -90,33 +78,19 @@ def test_two_descriptions_of_one_partner_are_refused():
         (lambda t: t.drop("side", "key"), "lacks the columns side, key"),
         (lambda t: t.with_columns(colour=1), "unknown columns colour"),
         (lambda t: t[:0], "no rows"),
+        (lambda t: t.cast({"return": pl.String}), "column return is String; expected Float32"),
+        (lambda t: t.cast({"success": pl.Int8}), "column success is Int8; expected Boolean"),
+        (lambda t: t.with_columns(side=pl.lit("left")), "side holds 'left'; allowed are 'train'"),
         (
-            lambda t: t.with_columns(pl.col("return").cast(pl.String)),
-            "column return is String; expected Float32",
-        ),
-        (
-            lambda t: t.with_columns(pl.col("success").cast(pl.Int8)),
-            "column success is Int8; expected Boolean",
-        ),
-        (
-            lambda t: t.with_columns(pl.lit("left").alias("side")),
-            "side holds 'left'; allowed are 'train', 'validation', 'test'",
-        ),
-        (
-            lambda t: t.with_columns(pl.lit(None, pl.String).alias("partner")),
+            lambda t: t.with_columns(partner=pl.lit(None, pl.String)),
             "column partner has 12 empty values",
         ),
         (
-            lambda t: t.with_columns(
-                pl.when(pl.col("return") == 3).then(np.nan).otherwise("return").alias("return")
-            ),
+            lambda t: t.with_columns(pl.col("return").replace(3, np.nan)),
             r"return has 1 values that are not finite, first nan for ego .*s0-v0/robot with "
             r".*s1-v0/human, episode 1",
         ),
-        (
-            lambda t: t.with_columns((pl.col("term_scratch") / 0).alias("term_scratch")),
-            "column term_scratch has 12 values",
-        ),
+        (lambda t: t.with_columns(pl.col("term_scratch") / 0), "column term_scratch has 12 values"),
     ],
 )
 def test_malformed_table_error_names_fault(change, message: str):

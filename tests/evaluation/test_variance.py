@@ -61,10 +61,8 @@ def test_components_are_those_that_were_drawn(true: Spread, own: bool):
 def test_planted_defect_own_partners_are_interaction():
     returns = drawn(np.random.default_rng(1), Spread(5.0, 5.0, 0.0, 5.0), (12, 12, 3))
     returns[np.arange(12), np.arange(12)] += 100.0
-    counted, left = (
-        variance_components(returns),
-        variance_components(returns, ~np.eye(12, dtype=bool)),
-    )
+    counted = variance_components(returns)
+    left = variance_components(returns, ~np.eye(12, dtype=bool))
     assert counted is not None and counted.interaction_index is not None
     assert left is not None and left.interaction_index is not None
     assert counted.interaction_index > 0.9 and left.interaction_index < 0.1
