@@ -177,7 +177,7 @@ def test_the_outside_task_is_trained_for_the_gates(shell: Shell) -> None:
 def test_outside_teams_are_audited(shell: Shell) -> None:
     options: list[Any] = ["--team", f"{TASK}/ippo-*", "--registry", shell.registry]
     options += ["--episodes", "2"]
-    options += ["--passive-robot", "zero", "--backend", "native", "--json"]
+    options += ["--backend", "native", "--json"]
     audit = json.loads(shell("audit", TASK, *options))
     assert (audit["task"], audit["env_version"], len(audit["teams"])) == (TASK, 1, 2)
     assert {"script, passive human", "mistaken humans"} <= audit["figures"].keys()
