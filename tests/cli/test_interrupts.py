@@ -207,8 +207,8 @@ class leaving:
         return self.inner.__exit__(*error)
 
 {moment}
-main.build_app = lambda: type("App", (), {{"__call__": lambda *words, **options: work()}})()
-main._complete_help = lambda app, arguments: None
+main.build_app = lambda **options: type("App", (), {{"__call__": lambda *words, **options: work()}})()
+main._complete_help = lambda *given: None
 sys.exit(main.run())
 """
     interrupted_with_one_line(program.format(moment=LAST_MOMENTS[moment]))

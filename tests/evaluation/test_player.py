@@ -167,7 +167,7 @@ DAMAGES: dict[str, tuple[Callable[[pl.DataFrame], pl.DataFrame], str]] = {
     "endless": (lambda t: pl.concat([t] * 40), "it must have 2 to 1001"),
     "moods": (
         lambda t: t.with_columns(wish_force=pl.col("step").cast(float)),
-        "wish of force changes, or is not above 0",
+        "preference of force changes, or is not above 0",
     ),
 }
 
