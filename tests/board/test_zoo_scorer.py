@@ -192,7 +192,7 @@ def test_private_release_is_played_under_ordinals(
 def test_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
     task = "gentle_scratch"
     robot, human = gentle_specs(task)
-    registry = load_registry(published(teams_of(1, robot, human, task), tmp_path))
+    registry = load_registry(published(teams_of(2, robot, human, task), tmp_path))
     identity = ZooCatalogue(registry, "native").identity(task)
     assert identity["preferences"] == list(PREFERENCES)
     assert version_id(identity) != version_id(identity | {"preferences": ["p1"]})

@@ -161,7 +161,7 @@ def test_readme_and_start_run_in_the_core_alone(
             call(env, clone, str(core / "assistax-zoo"), *words, *more)
             done.append(words)
     answers = call(env, clone, str(core / "python"), "-c", example)
-    assert answers.startswith("Estimate(mean=251.")
+    assert answers.startswith("Estimate(mean=357.")
     for name in ("ego.html", "mine.html", "watch.html", "crossplay.png"):
         assert (tmp_path / "work" / name).stat().st_size > 500
 
