@@ -207,7 +207,7 @@ class leaving:
         return self.inner.__exit__(*error)
 
 {moment}
-main.build_app = lambda **options: type("App", (), {{"__call__": lambda *words, **options: work()}})()
+main.build_app = lambda **left: type("App", (), {{"__call__": lambda *words, **given: work()}})()
 main._complete_help = lambda *given: None
 sys.exit(main.run())
 """
