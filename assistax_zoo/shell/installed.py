@@ -39,7 +39,7 @@ INSTALL = {
 
 
 def installed_commands(taken: Collection[str] = ()) -> dict[str, str]:
-    """Return the import path of each command of another distribution; none of a `taken` name."""
+    """Return the import path of each command of another distribution, without `taken` names."""
     return {name: extension.value for name, extension in _extensions(COMMANDS, taken)[0].items()}
 
 

@@ -165,14 +165,14 @@ def ends(service: Service, id: str) -> tuple[str, str]:
 
 
 def scored(service: Service, submitter: str, *words: Any, **fields: Any) -> str:
-    """Submit a draft of these words and fields, do what waits, and return its id."""
+    """Submit a draft of these words and fields, run the waiting jobs, and return its id."""
     id = service.submit(submitter, draft(*words, **fields))
     work_off(service)
     return id
 
 
 def close_spring(service: Service) -> None:
-    """Close the season spring, and do what waits."""
+    """Close the season spring, and run the waiting jobs."""
     service.close_season("spring")
     work_off(service)
 

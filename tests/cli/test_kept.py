@@ -1,4 +1,4 @@
-"""Each command that reads something kept is given another job's, and says what the table says."""
+"""Commands that read kept files are given another job's, and answer as the table says."""
 
 import contextlib
 import csv
@@ -123,7 +123,7 @@ def _(home: Home) -> list[str]:
 def merged(
     home: Home, other: str, options: tuple[str, ...] = (), theirs: bool = False
 ) -> list[str]:
-    """Return the words that go on with a cross-play beside whose part another's lies."""
+    """Return the command that resumes a cross-play in a folder with a part of another job."""
     half = ("--share", "1/2", "--max-envs", "4")
     seed = () if theirs else ("--seed", "1")
     parts = home.crossplay(other, *seed, *half, zoo=home.other if theirs else None) / PARTS_FOLDER
@@ -175,7 +175,7 @@ def _(home: Home) -> list[str]:
 
 
 def with_their_pairs(home: Home, words: list[str]) -> list[str]:
-    """Give a command a cross-play whose table of pairs is another folder's."""
+    """Give a command a cross-play with the table of pairs of another folder."""
     place = home.copy(home.crossplay("xp"))
     shutil.copy(home.crossplay("xp2", zoo=home.other) / tables.PAIRS_FILE, place)
     out = {"report": "page.html", "plot": "figure.png"}.get(words[0])

@@ -48,7 +48,7 @@ def method(
     identity: dict[str, Any] | None = None,
     made_with: dict[str, str] | None = None,
 ) -> Path:
-    """Save an evaluation whose robots met some partners, and earn much more with these.
+    """Save an evaluation in which robots met some partners, and earn much more with these.
 
     The folder's name is the method's; `b` earns 10 more than others. `change` is of the table,
     `context` of the summary. A folder without `identity` has no manifest.

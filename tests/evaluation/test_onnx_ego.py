@@ -190,7 +190,7 @@ def endless() -> list[Any]:
 
 
 def drawing(operator: str) -> list[Any]:
-    """A model that adds what it draws."""
+    """A model that adds random numbers to its answers."""
     attributes = {"shape": [1, 5]} if operator in ("RandomNormal", "RandomUniform") else {}
     drawn = onnx.helper.make_node(operator, [] if attributes else ["x"], ["drawn"], **attributes)
     return [drawn, onnx.helper.make_node("Add", ["x", "drawn"], ["y"])]

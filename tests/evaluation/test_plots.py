@@ -46,7 +46,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def written(table: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, Any]]:
-    """Return what a cross-play writes of its episodes: pairs and summary."""
+    """Return the pairs and the summary that a cross-play writes."""
     content = tables.to_json(summary.summarise_crossplay(recorded(table), CONTEXT))
     return derived.pair_table(recorded(table)), content
 

@@ -328,7 +328,7 @@ def browser() -> Generator[Browser]:
 
 
 def opened(browser: Browser, address: str, width: int = 1280, height: int = 1400) -> Page:
-    """Open a report whose matrix is drawn."""
+    """Open a report and its drawn matrix."""
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(address)
     page.wait_for_selector("body[data-matrix]")

@@ -138,7 +138,7 @@ class Host:
 
 
 def test_outside_robot_is_reset_per_series() -> None:
-    """And what is clipped is counted by episode."""
+    """Clipped numbers are counted by episode."""
     host = Host()
     egos = Roster((HostEgo("host", host),), {"host": Member("host", "0")})
     table = played(job_of(egos, humans(0.5), episodes=6, series=3))

@@ -165,7 +165,7 @@ def test_planted_defect_unhashed_shards_are_caught(
 
 
 def test_absent_sources_are_no_problem(home: Path, folder: Path) -> None:
-    """Of another machine, whose files and zoo are not this one's; a zoo inside is not read."""
+    """A folder of another machine, with other files and another zoo; a zoo inside is not read."""
     resealed(folder, registry="/gone/registry.json", files={"/gone/weights.npy": "0" * 64})
     report = check_sources(folder)
     assert report.problems == () and len(report.absent) == 2
