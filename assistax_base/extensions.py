@@ -128,13 +128,23 @@ def _read(group: str) -> tuple[Extension, ...]:
     return tuple(
         sorted(
             (
-                Extension(group, point.name, point.value, point.dist.name, point.dist.version)
+                Extension(group, point.name, point.value, *_package(point.dist))
                 for point in metadata.entry_points(group=group)
                 if point.dist is not None
             ),
             key=lambda extension: (extension.name, extension.package),
         )
     )
+
+
+def _package(distribution: metadata.Distribution) -> tuple[str, str]:
+    """Return a distribution's name and version, or "unknown" where its metadata is damaged."""
+    try:
+        about = distribution.metadata
+        fields = {field: about[field] for field in about}
+    except TypeError:  # there is no file METADATA
+        fields = {}
+    return fields.get("Name", "unknown"), fields.get("Version", "unknown")
 
 
 def _described(error: BaseException) -> str:

@@ -15,6 +15,17 @@ def test_an_entry_point_is_found_and_loaded(install_package: Callable[..., None]
     assert "mean" not in extensions.extensions(extensions.TASKS)
 
 
+@pytest.mark.parametrize("metadata", [None, "", "Metadata-Version: 2.1\nName: outside\n"])
+def test_a_damaged_installation_is_read(
+    install_package: Callable[..., None], tmp_path: Path, metadata: str | None
+) -> None:
+    install_package(METHODS, "mean", "statistics:fmean")
+    file = tmp_path / "outside-0.3.dist-info/METADATA"
+    file.unlink() if metadata is None else file.write_text(metadata)
+    found = extensions.extensions(METHODS)["mean"]
+    assert (found.package, found.version) == ("outside" if metadata else "unknown", "unknown")
+
+
 def test_reading_imports_nothing(install_package: Callable[..., None]) -> None:
     install_package(METHODS, "absent", "no_such_module:Thing")
     assert extensions.extensions(METHODS)["absent"].value == "no_such_module:Thing"

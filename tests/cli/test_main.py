@@ -172,7 +172,7 @@ def test_a_distribution_without_its_package_fails_its_own_commands_alone(
 ) -> None:
     about = tmp_path / "assistax_zoo_board-0.1.0.dist-info"  # stands before the installed one
     about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: assistax-zoo-board\n")
+    (about / "METADATA").write_text("Name: assistax-zoo-board\nVersion: 0.1.0\n")
     (about / "entry_points.txt").write_text(
         "[assistax_zoo.commands]\nserve = absent_board.commands:serve\n"
         "[assistax_zoo.groups]\ntoken = absent_board.commands:TOKEN\n"
