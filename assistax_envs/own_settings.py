@@ -21,6 +21,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 GENERATOR = "threefry2x32"  # generator of all our keys
+# Rows of a batch are filled up to a multiple of this. A CPU computes the rows that do not fill a
+# vector one by one and rounds them otherwise, so that last bits would depend on the batch. A batch
+# of another size is another program, and may still differ in the last bit.
+LANES = 16
 _UNGUARDED = ("allow", None, "log", "log_explicit")
 # Refused because XLA's threads, which do not enter our settings, pass arrays to callbacks
 # explicitly.

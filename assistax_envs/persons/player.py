@@ -10,17 +10,13 @@ import numpy as np
 
 from assistax_envs.humans import EnvParams
 from assistax_envs.models import build_model
-from assistax_envs.own_settings import own_settings
+from assistax_envs.own_settings import LANES, own_settings
 from assistax_envs.persons.controller import Controller
 from assistax_envs.persons.head import Head
 from assistax_envs.persons.parameters import WIDTH, index
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import Preferences
 
-# Rows are filled up to a multiple of this: what is left of a vector of a CPU is computed one by one
-# and rounded otherwise, so that a person's last bits would depend on where in a batch it stands. A
-# batch of another size is another program, and may still differ in the last bit.
-LANES = 16
 _STREAM = 2**31 - 2  # folded into an episode's key to draw a person: the start is drawn from it too
 
 

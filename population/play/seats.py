@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from assistax_envs.own_settings import LANES
 from population.networks.members import member_map
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
@@ -51,15 +52,15 @@ def _act(
 ) -> tuple[Carry, Float[Array, "G R A"]]:
     """Return carry and actions of stacked policies: drawn if keys are given, else the mode."""
     rows = obs.shape[1]
-    # A product with one row rounds differently on the CPU, so values would depend on the block.
-    obs = jnp.broadcast_to(obs, (obs.shape[0], _at_least_two(rows), obs.shape[2]))
+    filled = _filled(policy, rows)
+    obs = jnp.pad(obs, ((0, 0), (0, filled - rows), (0, 0)), mode="edge")
     first = jnp.broadcast_to(first, obs.shape[:2])
     if keys is None or not hasattr(policy, "step"):  # no distribution to draw from
         act = getattr(policy, "act_stack", None) or member_map(policy.act)
         carry, action = act(params, carry, obs, first)
         return carry, action[:, :rows]
     carry, gaussian = member_map(policy.step)(params, carry, obs, first)
-    keys = jnp.broadcast_to(keys, obs.shape[:2])
+    keys = keys[:, jnp.minimum(jnp.arange(filled), rows - 1)]
     draw = jax.vmap(jax.vmap(lambda gaussian, key: gaussian.sample(key)))
     action = gaussian.action(draw(gaussian, keys))
     return policy.acted(carry, action), action[:, :rows]
@@ -91,7 +92,7 @@ def noise_keys(
 def initial_carries(policies: Sequence[Any], counts: Sequence[int], rows: int) -> tuple[Carry, ...]:
     """Return each stack's recurrent state at the start, leaves [G, R, ...]."""
     return tuple(
-        policy.initial_carry((count, _at_least_two(rows)))
+        policy.initial_carry((count, _filled(policy, rows)))
         for policy, count in zip(policies, counts, strict=True)
     )
 
@@ -101,5 +102,10 @@ def widths(params: Sequence[Params]) -> tuple[int, ...]:
     return tuple(jax.tree.leaves(stack)[0].shape[0] for stack in params)
 
 
-def _at_least_two(rows: int) -> int:
-    return max(rows, 2)
+def _filled(policy: Any, rows: int) -> int:
+    """Return the rows with which a policy acts for `rows` simulations: its last ones are copies.
+
+    A CPU rounds the rows that do not fill a vector in another way, so values would depend on the
+    block. Players that act for a stack at once see to that themselves.
+    """
+    return rows if hasattr(policy, "act_stack") else rows + -rows % LANES
