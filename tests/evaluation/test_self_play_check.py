@@ -197,9 +197,9 @@ def test_the_tolerance_is_the_documented_one() -> None:
 
 
 @pytest.mark.slow
-def test_team_of_v0_reproduces_record() -> None:
+def test_team_of_v1_reproduces_record() -> None:
     registry = load_registry(ROOT / "registry.json")
-    entries = registry.select("scratch/ippo-d1-s0-v0")
+    entries = registry.select("scratch/ippo-d1-s0-v1")
     report = check_self_play(registry, entries, episodes=2)
     assert report.ok and report.policies == 2 and report.backend == "native"
     [team] = report.teams
