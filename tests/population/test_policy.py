@@ -7,6 +7,7 @@ from scipy import stats
 from population.networks.policy import Gaussian, Policy
 from population.networks.spec import PolicySpec
 from population.networks.unrolled import unroll_policy
+from population.play.seats import act_all, initial_carries
 
 SPECS = [
     PolicySpec("robot", 5, 2, "mlp", (16, 8), squash="clip", std="parameter"),
@@ -29,6 +30,24 @@ def test_shapes_follow_the_leading_axes_and_stacked_parameters(spec):
     _, alone = policy.act(member, policy.initial_carry(()), obs[1, 2, 3], first[1, 2, 3])
     np.testing.assert_allclose(alone, action[1, 2, 3], rtol=1e-5, atol=1e-7)
     assert isinstance(carry, tuple) == (spec.torso == "mlp")
+
+
+@pytest.mark.usefixtures("optimised")
+@pytest.mark.parametrize("torso", ["mlp", "gru"])
+def test_actions_do_not_depend_on_the_number_of_rows(torso):
+    """A processor without AVX-512 rounds 2 to 6 rows otherwise than 64 that fill its vectors."""
+    policy = Policy(PolicySpec("robot", 34, 7, torso, (128, 128)))
+    params = jax.vmap(policy.init)(jax.random.split(jax.random.key(0), 2))
+    obs = jax.random.normal(jax.random.key(1), (2, 64, 34))
+
+    @jax.jit
+    def act(obs):
+        carries = initial_carries([policy], [2], obs.shape[1])
+        return act_all([policy], [params], carries, obs, True, None)[1]
+
+    whole = np.asarray(act(obs))
+    for rows in (1, 9, 18):
+        np.testing.assert_array_equal(act(obs[:, :rows]), whole[:, :rows])
 
 
 def test_parameters_have_the_names_that_published_files_use():
