@@ -227,6 +227,9 @@ def stopped_by_signals() -> Generator[None]:
     finally:
         _on_signals(signal.SIG_IGN)
     if _stopping.is_set():
+        # CPython remembers a KeyboardInterrupt that struck a text under `exec`, as dataclasses have
+        # it, and would kill the process at its end. Another text under `exec` makes it forget that.
+        exec("")
         print("stopped", file=sys.stderr, flush=True)
 
 
