@@ -6,8 +6,11 @@ Rank promotion is an error in tests. MJX itself promotes ranks: whatever calls i
 
 import functools
 import gc
+import math
 import os
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -99,6 +102,39 @@ check_shapes = jaxtyping.jaxtyped
 vars(jaxtyping)["jaxtyped"] = check_types
 sys.modules["tests_conftest"] = sys.modules[__name__]  # the hook takes its checker by name
 install_import_hook(PACKAGES, "tests_conftest.check_annotations")
+
+
+# Moment, in seconds of Unix time, from which no test begins: for CI on a slow machine. The files
+# then begin at another place for each commit, so none is always the one without time.
+UNTIL = float(os.environ.get("TESTS_UNTIL", "inf"))
+NO_TIME = "TESTS_UNTIL is over"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin the files at a place of the commit's, if there may be no time for all."""
+    if math.isinf(UNTIL):
+        return
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True).stdout
+    files = list(dict.fromkeys(item.path for item in items))
+    first = int(commit or "0", 16) % max(len(files), 1)
+    place = {path: (number - first) % len(files) for number, path in enumerate(files)}
+    items.sort(key=lambda item: place[item.path])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Skip a test for which there is no time."""
+    if time.time() > UNTIL:
+        pytest.skip(NO_TIME)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say for how many tests there was no time."""
+    skipped = terminalreporter.stats.get("skipped", ())
+    if left := sum(NO_TIME in str(report.longrepr) for report in skipped):
+        terminalreporter.write_line(
+            f"no time was left for {left} tests: run them without TESTS_UNTIL"
+        )
 
 
 @pytest.hookimpl(wrapper=True)  # here are all cases of a test, whichever will be chosen

@@ -128,12 +128,13 @@ def test_config_update_changes_no_bit(entry: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("name", CHANGED)
-def test_a_variable_changes_no_bit(name: str) -> None:
-    """In a process of its own, each setting by itself, on vectors and in an evaluation."""
+@pytest.mark.parametrize("group", [FOR_HOSTS_ONLY, tuple(TOGETHER)], ids=["hosts", "others"])
+def test_variables_change_no_bit(group: tuple[str, ...]) -> None:
+    """In a process of its own, on vectors and in an evaluation."""
     names = ["evaluation", "vector_form"]
-    names += [] if name in FOR_HOSTS_ONLY else ["own_program"]
-    assert separately(names, **{name.upper(): str(CHANGED[name])}) == separately(names)
+    names += [] if group == FOR_HOSTS_ONLY else ["own_program"]
+    variables = {name.upper(): str(CHANGED[name]) for name in group}
+    assert separately(names, **variables) == separately(names)
 
 
 @pytest.mark.slow
