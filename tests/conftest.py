@@ -110,20 +110,23 @@ UNTIL = float(os.environ.get("TESTS_UNTIL", "inf"))
 NO_TIME = "TESTS_UNTIL is over"
 
 
+@pytest.hookimpl(trylast=True)  # once `-m` has chosen the tests
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin the files at a place of the commit's, if there may be no time for all."""
-    if math.isinf(UNTIL):
+    if math.isinf(UNTIL) or not items:
         return
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True).stdout
     files = list(dict.fromkeys(item.path for item in items))
-    first = int(commit or "0", 16) % max(len(files), 1)
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    commit = subprocess.run(command, capture_output=True, text=True).stdout
+    first = int(commit or "0", 16) % len(files)
     place = {path: (number - first) % len(files) for number, path in enumerate(files)}
     items.sort(key=lambda item: place[item.path])
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
-    """Skip a test for which there is no time."""
+    """Skip a test for which there is no time; other runs that a test starts have theirs."""
+    os.environ.pop("TESTS_UNTIL", None)
     if time.time() > UNTIL:
         pytest.skip(NO_TIME)
 
