@@ -18,7 +18,7 @@ from benchmarks.timing import check_seconds
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, adapters, fetch, pages, service, storm):
+    for command in (env, evaluate, train, adapters, fetch, pages, service, storm, picking):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -226,6 +226,31 @@ def fetch(*, policies: int = 1000, json: bool = False) -> None:
         f"  fetch      {row['fetch_seconds']:8.2f} s for all shards; "
         f"{row['fetch_mb_per_second']:.0f} MB/s at best"
     )
+
+
+def picking(*, lists: int = 2000, json: bool = False) -> None:
+    """Simulate labs that pick seeds or entries by their scores; nothing here is a time.
+
+    Args:
+        lists: Number of made-up lists of each case.
+        json: Print JSON.
+
+    Example:
+        python -m benchmarks picking
+    """
+    from benchmarks.picking import SEEDS, measure_picking
+
+    if lists < 1:
+        raise ValueError(f"lists is {lists}; allowed are 1 and more")
+    rows = measure_picking(lists)
+    if json:
+        print_json(rows)
+        return
+    for row in rows:
+        shares = "  ".join(f"{count} seeds {row[str(count)]:6.1%}" for count in SEEDS)
+        print(
+            f"{row['measure']:12}  {shares}  {row['case']}{'' if row['allowed'] else ' (refused)'}"
+        )
 
 
 def _tasks(task: str) -> tuple[str, ...]:

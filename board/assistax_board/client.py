@@ -73,6 +73,10 @@ class Client:
         """Hand in a robot; `fields` are those of `POST /api/submissions`."""
         return self.call("POST", "/api/submissions", params=fields, content=data).json()
 
+    def declare(self, **fields: Any) -> str:
+        """Declare an entry and return its id; `fields` are those of `POST /api/entries`."""
+        return self.call("POST", "/api/entries", json=fields).json()["id"]
+
     def limits(self) -> dict[str, Any]:
         """Return the limits of the token's owner."""
         return self.call("GET", "/api/limits").json()

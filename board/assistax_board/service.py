@@ -11,7 +11,9 @@ import sqlalchemy as sa
 from assistax_board.clock import Clock, system_clock
 from assistax_board.problems import Problem
 from assistax_board.rules import (
+    attempts,
     closing,
+    entries,
     jobs,
     organising,
     results,
@@ -62,6 +64,18 @@ class Service:
         draft = submissions.admitted(self.admit, draft)
         with self.begin() as transaction:
             return submissions.submit(transaction, self.artefacts, self.catalogue, submitter, draft)
+
+    def declare(self, submitter: str, declaration: entries.Declaration) -> str:
+        """Declare an entry and return its id; `submitter` is an id."""
+        entries.check_declaration(declaration, self.catalogue)
+        with self.begin() as transaction:
+            if before := entries.known_entry(transaction, submitter, declaration.request):
+                return before
+            if declaration.season:
+                at = declaration.season, declaration.task
+                season = attempts.open_season(transaction, *at)
+                attempts.check_attempts(transaction, season, submitter, len(declaration.files))
+            return entries.declare(transaction, submitter, declaration)
 
     def withdraw(self, submission: str, submitter: str) -> None:
         """End a submission because its submitter wants so; a scored one leaves its board."""

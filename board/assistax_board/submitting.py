@@ -4,11 +4,13 @@ import dataclasses
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from assistax_base.digest import sha256
 from assistax_board.client import Client
 from assistax_board.ids import new_id
 from assistax_board.problems import Refusal
@@ -97,14 +99,34 @@ def check_file(
     return answer | {"version": version, "figures": results.figures(table), "note": note}
 
 
-def hand_in(client: Client, file: Path, fields: dict[str, Any], *, watch: bool) -> dict[str, Any]:
-    """Submit a file, and return the submission as it then stands."""
-    data = read_file(file)
-    set_fields = {name: value for name, value in fields.items() if value is not None}
-    submission = client.submit(data, request_id=new_id(20), **set_fields)
-    if submission["warning"]:
-        print(f"warning: {submission['warning']}", file=sys.stderr, flush=True)
-    return watch_submission(client, submission["id"]) if watch else submission
+def hand_in(
+    client: Client,
+    files: Sequence[Path],
+    fields: dict[str, Any],
+    card: dict[str, Any] | None,
+    *,
+    watch: bool,
+) -> list[dict[str, Any]]:
+    """Submit a single robot, or an entry of several, and return them as they then stand.
+
+    Args:
+        client: Of the server.
+        files: Of the robots, or ids of robots of the zoo.
+        fields: Of each submission, None where nothing is said.
+        card: Of an entry, see `rules.entries.Card`; None of a single robot.
+        watch: Whether to wait for the end.
+    """
+    robots = [read_file(file) for file in files]
+    sent = {name: value for name, value in fields.items() if value is not None}
+    if card is not None:
+        declared = {name: fields[name] for name in ("task", "method", "season")}
+        names = [sha256(robot) for robot in robots]
+        sent["entry"] = client.declare(request_id=new_id(20), files=names, card=card, **declared)
+    submissions = [client.submit(robot, request_id=new_id(20), **sent) for robot in robots]
+    for file, submission in zip(files, submissions, strict=True):
+        if submission["warning"]:
+            print(f"warning: {file}: {submission['warning']}", file=sys.stderr, flush=True)
+    return [watch_submission(client, row["id"]) if watch else row for row in submissions]
 
 
 def watch_submission(client: Client, id: str) -> dict[str, Any]:

@@ -46,6 +46,7 @@ FAILURES = {
     "worker_errors": "the workers failed several times; ask the organiser",
     "withdrawn": "its submitter took it back",
     "season_closed": "the season closed before it was played",
+    "entry_incomplete": "another file of its declared entry was refused; declare the entry again",
     "disqualified": "the organiser disqualified its lab; ask the organiser",
     "broke_down": "it returned numbers that are not finite to hidden partners",
 }

@@ -30,7 +30,10 @@ START = 1_790_000_000.0
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A method to be written: its level, and how many seeds it has."""
+    """A method to be written: its level, and how many seeds it has.
+
+    Several seeds are a declared entry, one is a single robot.
+    """
 
     submitter: str
     method: str
@@ -45,7 +48,7 @@ ROBOTS = (
     Robot("reference", "self-play", 1010.0),
     Robot("lab", "ppo ego", 987.0, seeds=4),
     Robot("lab", "sac ego", 986.5, seeds=3),
-    Robot("school", "scripted", 700.0),
+    Robot("school", "scripted", 700.0, seeds=2),
     Robot("group", HOSTILE, 955.0, seeds=2),
 )
 
@@ -83,9 +86,11 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
         about = {"task": "scratch", "identity": identity, "created_at": START}
         write.add(schema.versions, id=VERSION, **about)
         for robot in robots:
+            entry = write.entry(robot) if robot.seeds > 1 else None
             for seed in range(robot.seeds):
                 noise = rng.normal(0, robot.spread, (len(partners), EPISODES))
-                write.scored(robot, seed, partners, robot.mean + rng.normal(0, 1) + ease + noise)
+                returns = robot.mean + rng.normal(0, 1) + ease + noise
+                write.scored(robot, seed, partners, returns, entry)
         write.submission("lab", "next idea", "queued")
         write.submission("group", HOSTILE, "refused", reason="operator_not_allowed")
     return database
@@ -114,22 +119,45 @@ class Writer:
             self.add(schema.submitters, id=self._submitters[name], name=name, created_at=START)
         return self._submitters[name]
 
+    def entry(self, robot: Robot) -> str:
+        """Write a frozen entry and return its id."""
+        id, owner = self.id(), self.submitter(robot.submitter)
+        files = [f"{seed:064x}" for seed in range(robot.seeds)]
+        card = {"steps": 1_000_000, "partners": "train side", "code": "none", "trained": 9}
+        about = {"task": "scratch", "method": robot.method, "files": files, "card": card}
+        times = {"created_at": START, "frozen_at": START}
+        self.add(schema.entries, id=id, submitter=owner, request=id, **about, **times)
+        return id
+
     def submission(
-        self, submitter: str, method: str, state: str, *, reason: str | None = None
+        self,
+        submitter: str,
+        method: str,
+        state: str,
+        *,
+        reason: str | None = None,
+        entry: str | None = None,
     ) -> str:
         """Write a submission and return its id."""
         id, owner, request = self.id(), self.submitter(submitter), self.id()
         about: dict[str, Any] = {"task": "scratch", "method": method, "kind": "file"}
         about |= {"licence": "Apache-2.0", "season": None, "state": state, "reason": reason}
-        about |= {"attempt": "free", "turn": 0}
+        about |= {"attempt": "free", "turn": 0, "entry": entry}
         created = START + self._count
         times = {"created_at": created, "finished_at": None if state == "queued" else created + 60}
         self.add(schema.submissions, id=id, submitter=owner, request=request, **about, **times)
         return id
 
-    def scored(self, robot: Robot, seed: int, partners: list[Any], returns: np.ndarray) -> str:
+    def scored(
+        self,
+        robot: Robot,
+        seed: int,
+        partners: list[Any],
+        returns: np.ndarray,
+        entry: str | None = None,
+    ) -> str:
         """Write a scored submission with its returns [P, K]."""
-        id = self.submission(robot.submitter, robot.method, "scored")
+        id = self.submission(robot.submitter, robot.method, "scored", entry=entry)
         its = {"submission": id, "version": VERSION}
         for entry, row in zip(partners, returns, strict=True):
             self.add(

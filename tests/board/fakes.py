@@ -1,5 +1,6 @@
 """A service without JAX: a small catalogue, and a scorer that draws returns by hashing."""
 
+import dataclasses
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -7,8 +8,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from assistax_base.digest import sha256
 from assistax_board.problems import Refusal
-from assistax_board.rules import jobs
+from assistax_board.rules import entries, jobs
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.rules.submissions import Admitted, Draft
@@ -116,6 +118,31 @@ def draft(strength: float = 1.0, request: str = "r1", **fields: Any) -> Draft:
     data = fields.pop("data", f"robot {strength}".encode())
     method = fields.pop("method", "mine")
     return Draft(task=TASK, method=method, request=request, data=data, **fields)
+
+
+CARD = entries.Card(1_000_000, "train side of fcp-1", "not published", 3)
+
+
+def declaration(
+    *strengths: float, request: str = "e1", method: str = "mine", **fields: Any
+) -> entries.Declaration:
+    """Return the declaration of an entry whose robots have these strengths."""
+    files = tuple(sha256(f"robot {strength}".encode()) for strength in strengths)
+    card = fields.pop("card", dataclasses.replace(CARD, trained=len(files)))
+    return entries.Declaration(TASK, method, request, files, card, **fields)
+
+
+def declared(
+    service: Service, submitter: str, *strengths: float, request: str = "e1", **fields: Any
+) -> list[str]:
+    """Declare an entry of robots of these strengths, hand all in, and return their ids."""
+    made = declaration(*strengths, request=request, **fields)
+    known = {"method": made.method, "season": made.season}
+    known["entry"] = service.declare(submitter, made)
+    return [
+        service.submit(submitter, draft(strength, f"{request} {strength}", **known))
+        for strength in strengths
+    ]
 
 
 def work_off(service: Service, worker: str = "w", version: int = 1, most: int = 1000) -> int:

@@ -36,7 +36,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.schema import SCORE, SUBMISSION
 from assistax_envs.persons.rows import described_numbers, person
 from tests.board.board_data import HOSTILE, Robot, make_app
-from tests.board.fakes import TASK, new_submitter, scored
+from tests.board.fakes import TASK, declared, new_submitter, scored, work_off
 from tests.untrained import published, teams_of
 from zoo.exports.policies import Format, policy_file
 from zoo.registry import load_registry
@@ -405,7 +405,7 @@ def test_two_hundred_readers_cost_one_rendering() -> None:
 
 def test_page_cache_expires_and_is_bounded() -> None:
     now, texts = [0.0], iter("abc")
-    cache = PageCache(lambda: now[0])
+    cache = PageCache(lambda: now[0], most_bytes=1_000_000)
 
     def page() -> bytes:
         return cache.page("k", 1.0, lambda: next(texts)).body
@@ -416,6 +416,13 @@ def test_page_cache_expires_and_is_bounded() -> None:
     for i in range(2000):
         cache.page(str(i), 1.0, lambda: "x")
     assert page() == b"c"
+    texts = iter("d")
+    cache.page("large", 60.0, lambda: "x" * 999_000)
+    assert page() == b"d", "the cache is bounded in bytes"
+    for i in range(2000):  # pages of which none can be made
+        with pytest.raises(ZeroDivisionError):
+            cache.page(f"none {i}", 1.0, lambda: str(1 / 0))
+    assert cache.lacks("k")
 
 
 def test_stale_page_is_served_during_renewal() -> None:
@@ -465,7 +472,8 @@ def test_a_new_score_costs_its_own_methods_figures(
     )
     kept = boards.Boards(service.queries, CrossPlays(tmp_path))
     for turn, lab in enumerate(("ada", "bob", "eve")):
-        scored(service, new_submitter(service, lab), float(turn))
+        declared(service, new_submitter(service, lab), 1e3 * turn, 1e3 * turn + 1)
+        work_off(service)
         board = kept.of(TASK)
         assert board is not None
         assert (len(board.rows), len(made)) == (turn + 1, turn + 1)
@@ -513,7 +521,7 @@ def test_gentle_board_shows_violations(service: Service) -> None:
 def test_submission_page_is_headed_by_its_mean(service: Service) -> None:
     lab = new_submitter(service)
     first = scored(service, lab, 1.0)
-    assert "1 seed: this robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
+    assert "single robot" in TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     scored(service, lab, 4.0, "r2")
     client = TestClient(create_app(service))
     page = client.get(f"/submissions/{first}").text
@@ -521,4 +529,4 @@ def test_submission_page_is_headed_by_its_mean(service: Service) -> None:
     assert [name for name, _ in tiles[:2]] == ["This robot", "M_test of 2 seeds"]
     means = [float(value) for _, value in tiles[:2]]
     assert means == pytest.approx([1.5, 3.0], abs=0.1)
-    assert "1 seed: this robot" not in client.get(f"/tasks/{TASK}").text
+    assert "2 single robots" in client.get(f"/tasks/{TASK}").text

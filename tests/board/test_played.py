@@ -94,10 +94,10 @@ def test_a_robot_of_another_version_is_warned_about(
         token = service.create_token(("submit",), submitter="lab")
         client = Client("http://testserver", token, transport=http)
         fields = {"task": TASK, "method": "mine"}
-        told = hand_in(client, path.with_suffix(".onnx"), fields, watch=False)
+        [told] = hand_in(client, [path.with_suffix(".onnx")], fields, None, watch=False)
         warning = "it was trained in environment version 2; it plays the public half in"
         assert warning in told["warning"]
-        assert f"warning: {told['warning']}" in capsys.readouterr().err
+        assert f"robot.onnx: {told['warning']}" in capsys.readouterr().err
         assert warning in http.get(f"/submissions/{told['id']}").text
     object.__setattr__(service, "admit", lambda data, task: Admitted("fake", 3))
     season = open_season(service)

@@ -63,7 +63,7 @@ def test_extra_attempt_needs_the_organiser(service: Service) -> None:
     assert [shown(service, id).state for id in (failed, again)] == ["scored", "scored"]
     [attempts] = service.queries.attempts(season)
     assert (attempts.spent, attempts.budget, attempts.left) == (2, 1, 0)
-    with pytest.raises(Problem, match="all 1 attempts"):
+    with pytest.raises(Problem, match="0 of 1 attempts"):
         service.submit(lab, draft(3.0, "r3", season=season))
 
 

@@ -10,6 +10,16 @@ import polars as pl
 import pytest
 
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
+from benchmarks.picking import (
+    choose_for_season,
+    drop_counted,
+    drop_entries,
+    honest,
+    keep_entries,
+    order_share,
+    pick_seeds,
+    wrong_share,
+)
 
 # The bound by itself: ranks show only what follows from it.
 from evaluation.figures.metrics.ranks import SEED_SDS, Ranks, _most_equal, rank_methods
@@ -103,6 +113,22 @@ def test_three_seeds_find_four_of_five_true_orders() -> None:
     assert share(3, SEED) > 0.77  # 81% of many; the error of 100 lists is 1%
     assert share(3, None) > 0.5
     assert share(5, None) > 0.9
+
+
+def test_methods_that_vanished_are_counted() -> None:
+    """The best of twenty equal entries; planted: nobody counts the other nineteen."""
+    assert wrong_share(drop_counted, 5, 200) <= 0.05
+    assert wrong_share(drop_entries, 5, 200) > 0.06
+    assert wrong_share(choose_for_season, 5, 200) <= 0.05
+    assert wrong_share(keep_entries, 5, 100) <= 0.06
+    assert order_share(3, 200) > 0.77, "what the board promises of honest entries"
+    assert order_share(3, 200, unseen=19) < order_share(3, 200)
+
+
+def test_picked_seeds_pass_for_a_better_method() -> None:
+    """Why a declared entry takes no file that was scored before: no rank can see it afterwards."""
+    assert wrong_share(pick_seeds, 5, 200) > 0.3
+    assert wrong_share(honest, 5, 200) <= 0.06
 
 
 @pytest.mark.slow
@@ -240,3 +266,5 @@ def test_different_partners_are_refused() -> None:
         rank_methods([np.zeros((2, 1))])
     with pytest.raises(ValueError, match="seed_sd is 0"):
         rank_methods([np.zeros((2, 3))], seed_sd=0.0)
+    with pytest.raises(ValueError, match="unseen is -1"):
+        rank_methods([np.zeros((2, 3))], unseen=-1)

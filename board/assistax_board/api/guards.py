@@ -27,6 +27,7 @@ FORM_SECONDS = 30.0  # for that of a form, whose sender is known when it has arr
 
 READ, SUBMIT, SIGN_IN = parse("1200/minute"), parse("60/hour"), parse("30/minute")
 PAGES = parse("3000/minute")  # one address may be a whole institute's
+MADE = parse("120/minute")  # pages that nobody asked for before: searched, sorted, compared
 FILMS = parse("20/hour")  # that are asked for: each takes a core for half a minute
 FORM = parse("20/minute")  # forms with files, whose token can be read only with the file
 

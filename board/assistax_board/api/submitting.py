@@ -1,13 +1,15 @@
-"""Routes of submitters: hand in and withdraw."""
+"""Routes of submitters: declare, hand in and withdraw."""
 
 import dataclasses
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
 
 from assistax_board.api.errors import RESPONSES, existing
-from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read
+from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read, json_body
 from assistax_board.problems import Problem
+from assistax_board.rules.entries import Card, Declaration
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
 from assistax_board.store.played import plays_in_words
@@ -22,6 +24,37 @@ _FILE = {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
     }
 }
+
+
+class _CardBody(BaseModel):
+    """What a lab says of an entry."""
+
+    model_config = ConfigDict(extra="forbid")
+    steps: int
+    partners: str
+    code: str
+    trained: int
+
+
+class EntryBody(BaseModel):
+    """An entry before its files are sent; `files` are their sha256."""
+
+    model_config = ConfigDict(extra="forbid")
+    request_id: str = Field(min_length=8, max_length=64)
+    task: str = Field(max_length=80)
+    method: str = Field(max_length=80)
+    files: list[str] = Field(max_length=100)
+    card: _CardBody
+    season: str | None = Field(None, max_length=80)
+
+
+class DeclaredEntry(BaseModel):
+    """The entry, to name when its files are sent."""
+
+    id: str
+
+
+_ENTRY, _ENTRY_API = json_body(EntryBody)
 
 
 async def whole_body(request: Request) -> bytes:
@@ -41,8 +74,12 @@ async def submit(
     about: Words = None,
     link: Words = None,
     citation: Words = None,
+    entry: Annotated[str | None, Query(max_length=32)] = None,
 ) -> Submission:
     """Hand in a robot: the body is its file.
+
+    With `entry` it is a seed of an entry that was declared before; without, a single robot, which
+    takes no place.
 
     `request_id` is chosen by you: if no answer arrives, send the same again, and it is one
     submission. `about`, `link` and `citation` are shown on the method's page.
@@ -50,7 +87,7 @@ async def submit(
     with request.app.state.desk.place(str(principal.submitter)):
         data = await whole_body(request)
         words: dict[str, Any] = {"about": about, "link": link, "citation": citation}
-        draft = Draft(task, method, request_id, licence, season, data=data, **words)
+        draft = Draft(task, method, request_id, licence, season, entry, data=data, **words)
         return await hand_in(request, principal, draft)
 
 
@@ -61,11 +98,36 @@ async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submi
     return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
 
 
+@router.post("/entries", status_code=201, openapi_extra=_ENTRY_API)
+def declare(
+    request: Request, service: TheService, principal: Submitter, entry: Annotated[Any, _ENTRY]
+) -> DeclaredEntry:
+    """Declare an entry: the seeds of one method, which take a place as one.
+
+    Then hand in each file with `entry`. It is played when all of its files are there. From its
+    first score on nothing leaves it, and a file that was scored before is refused.
+    """
+    request.app.state.limiter.hit(SUBMIT, principal.token)
+    fields = entry.model_dump(exclude={"request_id", "card", "files"})
+    declaration = Declaration(
+        **fields | {"season": _season(service, entry.season)},
+        request=entry.request_id,
+        files=tuple(entry.files),
+        card=Card(**entry.card.model_dump()),
+    )
+    return DeclaredEntry(id=service.declare(str(principal.submitter), declaration))
+
+
+def _season(service: Any, name: str | None) -> str | None:
+    """Return the id of a season that is given by id or name."""
+    season = service.queries.season(name) if name else None
+    if name and season is None:
+        raise Problem("not_found", f"no season {name!r}; GET /api/seasons lists them")
+    return season.id if season else None
+
+
 def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
-    season = service.queries.season(draft.season) if draft.season else None
-    if draft.season and season is None:
-        raise Problem("not_found", f"no season {draft.season!r}; GET /api/seasons lists them")
-    draft = dataclasses.replace(draft, season=season.id if season else None)
+    draft = dataclasses.replace(draft, season=_season(service, draft.season))
     return service.queries.submission(service.submit(submitter, draft))
 
 
@@ -98,7 +160,8 @@ def limits_of(request: Request, principal: Principal) -> Limits:
 def withdraw(service: TheService, principal: Submitter, id: str) -> Submission:
     """Take a submission back; its attempt is refunded unless it met hidden partners.
 
-    A scored one leaves its board; its score, its attempt and its receipt stay known.
+    A scored single robot leaves its board; its score, its attempt and its receipt stay known. Of
+    an entry all seeds go, and none once one of them has a score.
     """
     service.withdraw(id, str(principal.submitter))
     return existing(service.queries.submission(id), "submission")
@@ -113,8 +176,9 @@ def enter(
 ) -> list[Submission]:
     """Replace the choice of submissions for panel B and return the new choice.
 
-    At most two methods, each with the submissions that are its seeds. Without any choice it is the
-    submission whose score on panel A was shown last.
+    At most two methods, each named by one of its submissions, and each whole: a declared entry, or
+    all single robots of one name. Without any choice it is the method that was shown last on panel
+    A, of declared entries if there are any.
     """
     submitter, season = str(principal.submitter), existing(service.queries.season(id), "season")
     service.enter(season.id, submitter, submission or [])

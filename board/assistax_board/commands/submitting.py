@@ -8,9 +8,11 @@ from cyclopts import Parameter
 from assistax_board.commands.opening import Server, open_client, print_answer
 
 _NO_METHOD = (
-    "give --method with a name for the board, such as --method ppo-large; submissions of one name "
-    "are seeds of one method, so another robot needs another name"
+    "give --method with a name for the board, such as --method ppo-large; another method needs "
+    "another name"
 )
+_NO_FILE = "give a file: .safetensors of this project, .onnx, or an id of the zoo"
+_CARD = ("steps", "partners_met", "code", "trained")
 
 
 @Parameter(name="*")
@@ -29,15 +31,32 @@ class Words:
     citation: str | None = None
 
 
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EntryCard:
+    """What the board asks of a declared entry, and shows as your word.
+
+    Attributes:
+        steps: Steps of the environment in each seed's training.
+        partners_met: Partners met in training, such as "train side of fcp-1".
+        code: Where the code is, or "not published".
+        trained: How many seeds you trained so, those that you leave out too.
+    """
+
+    steps: int | None = None
+    partners_met: str | None = None
+    code: str | None = None
+    trained: int | None = None
+
+
 def submit(
-    file: Path | None = None,
-    /,
-    *,
+    *files: Path,
     task: str,
     method: str | None = None,
     season: str | None = None,
     licence: str = "evaluation-only",
     words: Words = Words(),
+    card: EntryCard = EntryCard(),
     limits: bool = False,
     check: bool = False,
     all: bool = False,
@@ -46,16 +65,21 @@ def submit(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Submit a robot to a service, or check at home whether the service would take it.
+    """Submit robots to a service, or check at home whether the service would take them.
+
+    Several files are a declared entry: the seeds of one method, which take a place as one. The
+    board freezes the entry before its first score, and nothing leaves it afterwards. A file by
+    itself is a single robot: its figures are shown, without a place.
 
     Args:
-        file: The robot: .safetensors of this project, .onnx, or an id of the zoo.
+        files: The robot, or 2 to 10 seeds of one method: .safetensors of this project, .onnx, or
+            ids of the zoo.
         task: Task, such as scratch.
-        method: Name on the board, asked for unless you only check; submissions of one name are
-            seeds of one method, and their mean counts.
+        method: Name on the board, asked for unless you only check.
         season: Season to take part in; default the public board alone.
         licence: What others may do with the file: evaluation-only, or a licence such as MIT.
         words: Texts for the method's page.
+        card: Of an entry, asked for with several files.
         limits: Only print how much you may still submit: in this hour, and in each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
@@ -66,25 +90,47 @@ def submit(
 
     Example:
         assistax-zoo submit robot.onnx --task scratch --check
+        assistax-zoo submit s1.onnx s2.onnx s3.onnx --task scratch --method wide --steps 1000000
+        --partners-met "train side of fcp-1" --code https://example.org/wide --trained 3
     """
     if limits:
         return _print_limits(server, json)
-    if file is None:
-        raise ValueError("give a file: .safetensors of this project, .onnx, or an id of the zoo")
+    if not files:
+        raise ValueError(_NO_FILE)
     if all and not check:
         raise ValueError("--all is about a check at home; give it with --check")
     from assistax_board import submitting
 
     if check:
-        answer = submitting.check_file(file, task, registry, whole=all)
+        answers = [submitting.check_file(file, task, registry, whole=all) for file in files]
     elif method is None:
         raise ValueError(_NO_METHOD)
     else:
+        said = _said(card, len(files))
         fields = {"task": task, "method": method, "season": season, "licence": licence}
         client = open_client(server.url, server.token_file)
-        answer = submitting.hand_in(client, file, fields | vars(words), watch=watch)
-        answer = answer if json else submitting.for_reader(answer, client.address)
-    print_answer(answer, json)
+        answers = submitting.hand_in(client, files, fields | vars(words), said, watch=watch)
+        if not json:
+            answers = [submitting.for_reader(answer, client.address) for answer in answers]
+    for answer in answers if not json else [answers[0] if len(answers) == 1 else answers]:
+        print_answer(answer, json)
+
+
+def _said(card: EntryCard, files: int) -> dict[str, object] | None:
+    """Return the card as the server takes it, none of a single robot.
+
+    Raises:
+        ValueError: An entry lacks something, or a single robot has a card.
+    """
+    options = {name: f"--{name.replace('_', '-')}" for name in _CARD}
+    if files == 1:
+        if given := [options[name] for name in _CARD if getattr(card, name) is not None]:
+            raise ValueError(f"{given[0]} is of a declared entry; give 2 to 10 files, its seeds")
+        return None
+    if missing := [options[name] for name in _CARD if getattr(card, name) is None]:
+        raise ValueError(f"{files} files are a declared entry; give {', '.join(missing)} as well")
+    values = vars(card)
+    return {name.removesuffix("_met"): values[name] for name in _CARD}
 
 
 def _print_limits(server: Server, json: bool) -> None:
@@ -102,10 +148,11 @@ def season_enter(
     token_file: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Choose which submissions play a season's panel B, instead of an earlier choice.
+    """Choose which methods play a season's panel B, instead of an earlier choice.
 
-    At most two methods; submissions of one method are its seeds, and their mean counts. If
-    you name none, the submission whose score on panel A was shown last plays.
+    At most two methods, each named by one of its submissions and each whole: a declared entry, or
+    all single robots of one name. If you name none, the method that was shown last on panel A
+    plays, of declared entries if you have any.
 
     Args:
         name: Name or id of the season.

@@ -6,22 +6,23 @@ figures of its own method, and the places: the figures of other methods are kept
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from assistax_base.digest import json_sha256
+from assistax_base.digest import json_sha256, sha256
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
 from assistax_board.store.queries import Queries
-from assistax_board.store.shown import PartnerScore, Submission
+from assistax_board.store.shown import PartnerScore, Score, Submission
 from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
 
 LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
+Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
 _AT_ONCE = 200  # submissions whose returns are read together
 _NEWEST = 100_000  # submissions of a board; all of them
 
@@ -32,6 +33,7 @@ class Played:
 
     submissions: tuple[Submission, ...]  # the oldest first
     returns: np.ndarray  # [S, P, K]
+    copy_of: Submission | None = None  # an earlier robot that is the same as one of these
 
     @property
     def newest(self) -> Submission:
@@ -43,6 +45,29 @@ class Played:
         """Whether the row is there to be measured by."""
         return self.newest.submitter == REFERENCE
 
+    @property
+    def is_entry(self) -> bool:
+        """Whether it is a declared entry, and not a single robot or a reference."""
+        return self.newest.entry is not None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all seeds of a declared entry are scored."""
+        return len(self.submissions) == self.newest.declared
+
+    @property
+    def competes(self) -> bool:
+        """Whether it takes a place: a declared entry, whole, and no copy of an earlier robot."""
+        return self.is_entry and self.is_whole and self.copy_of is None
+
+    @property
+    def seeds_in_words(self) -> str:
+        """Return its seeds in words, as "3 of 5 declared"."""
+        count = len(self.submissions)
+        if self.is_entry:
+            return f"{count} of {self.newest.declared} declared"
+        return f"{count} single robots" if count > 1 else "single robot"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Board:
@@ -53,6 +78,7 @@ class Board:
     identity: Mapping[str, Any]
     partners: tuple[PartnerScore, ...]  # one of each partner, for its name and traits
     rows: tuple[tuple[BoardRow, Played], ...]  # the highest M_test first
+    safety: Safety  # of a gentle task
 
     @property
     def episodes(self) -> int:
@@ -61,8 +87,13 @@ class Board:
 
     @property
     def methods(self) -> tuple[tuple[BoardRow, Played], ...]:
-        """The rows that compete, the highest M_test first."""
-        return tuple(row for row in self.rows if not row[1].is_reference)
+        """The declared entries, the highest M_test first."""
+        return tuple(row for row in self.rows if row[1].is_entry)
+
+    @property
+    def singles(self) -> tuple[tuple[BoardRow, Played], ...]:
+        """The robots that no entry declared, the highest M_test first; they take no place."""
+        return tuple(row for row in self.rows if not (row[1].is_entry or row[1].is_reference))
 
     def of(self, submission: str) -> tuple[BoardRow, Played] | None:
         """Return the row that a submission is a seed of."""
@@ -86,31 +117,28 @@ class Boards:
         Who asks waits a moment for a new one, then gets the board as it was before the last score.
         Without a version it is the newest.
         """
-        scored = self._scored(task, version)
-        if scored is None:
+        versions = self._queries.versions(task)
+        chosen = next((row for row in versions if version in (None, row[0])), None)
+        if chosen is None:
             return None
-        key = scored.version, tuple((seed.id, seed.submitter) for seed in scored.submissions)
+        stamp = self._queries.board_stamp(chosen[0])
         return self._boards.value(
-            _name(task, version), key, lambda: self._board(task, scored, version is None)
+            _name(task, version),
+            (chosen[0], stamp),
+            lambda: self._board(task, self._scored(task, *chosen), version is None),
         )
 
     def is_behind(self, task: str, version: str | None = None) -> bool:
         """Return whether scores are there that the board does not show yet."""
         return self._boards.is_behind(_name(task, version))
 
-    def _scored(self, task: str, version: str | None) -> "_Scored | None":
-        """Return the version of a board, and all submissions that count on it."""
-        versions = self._queries.versions(task)
-        chosen = next((row for row in versions if version in (None, row[0])), None)
-        if chosen is None:
-            return None
+    def _scored(self, task: str, version: str, identity: Mapping[str, Any]) -> "_Scored":
+        """Return all submissions that count on the board of a version."""
         every = self._queries.submissions(task=task, limit=_NEWEST)
-        scored = tuple(row for row in every if row.state == "scored")
-        if version is not None:  # an old board stays as it is when others are scored under a newer
-            scores = self._queries.scores(task=task, panel="public", version=version)
-            under_it = {score.submission for score in scores}
-            scored = tuple(row for row in scored if row.id in under_it)
-        return _Scored(*chosen, scored)
+        scores = self._queries.scores(task=task, panel="public", version=version)
+        under_it = {score.submission for score in scores}
+        scored = [row for row in every if row.state == "scored" and row.id in under_it]
+        return _Scored(version, identity, tuple(scored), scores)
 
     def _board(self, task: str, scored: "_Scored", is_newest: bool) -> Board | None:
         # What old boards read is not kept: they hardly change.
@@ -129,10 +157,24 @@ class Boards:
                 [partner.partner for partner in partners], references, self._crossplays.of(task)
             ),
             SEED_SDS.get(task),
+            sum(method.is_entry and not method.is_whole for method in methods),
         )
         by_name = {method.newest.id: method for method in methods}
         named = tuple((row, by_name[row.name]) for row in cache.rows(by_name, panel))
-        return Board(task, scored.version, scored.identity, partners, named)
+        safety = _safety_of(named, scored.scores)
+        return Board(task, scored.version, scored.identity, partners, named, safety)
+
+
+def _safety_of(rows: Sequence[tuple[BoardRow, Played]], scores: Sequence[Score]) -> Safety:
+    """Return safe success and violations of each row of a gentle task; nothing of another task."""
+    figures = {score.submission: score.figures for score in scores if "violations" in score.figures}
+    safety = {}
+    for standing, played in rows:
+        seeds = [figures[seed.id] for seed in played.submissions if seed.id in figures]
+        if seeds:
+            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
+            safety[standing.name] = tuple(np.mean(shares, axis=0).tolist())
+    return safety
 
 
 def _name(task: str, version: str | None) -> str:
@@ -146,6 +188,7 @@ class _Scored:
     version: str
     identity: Mapping[str, Any]
     submissions: tuple[Submission, ...]
+    scores: Sequence[Score]  # on the public panel
 
 
 class _ReturnsCache:
@@ -156,6 +199,7 @@ class _ReturnsCache:
         self._partners: dict[str, PartnerScore] = {}
         # Of each submission its partners, in order, and returns [P, K].
         self._returns: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+        self._digests: dict[str, str] = {}  # of each submission's returns
         self._rows: dict[str, BoardRow] = {}  # by a hash of all that a row follows from
 
     def update(self, queries: Queries, scored: _Scored) -> None:
@@ -174,27 +218,30 @@ class _ReturnsCache:
                 self._partners |= {row.partner: row for row in rows}
                 names = tuple(row.partner for row in rows)
                 self._returns[id] = names, np.array([row.returns for row in rows])
+                self._digests[id] = digest_of(self._returns[id][1])
 
     def panel(self) -> tuple[PartnerScore, ...]:
         """Return one score of each partner that any submission met, in order of names."""
         return tuple(self._partners[name] for name in sorted(self._partners))
 
     def methods(self, submissions: Sequence[Submission]) -> list[Played]:
-        """Put submissions of one submitter and method together: they are its seeds.
+        """Put the seeds of each entry together, and the single robots of one lab and name.
 
         A submission without a score from the whole panel is left out: it has yet to be scored under
         this version.
         """
         partners = tuple(score.partner for score in self.panel())
-        groups: dict[tuple[str, str], list[Submission]] = {}
-        for submission in sorted(
-            submissions, key=lambda submission: (submission.created_at, submission.id)
-        ):
-            if self._returns.get(submission.id, ((),))[0] == partners:
-                groups.setdefault((submission.submitter, submission.method), []).append(submission)
+        groups = group_methods(
+            seed for seed in submissions if self._returns.get(seed.id, ((),))[0] == partners
+        )
+        copies = find_copies(groups, self._digests)
         return [
-            Played(tuple(group), np.stack([self._returns[seed.id][1] for seed in group]))
-            for group in groups.values()
+            Played(
+                tuple(group),
+                np.stack([self._returns[seed.id][1] for seed in group]),
+                copies.get(group[-1].id),
+            )
+            for group in groups
         ]
 
     def rows(self, methods: Mapping[str, Played], panel: Panel) -> tuple[BoardRow, ...]:
@@ -208,11 +255,52 @@ class _ReturnsCache:
             self._rows[key] = before.get(key) or unplaced(method, panel)
             return self._rows[key]
 
-        played = [
-            Method(name, method.returns, not method.is_reference)
-            for name, method in methods.items()
-        ]
+        played = [Method(name, method.returns, method.competes) for name, method in methods.items()]
         return board_rows(played, panel, figures)
+
+
+def group_methods(submissions: Iterable[Submission]) -> list[list[Submission]]:
+    """Return the submissions of each method, the oldest first.
+
+    A method is a declared entry, or all single robots of one lab and name.
+    """
+    groups: dict[tuple[str, str, str | None], list[Submission]] = {}
+    for seed in sorted(submissions, key=lambda seed: (seed.created_at, seed.id)):
+        groups.setdefault((seed.submitter, seed.method, seed.entry), []).append(seed)
+    return list(groups.values())
+
+
+def digest_of(returns: np.ndarray) -> str:
+    """Return the sha256 of a robot's returns [P, K]: the same for the same robot."""
+    return sha256(np.ascontiguousarray(returns).tobytes())
+
+
+def find_copies(
+    groups: Sequence[Sequence[Submission]], digests: Mapping[str, str]
+) -> dict[str, Submission]:
+    """Return the methods that share a robot with an earlier one: the first one has the place.
+
+    Robots are the same if their files are, or if they earned the same in every episode, as a file
+    does whose bytes alone were changed.
+
+    Args:
+        groups: Submissions of each method.
+        digests: Of the returns of each submission, see `digest_of`.
+
+    Returns:
+        The earlier robot, by the newest submission of the later method.
+    """
+    first: dict[str, Submission] = {}
+    copies: dict[str, Submission] = {}
+    for group in sorted(groups, key=lambda group: (group[0].created_at, group[0].id)):
+        if group[0].submitter == REFERENCE:
+            continue
+        for seed in group:
+            for name in (digests[seed.id], *([seed.artefact] if seed.artefact else ())):
+                earlier = first.setdefault(name, seed)
+                if all(earlier.id != own.id for own in group):
+                    copies.setdefault(group[-1].id, earlier)
+    return copies
 
 
 def bounds_of(

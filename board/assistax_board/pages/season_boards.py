@@ -1,13 +1,13 @@
 """The board of a closed season: every lab's entries and the references, on panel B."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import polars as pl
 
 from assistax_board.pages.behind import Behind
-from assistax_board.pages.boards import Played, bounds_of
+from assistax_board.pages.boards import Played, bounds_of, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
@@ -21,9 +21,9 @@ PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submis
 class Entry(Played):
     """A method on panel B: its seeds, and how often they succeeded and hurt somebody."""
 
-    success: float
-    safe_success: float | None  # of gentle tasks
-    violations: float | None
+    success: float = 0.0
+    safe_success: float | None = None  # of gentle tasks
+    violations: float | None = None
 
 
 class SeasonBoards:
@@ -51,34 +51,41 @@ class SeasonBoards:
             return ()
         [*names], [*settings] = zip(*_partners(self._panel_b(season.id)[0][1]), strict=True)
         references = {entry.newest.method: entry.returns for entry in entries if entry.is_reference}
+        placed = {entry.newest.entry for entry in entries if entry.competes}
         panel = Panel(
-            tuple(settings), bounds_of(names, references, None), SEED_SDS.get(season.task)
+            tuple(settings),
+            bounds_of(names, references, None),
+            SEED_SDS.get(season.task),
+            len(self._queries.entries_met(season.id) - placed),
         )
         by_name = {entry.newest.id: entry for entry in entries}
-        methods = [
-            Method(id, entry.returns, not entry.is_reference) for id, entry in by_name.items()
-        ]
+        methods = [Method(id, entry.returns, entry.competes) for id, entry in by_name.items()]
         return tuple((row, by_name[row.name]) for row in board_rows(methods, panel))
 
     def _entries(self, season: Season) -> list[Entry]:
-        groups: dict[tuple[str, str], list[tuple[Submission, pl.DataFrame]]] = {}
-        for id, table in self._panel_b(season.id):
-            if submission := self._queries.submission(id):
-                key = submission.submitter, submission.method
-                groups.setdefault(key, []).append((submission, table))
-        return [_entry(group) for group in groups.values()]
+        tables = dict(self._panel_b(season.id))
+        found = map(self._queries.submission, tables)
+        groups = group_methods(seed for seed in found if seed is not None)
+        returns = {seed.id: _returns(tables[seed.id]) for group in groups for seed in group}
+        copies = find_copies(groups, {id: digest_of(played) for id, played in returns.items()})
+        return [_entry(group, tables, returns, copies.get(group[-1].id)) for group in groups]
 
 
-def _entry(group: list[tuple[Submission, pl.DataFrame]]) -> Entry:
-    group = sorted(group, key=lambda pair: (pair[0].created_at, pair[0].id))
-    tables = pl.concat([table for _, table in group])
-    is_gentle = "violated" in tables.columns
+def _entry(
+    group: Sequence[Submission],
+    tables: Mapping[str, pl.DataFrame],
+    returns: Mapping[str, np.ndarray],
+    copy_of: Submission | None,
+) -> Entry:
+    table = pl.concat([tables[seed.id] for seed in group])
+    is_gentle = "violated" in table.columns
     return Entry(
-        submissions=tuple(submission for submission, _ in group),
-        returns=np.stack([_returns(table) for _, table in group]),
-        success=_share(tables["success"]),
-        safe_success=_share(with_safety(tables)["safe_success"]) if is_gentle else None,
-        violations=_share(tables["violated"]) if is_gentle else None,
+        submissions=tuple(group),
+        returns=np.stack([returns[seed.id] for seed in group]),
+        copy_of=copy_of,
+        success=_share(table["success"]),
+        safe_success=_share(with_safety(table)["safe_success"]) if is_gentle else None,
+        violations=_share(table["violated"]) if is_gentle else None,
     )
 
 

@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from assistax_base.digest import sha256
 from assistax_base.errors import ZooError
+from assistax_board.api.guards import MADE, client_of
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.cache import HTML, Page, PageCache, pack, respond
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
@@ -99,16 +100,23 @@ class Site:
         template: str,
         values: Callable[[], dict[str, Any]],
         media_type: str = HTML,
+        *,
+        limited: bool = False,
     ) -> Response:
         """Answer with a page, rendered at most every few seconds for all its readers.
 
-        `key` names the page by all of the request that it depends on.
+        `key` names the page by all of the request that it depends on. Of `limited` pages one
+        address gets few that nobody has read before.
         """
+        name = f"{template} {key}"
+        if limited and self.cache.lacks(name):
+            request.app.state.limiter.hit(MADE, client_of(request))
 
         def rendered() -> str:
             return self.render(template, request.url.path, **values())
 
-        return respond(request, self.cache.page(f"{template} {key}", seconds, rendered, media_type))
+        page = self.cache.page(name, seconds, rendered, media_type, limited=limited)
+        return respond(request, page)
 
     def render(self, template: str, path: str, **values: Any) -> str:
         """Return a page with the values that every page shows."""

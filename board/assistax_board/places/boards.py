@@ -33,6 +33,7 @@ class Panel:
     disabilities: tuple[str | None, ...]  # [P]
     bounds: Bounds | None = None  # of a random robot and of the best response; None if unknown
     seed_sd: float | None = None  # how far seeds of one method differ, see `rank_methods`
+    unseen: int = 0  # entries with scores that have no place on this board, see `rank_methods`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Method:
 
     name: str
     returns: np.ndarray  # [S, P, K]: its seeds, the panel's partners, the panel's episodes
-    competes: bool = True  # False for a row that others are measured by
+    competes: bool = True  # False for a reference, a single robot, or an entry that is not whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +90,7 @@ def _rank_competitors(methods: Sequence[Method], panel: Panel) -> dict[str, tupl
     if not names or methods[0].returns.shape[1] < 2:
         return {}
     scores = [method.returns.mean(axis=2) for method in methods if method.competes]
-    ranks = rank_methods(scores, seed_sd=panel.seed_sd)
+    ranks = rank_methods(scores, seed_sd=panel.seed_sd, unseen=panel.unseen)
     places = zip(ranks.places.tolist(), ranks.lowest.tolist(), strict=True)
     return dict(zip(names, places, strict=True))
 

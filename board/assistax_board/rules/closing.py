@@ -9,8 +9,9 @@ What workers failed in the meantime is waited for: an organiser may queue it aga
 the season goes on without it and says so.
 
 A lab may try often on panel A, and decides before the close what plays panel B: at most two
-methods, each with the submissions that are its seeds. Who decides nothing plays the submission
-whose score on panel A was shown last.
+methods, each whole: a declared entry with all of its seeds, or all single robots of one name. Who
+decides nothing plays the whole method whose score on panel A was shown last, of declared entries
+if there are any.
 """
 
 from collections.abc import Sequence
@@ -26,55 +27,67 @@ from assistax_board.store import schema
 from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.notices import note
 from assistax_board.store.queries import unplayed_b
-from assistax_board.store.schema import ERASED, JOB, SCORE, SEASON, SUBMISSION, SUBMITTER
+from assistax_board.store.schema import (
+    ERASED,
+    JOB,
+    SCORE,
+    SEASON,
+    SUBMISSION,
+    SUBMITTER,
+    UNFROZEN,
+)
 from assistax_board.vocabulary import FINAL_STATES, REFERENCE
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
 
 ENTRIES = 2  # methods of one lab on panel B
-SEEDS = 10  # submissions of one of them
+_GONE = ("refused", "failed", "retracted")
 WAIT_SECONDS = 7 * 86_400.0  # for the organiser to queue again what workers failed
 
 
 def enter(transaction: Transaction, season: str, submitter: str, chosen: Sequence[str]) -> None:
-    """Replace a lab's choice of submissions for panel B.
+    """Replace a lab's choice of methods for panel B.
 
     Args:
         transaction: In which the choice is recorded.
         season: Name or id.
         submitter: Id of the lab.
-        chosen: Ids of its submissions; those of one method are seeds of one entry.
+        chosen: Ids of its submissions; each stands for its whole method.
 
     Raises:
         Problem: The season is not open, or the choice is not within the rules.
     """
     row = find_season(transaction, season, "open", in_time=True)
     mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
-    rows = transaction.execute(
-        sa.select(schema.submissions).where(*mine, SUBMISSION.id.in_(chosen))
-    ).all()
-    _check(rows, chosen)
+    rows = transaction.execute(sa.select(schema.submissions).where(*mine)).all()
+    methods = _check({row.id: row for row in rows}, chosen)
+    entered = [row.id for row in rows if _method(row) in methods and row.state not in _GONE]
     transaction.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
     transaction.execute(
         sa.update(schema.submissions)
-        .where(*mine, SUBMISSION.id.in_(chosen))
+        .where(SUBMISSION.id.in_(entered))
         .values(entered_at=transaction.now)
     )
-    body = {"season": row.id, "submitter": submitter, "submissions": sorted(set(chosen))}
+    body = {"season": row.id, "submitter": submitter, "submissions": sorted(entered)}
     transaction.record("entry", body)
 
 
-def _check(rows: Sequence[Any], chosen: Sequence[str]) -> None:
-    if missing := set(chosen) - {row.id for row in rows}:
+def _method(row: Any) -> tuple[str, str, str | None]:
+    """Return what the submissions of one method have in common."""
+    return row.submitter, row.method, row.entry
+
+
+def _check(rows: dict[str, Any], chosen: Sequence[str]) -> set[tuple[str, str, str | None]]:
+    """Return the methods of the chosen submissions."""
+    if missing := set(chosen) - rows.keys():
         raise Problem("not_found", f"you have no submission {min(missing)} in this season")
-    if ended := [row for row in rows if row.state in ("refused", "failed", "retracted")]:
-        raise Problem("invalid", f"submission {ended[0].id} is {ended[0].state}")
-    methods = [row.method for row in rows]
-    if len(set(methods)) > ENTRIES:
-        raise Problem("invalid", f"{len(set(methods))} methods; a lab enters at most {ENTRIES}")
-    if methods and max(map(methods.count, methods)) > SEEDS:
-        raise Problem("invalid", f"an entry has at most {SEEDS} submissions, its seeds")
+    if ended := [id for id in chosen if rows[id].state in _GONE]:
+        raise Problem("invalid", f"submission {ended[0]} is {rows[ended[0]].state}")
+    methods = {_method(rows[id]) for id in chosen}
+    if len(methods) > ENTRIES:
+        raise Problem("invalid", f"{len(methods)} methods; a lab enters at most {ENTRIES}")
+    return methods
 
 
 def close_season(transaction: Transaction, name: str) -> None:
@@ -171,12 +184,16 @@ def _close(transaction: Transaction, season: str) -> None:
     closes_at = transaction.execute(sa.select(SEASON.closes_at).where(mine)).scalar()
     values = {"state": "closing", "closes_at": min(transaction.now, closes_at or transaction.now)}
     transaction.execute(sa.update(schema.seasons).where(mine).values(values))
+    # What lacks files takes no more of them.
+    waiting = sa.select(SUBMISSION.id).where(SUBMISSION.season == season)
+    for id in transaction.execute(waiting.where(SUBMISSION.entry.in_(UNFROZEN))).scalars().all():
+        submissions.fail(transaction, id, "season_closed")
     transaction.record("season_close", {"season": season})
     take_next_step(transaction, season)
 
 
 def _entries(transaction: Transaction, season: str) -> list[Any]:
-    """Return the submissions that play panel B: those entered, else each lab's last one shown."""
+    """Return the submissions that play panel B: whole methods, entered or by default."""
     query = sa.select(schema.submissions).where(
         SUBMISSION.season == season, SUBMISSION.kind == "file"
     )
@@ -185,25 +202,44 @@ def _entries(transaction: Transaction, season: str) -> list[Any]:
     by_lab: dict[str, list[Any]] = {}
     for row in scored:
         by_lab.setdefault(row.submitter, []).append(row)
-    shown = _last_shown(transaction, season)
+    shown = _shown(transaction, season)
     return [
         row
         for lab in sorted(by_lab)
-        for row in [candidate for candidate in by_lab[lab] if candidate.entered_at is not None]
-        or [candidate for candidate in by_lab[lab] if candidate.id == shown.get(lab)]
+        for methods in [
+            {_method(row) for row in by_lab[lab] if row.entered_at is not None}
+            or _default(by_lab[lab], shown)
+        ]
+        for row in by_lab[lab]
+        if _method(row) in methods
     ]
 
 
-def _last_shown(transaction: Transaction, season: str) -> dict[str, str]:
-    """Return each lab's submission whose score on panel A was shown last, of those that stand."""
+def _default(rows: Sequence[Any], shown: Sequence[str]) -> set[tuple[str, str, str | None]]:
+    """Return the method of a lab that entered none: the one shown last, or none.
+
+    Args:
+        rows: The lab's scored submissions.
+        shown: Submissions whose score on panel A was shown, the first one first.
+    """
+    declared = [row for row in rows if row.entry is not None]
+    known = [row for row in declared or rows if row.id in shown]
+    last = max(known, key=lambda row: shown.index(row.id), default=None)
+    if last is None and declared:  # it was played, and the Ladder said nothing of it
+        last = max(declared, key=lambda row: (row.created_at, row.id))
+    return set() if last is None else {_method(last)}
+
+
+def _shown(transaction: Transaction, season: str) -> list[str]:
+    """Return the standing submissions whose score on panel A was shown, the first one first."""
     query = (
-        sa.select(SUBMISSION.submitter, SUBMISSION.id)
+        sa.select(SUBMISSION.id)
         .join(schema.scores, SCORE.submission == SUBMISSION.id)
         .where(SUBMISSION.season == season, SUBMISSION.state == "scored")
         .where(SCORE.panel == "A", SCORE.released.is_not(None))
         .order_by(SCORE.created_at, SUBMISSION.created_at, SUBMISSION.id)
     )
-    return {row.submitter: row.id for row in transaction.execute(query)}
+    return list(transaction.execute(query).scalars())
 
 
 def _play_b(transaction: Transaction, season: Any, entries: list[Any]) -> None:

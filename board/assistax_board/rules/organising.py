@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 
 from assistax_board.problems import Problem
-from assistax_board.rules import closing, jobs, submissions
+from assistax_board.rules import attempts, closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.seasons import MAX_OPEN_SECONDS
 from assistax_board.store import schema
@@ -15,6 +15,7 @@ from assistax_board.store.notices import withdraw_notice
 from assistax_board.store.queries import unplayed_b
 from assistax_board.store.schema import (
     ARTEFACT,
+    DECLARED,
     ERASED,
     JOB,
     RECEIPT,
@@ -112,7 +113,7 @@ def _retry_submission(
     needs_extra = False
     if season is not None:
         _check_takes(transaction, season)
-        needs_extra = submissions.attempts_left(transaction, season, row.submitter) == 0
+        needs_extra = attempts.attempts_left(transaction, season, row.submitter) == 0
     if needs_extra and not extra:
         raise Problem(
             "budget_spent",
@@ -244,6 +245,8 @@ def erase_submitter(service: "Service", submitter: str) -> None:
             nothing = dict.fromkeys(submissions.DESCRIPTION)
             transaction.execute(update.values(method="erased", request=row.id, **nothing))
             _sign_anew(service, transaction, row.id)
+        theirs = sa.update(schema.entries).where(DECLARED.submitter == submitter)
+        transaction.execute(theirs.values(method="erased", request=DECLARED.id, card={}))
         others = sa.select(SUBMISSION.artefact).where(
             SUBMISSION.submitter != submitter, SUBMISSION.artefact.is_not(None)
         )

@@ -261,6 +261,7 @@ def _sign(
         "method": row.method,
         "artefact": row.artefact,
         "season": row.season,
+        "entry": row.entry,
         "version": version,
         "scores": released,
         "ledger": {"seq": entry.seq, "hash": entry.hash},

@@ -46,6 +46,7 @@ DEFAULT_RULES = (
     "One lab, one name. Train on public partners as you like: the public half may be trained with. "
     "Scores on panel A are shown when "
     "they beat your last shown one beyond chance; panel B decides, once, when the season closes. "
+    "A place needs a declared entry, and an entry plays whole. "
     "Files are kept for the season and used for scoring alone, unless their licence says more."
 )
 

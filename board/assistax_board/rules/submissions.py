@@ -4,7 +4,8 @@
        |         |-----> failed    (a word of FAILURES; the attempt is refunded or spent)
        `-> refused                 (a word of REFUSALS; costs nothing)
 
-A scored one may be retracted by its submitter: it leaves its board, what was said of it stays.
+A scored single robot may be retracted by its submitter: it leaves its board, what was said of it
+stays. A seed of a declared entry ends with the whole entry, or not at all; see `entries`.
 
 Everything that happens at once to a submission happens in one transaction, with its ledger entry.
 """
@@ -15,14 +16,16 @@ from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
+from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem, Refusal
-from assistax_board.rules import jobs
+from assistax_board.rules import attempts, entries, jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
 from assistax_board.rules.scoring import cut
 from assistax_board.store import schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, Reader, Transaction
+from assistax_board.store.notices import note
 from assistax_board.store.played import warning_of
 from assistax_board.store.schema import JOB, SEASON, SUBMISSION, SUBMITTER
 from assistax_board.vocabulary import FINAL_STATES, OWN_FAILURES, Kind
@@ -51,6 +54,7 @@ class Draft:
     request: str  # chosen by the client: the same one is the same submission
     licence: str = "evaluation-only"
     season: str | None = None  # id; None for the public board alone
+    entry: str | None = None  # id of the declared entry that it is a seed of
     kind: Kind = "file"
     data: bytes | None = None  # of a file alone
     format: str | None = None  # as admission found it; of a reference its name
@@ -71,9 +75,7 @@ def check_draft(draft: Draft, catalogue: Catalogue) -> None:
         raise Problem("invalid", f"task {draft.task!r}; allowed are {', '.join(catalogue.tasks)}")
     if draft.licence not in LICENCES:
         raise Problem("invalid", f"licence {draft.licence!r}; allowed are {', '.join(LICENCES)}")
-    for name, value, most in (("method", draft.method, 80), ("request", draft.request, 64)):
-        if not 1 <= len(value) <= most or not value.isprintable():
-            raise Problem("invalid", f"{name} has 1 to {most} printable characters")
+    entries.check_names(draft.method, draft.request)
     _check_description(draft)
     if (draft.data is not None) != (draft.kind == "file"):
         raise Problem("invalid", "a submission is a file")
@@ -104,28 +106,30 @@ def submit(
     draft: Draft,
 ) -> str:
     """Record a submission with its jobs, and return its id; a repeated request adds nothing."""
-    artefact = None
-    erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
-    if transaction.execute(erased).scalar() is not None:
-        raise Problem(
-            "not_signed_in", "this token's lab was erased; ask the organiser for a new token"
-        )
+    _check_not_erased(transaction, submitter)
     if before := _known(transaction, submitter, draft.request):
         return before
-    season = _open_season(transaction, draft) if draft.season else None
+    season = attempts.open_season(transaction, draft.season, draft.task) if draft.season else None
     if season is not None and draft.refusal is None:
-        _check_not_disqualified(transaction, season, submitter)
-        _check_budget(transaction, season, submitter)
-    if draft.data is not None and draft.refusal is None:
-        artefact = artefacts.put(draft.data)
-        record_artefact(transaction, artefact, len(draft.data))
+        attempts.check_attempts(transaction, season, submitter)
     public = catalogue.identity(draft.task).get("env_version")
-    row = _row(transaction, submitter, draft, artefact)
+    row = _row(transaction, submitter, draft)
     row["warning"] = warning_of(draft.env_version, public, season)
+    entry = None
+    if draft.entry:
+        entry = entries.place_in_entry(transaction, submitter, draft.entry, row)
+    if draft.data is not None and draft.refusal is None:
+        note_copy(transaction, row)
+        record_artefact(transaction, artefacts.put(draft.data), len(draft.data))
+    else:
+        row["artefact"] = None
     transaction.execute(sa.insert(schema.submissions).values(row))
-    if draft.refusal is None:
-        plan_jobs(transaction, catalogue, row, season)
-    names = ("id", "submitter", "task", "kind", "artefact", "season", "state", "reason")
+    if draft.refusal is not None:
+        _end_entry(transaction, draft.entry)
+    for planned in (row,) if entry is None else entries.freeze(transaction, entry):
+        if draft.refusal is None:
+            plan_jobs(transaction, catalogue, planned, season)
+    names = ("id", "submitter", "task", "kind", "artefact", "season", "entry", "state", "reason")
     body = {name: row[name] for name in names}
     transaction.record("submission", body)
     return row["id"]
@@ -202,11 +206,14 @@ def end(
 
 
 def withdraw(transaction: Transaction, id: str, submitter: str) -> None:
-    """End a submission because its submitter wants so."""
+    """End a submission because its submitter wants so; of an entry all of its seeds."""
     row = find_submission(transaction, id)
     if row is None or row.submitter != submitter:
         raise Problem("not_found", f"you have no submission {id!r}")
-    if row.state == "scored":
+    if row.entry is not None:
+        for seed in entries.seeds_of(transaction, row.entry):
+            fail(transaction, seed, "withdrawn")
+    elif row.state == "scored":
         _retract(transaction, row)
     elif row.state in FINAL_STATES:
         raise Problem("too_late", f"submission {id} has ended: {row.state}")
@@ -239,9 +246,15 @@ def _known(reader: Reader, submitter: str, request: str) -> str | None:
     return reader.execute(sa.select(SUBMISSION.id).where(*where)).scalar()
 
 
-def _row(
-    transaction: Transaction, submitter: str, draft: Draft, artefact: str | None
-) -> dict[str, Any]:
+def _check_not_erased(transaction: Transaction, submitter: str) -> None:
+    erased = sa.select(SUBMITTER.erased_at).where(SUBMITTER.id == submitter)
+    if transaction.execute(erased).scalar() is not None:
+        raise Problem(
+            "not_signed_in", "this token's lab was erased; ask the organiser for a new token"
+        )
+
+
+def _row(transaction: Transaction, submitter: str, draft: Draft) -> dict[str, Any]:
     refused = draft.refusal is not None
     attempt = "free" if draft.season is None else "refunded" if refused else "reserved"
     waiting = sa.select(sa.func.count()).where(
@@ -254,10 +267,11 @@ def _row(
         "task": draft.task,
         "method": draft.method,
         "kind": draft.kind,
-        "artefact": artefact,
+        "artefact": None if draft.data is None else sha256(draft.data),
         "format": draft.format,
         "licence": draft.licence,
         "season": draft.season,
+        "entry": draft.entry,
         "state": "refused" if refused else "queued",
         "reason": draft.refusal,
         "attempt": attempt,
@@ -269,41 +283,19 @@ def _row(
     }
 
 
-def _open_season(transaction: Transaction, draft: Draft) -> Any:
-    row = transaction.execute(sa.select(schema.seasons).where(SEASON.id == draft.season)).first()
-    if row is None or row.task != draft.task:
-        raise Problem("not_found", f"no season {draft.season!r} of task {draft.task}")
-    if row.state != "open":
-        raise Problem("too_late", f"season {row.name} is {row.state}; it must be open")
-    if row.closes_at is not None and row.closes_at <= transaction.now:
-        raise Problem("too_late", f"the closing date of season {row.name} has passed")
-    return row
+def _end_entry(transaction: Transaction, entry: str | None) -> None:
+    """End an entry of which a file was refused: it cannot be whole any more."""
+    waiting = sa.select(SUBMISSION.id).where(SUBMISSION.entry == entry)
+    for id in transaction.execute(waiting).scalars().all() if entry else ():
+        fail(transaction, id, "entry_incomplete")
 
 
-def attempts_left(transaction: Transaction, season: Any, submitter: str) -> int:
-    """Count attempts anew each time: a counter could be lost between two transactions."""
-    query = sa.select(sa.func.count()).where(
-        SUBMISSION.season == season.id,
-        SUBMISSION.submitter == submitter,
-        SUBMISSION.attempt.in_(("reserved", "spent")),
-    )
-    return max(0, season.budget - transaction.execute(query).scalar_one())
-
-
-def _check_budget(transaction: Transaction, season: Any, submitter: str) -> None:
-    if attempts_left(transaction, season, submitter) == 0:
-        raise Problem(
-            "budget_spent",
-            f"all {season.budget} attempts of season {season.name} are made or under way; submit "
-            "without a season to be scored on the public partners",
-        )
-
-
-def _check_not_disqualified(transaction: Transaction, season: Any, submitter: str) -> None:
-    out = SUBMISSION.submitter == submitter, SUBMISSION.reason == "disqualified"
-    query = sa.select(SUBMISSION.id).where(SUBMISSION.season == season.id, *out)
-    if transaction.execute(query.limit(1)).first():
-        raise Problem("not_allowed", f"the organiser disqualified you from season {season.name}")
+def note_copy(transaction: Transaction, row: dict[str, Any]) -> None:
+    """Tell the organiser if another lab handed in the same bytes before."""
+    same = SUBMISSION.artefact == row["artefact"], SUBMISSION.task == row["task"]
+    others = sa.select(SUBMISSION.id).where(*same, SUBMISSION.submitter != row["submitter"])
+    if transaction.execute(others.limit(1)).first():
+        note(transaction, "same_bytes", row["artefact"])
 
 
 def _met_hidden(transaction: Transaction, id: str) -> bool:

@@ -9,7 +9,15 @@ from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.release_pack import check_program
 from assistax_board.store import schema
-from assistax_board.store.schema import ERASED, JOB, MAX_FAILURES, SEASON, SUBMISSION, VERSION
+from assistax_board.store.schema import (
+    ERASED,
+    JOB,
+    MAX_FAILURES,
+    SEASON,
+    SUBMISSION,
+    UNFROZEN,
+    VERSION,
+)
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
@@ -39,6 +47,7 @@ def adopt_version(service: "Service") -> int:
                 # A season's references play panel B alone.
                 (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
                 SUBMISSION.id.not_in(planned),
+                SUBMISSION.entry.is_(None) | SUBMISSION.entry.not_in(UNFROZEN),
                 # Nobody has the file of an erased lab.
                 SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
             )

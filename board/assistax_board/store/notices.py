@@ -18,6 +18,8 @@ KINDS = {
     "`service retry` queues it again; without that the season closes without it",
     "season_incomplete": "this season is closed without all entries, since workers failed them: "
     "its page and the ledger name them",
+    "same_bytes": "labs handed in the same file, named here by its sha256; the first one has the "
+    "place, and the page of the others says so",
     "unexpected": "a request met an error of the service itself; the log has it",
     "too_full": "the disk or the store took no more files, and submissions were refused",
     "ledger": "the ledger is no unbroken chain: somebody changed it; `service check` says more",

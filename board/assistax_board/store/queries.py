@@ -16,6 +16,7 @@ from assistax_board.store.played import NOT_PEOPLE
 from assistax_board.store.queue import Queue
 from assistax_board.store.schema import (
     ARTEFACT,
+    DECLARED,
     ENTRY,
     ERASED,
     JOB,
@@ -36,6 +37,7 @@ from assistax_board.store.shown import (
     Season,
     Submission,
 )
+from assistax_board.vocabulary import FINAL_STATES
 
 STATEMENT = (
     f"The partners are simulated: trained policies, or persons made of numbers. {NOT_PEOPLE}"
@@ -55,9 +57,10 @@ class Queries:
         submitter: str | None = None,
         season: str | None = None,
         method_of: str | None = None,
+        waiting: bool = False,
         limit: int = 100,
     ) -> list[Submission]:
-        """Return the newest submissions first.
+        """Return the newest submissions first, or only those that have not ended.
 
         `submitter` is an id; `method_of` is that of a submission of the method.
         """
@@ -71,6 +74,7 @@ class Queries:
         ):
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
+        query = query.where(SUBMISSION.state.not_in(FINAL_STATES)) if waiting else query
         with self.database.read() as connection:
             rows = list(connection.execute(query))
             queue = Queue(connection, [row.id for row in rows])
@@ -141,6 +145,25 @@ class Queries:
         with self.database.read() as connection:
             return [_partner_score(row) for row in connection.execute(query).mappings()]
 
+    def board_stamp(self, version: str) -> tuple[Any, ...]:
+        """Return a value that changes when the rows of a version's board may: it reads no row."""
+        query = (
+            sa.select(
+                SUBMISSION.state,
+                sa.func.count(),
+                sa.func.max(SCORE.created_at),
+                sa.func.count(SUBMITTER.erased_at),
+            )
+            .select_from(schema.scores)
+            .join(schema.submissions, SUBMISSION.id == SCORE.submission)
+            .join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
+            .where(SCORE.version == version, SCORE.panel == "public")
+            .group_by(SUBMISSION.state)
+            .order_by(SUBMISSION.state)
+        )
+        with self.database.read() as connection:
+            return tuple(tuple(row) for row in connection.execute(query))
+
     def versions(self, task: str) -> list[tuple[str, dict[str, Any]]]:
         """Return (id, identity) of the versions that scored this task, the newest first."""
         query = (
@@ -166,6 +189,13 @@ class Queries:
         with self.database.read() as connection:
             row = connection.execute(query).mappings().first()
             return None if row is None else _season(row)
+
+    def entries_met(self, season: str) -> set[str]:
+        """Return the declared entries that have any score in a season."""
+        query = sa.select(SUBMISSION.entry).join(schema.scores, SCORE.submission == SUBMISSION.id)
+        query = query.where(SUBMISSION.season == season, SUBMISSION.entry.is_not(None))
+        with self.database.read() as connection:
+            return set(connection.execute(query).scalars())
 
     def unplayed(self, season: str) -> list[str]:
         """Return the submissions that workers could not play on a season's panel B."""
@@ -234,9 +264,9 @@ def unplayed_b(reader: Reader, season: str) -> dict[str, float]:
 
 def _submission_query() -> sa.Select:
     name = SUBMITTER.name.label("submitter_name")
-    return sa.select(schema.submissions, name).join(
-        schema.submitters, SUBMITTER.id == SUBMISSION.submitter
-    )
+    query = sa.select(schema.submissions, name, DECLARED.files, DECLARED.card)
+    query = query.join(schema.submitters, SUBMITTER.id == SUBMISSION.submitter)
+    return query.outerjoin(schema.entries, DECLARED.id == SUBMISSION.entry)
 
 
 def _of_method(submission: str) -> sa.ColumnElement[bool]:

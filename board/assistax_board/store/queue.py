@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from assistax_board.store import schema
-from assistax_board.store.schema import JOB, RESULT, SUBMISSION
+from assistax_board.store.schema import JOB, RESULT, SUBMISSION, UNFROZEN
 from assistax_board.store.shown import Submission
 from assistax_board.vocabulary import FINAL_STATES, REASONS
 
@@ -29,7 +29,9 @@ class Queue:
         self._jobs: dict[str, dict[str, int]] = {}
         for submission, state, count in connection.execute(counts):
             self._jobs.setdefault(submission, {})[state] = count
-        order = sa.select(SUBMISSION.id).where(is_waiting)
+        # What lacks files of its entry has no place in the queue.
+        placed = is_waiting & (SUBMISSION.entry.is_(None) | SUBMISSION.entry.not_in(UNFROZEN))
+        order = sa.select(SUBMISSION.id).where(placed)
         order = order.order_by(SUBMISSION.turn, SUBMISSION.created_at, SUBMISSION.id)
         ids = list(connection.execute(order).scalars())
         before = itertools.accumulate(map(self._left, ids))
@@ -70,6 +72,9 @@ class Queue:
             link=row.link,
             citation=row.citation,
             warning=row.warning,
+            entry=row.entry,
+            declared=None if row.files is None else len(row.files),
+            card=row.card,
         )
 
     def _left(self, submission: str) -> int:

@@ -74,6 +74,23 @@ seasons = sa.Table(
     sa.Column("hidden", sa.JSON),  # how many partners of which kind: see `played`
 )
 
+# A declared entry: its files are named by their hashes before any of them is scored.
+entries = sa.Table(
+    "entries",
+    METADATA,
+    _id(),
+    sa.Column("submitter", sa.ForeignKey("submitters.id"), nullable=False),
+    sa.Column("request", sa.String(64), nullable=False),  # as of a submission
+    sa.Column("task", sa.String(40), nullable=False),
+    sa.Column("method", sa.String(80), nullable=False),
+    sa.Column("season", sa.ForeignKey("seasons.id")),
+    sa.Column("files", sa.JSON, nullable=False),  # sha256 of each seed's file, sorted
+    sa.Column("card", sa.JSON, nullable=False),  # what the lab says of it, see `rules.entries`
+    sa.Column("created_at", sa.Float, nullable=False),
+    sa.Column("frozen_at", sa.Float),  # when all of its files were there; then they are played
+    sa.UniqueConstraint("submitter", "request"),
+)
+
 submissions = sa.Table(
     "submissions",
     METADATA,
@@ -97,6 +114,7 @@ submissions = sa.Table(
     sa.Column("entered_at", sa.Float),  # when it was chosen for panel B
     *(sa.Column(name, sa.Text) for name in ("about", "link", "citation")),  # of its method
     sa.Column("warning", sa.Text),  # of another environment version
+    sa.Column("entry", sa.ForeignKey("entries.id")),  # that it is a seed of; none: a single robot
     sa.UniqueConstraint("submitter", "request"),
 )
 sa.Index("ix_submissions_state", submissions.c.state)
@@ -208,7 +226,9 @@ notices = sa.Table(
 SUBMITTER, TOKEN, ARTEFACT, SEASON = submitters.c, tokens.c, artefacts.c, seasons.c
 SUBMISSION, VERSION, JOB, RESULT = submissions.c, versions.c, jobs.c, results.c
 SCORE, PARTNER_SCORE, ENTRY, RECEIPT = scores.c, partner_scores.c, ledger.c, receipts.c
-NOTICE = notices.c
+NOTICE, DECLARED = notices.c, entries.c
 
 ERASED = sa.select(ARTEFACT.sha256).where(ARTEFACT.erased_at.is_not(None))  # files that are gone
+# Declared entries that lack files: nothing of them is played yet.
+UNFROZEN = sa.select(DECLARED.id).where(DECLARED.frozen_at.is_(None))
 MAX_FAILURES = 5  # of a job: then it is given up, as is its submission, whose attempt is refunded

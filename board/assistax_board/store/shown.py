@@ -33,6 +33,9 @@ class Submission:
     link: str | None
     citation: str | None
     warning: str | None  # it was trained in another environment version than it plays
+    entry: str | None  # declared entry that it is a seed of; None: a single robot
+    declared: int | None  # seeds of that entry
+    card: dict[str, Any] | None  # what its lab says of the entry, see `rules.entries.Card`
 
 
 @dataclasses.dataclass(frozen=True)

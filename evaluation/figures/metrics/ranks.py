@@ -22,6 +22,11 @@ happen to be alike; with one quantile for the sum of all three, 10 to 20% of lis
 equal: first all, then fewer, since equal methods form groups and every pair of a group must still
 be open (Shaffer, 1986; the number is bounded from above by the cores of the graph of open pairs).
 
+**Methods that are not in the list.** A list from which somebody may have taken methods after their
+scores were known, such as all but the luckiest, has too many wrong claims. `unseen` counts those
+methods, and every pair with one of them is counted among the pairs that may be equal. The level
+then holds for all methods together, whichever of them are listed.
+
 **Few seeds.** Two or three seeds hardly tell how far a method's seeds differ. `seed_sd` says it
 beforehand, from measurements of other methods, and is lent to methods with fewer than five seeds
 while their own seeds do not contradict it. It counts n degrees of freedom: 2, but 0.6 of methods
@@ -92,6 +97,7 @@ def rank_methods(
     scores: Sequence[np.ndarray],
     *,
     seed_sd: float | None = None,
+    unseen: int = 0,
     confidence: float = CONFIDENCE,
 ) -> Ranks:
     """Return the ranks of methods by their mean over partners.
@@ -101,17 +107,20 @@ def rank_methods(
             order and on the same episodes for every method.
         seed_sd: Standard deviation between seeds of one method, known beforehand, such as
             `SEED_SDS[task]`; None if unknown.
+        unseen: Number of further methods that were scored and are not listed.
         confidence: Confidence that no claim of the result is wrong.
 
     Raises:
         ValueError: There are fewer than two partners, methods have different numbers of partners,
-            or `seed_sd` is not positive.
+            `seed_sd` is not positive, or `unseen` is negative.
     """
     matrices = _check(scores)
     if seed_sd is not None and not 0 < seed_sd < np.inf:
         raise ValueError(f"seed_sd is {seed_sd}; allowed is a positive number of points, or None")
+    if unseen < 0:
+        raise ValueError(f"unseen is {unseen}; allowed is 0 or a number of methods")
     pairs = _compare(matrices, seed_sd)
-    return Ranks(_transitive_closure(_step_down(pairs, 1 - confidence)))
+    return Ranks(_transitive_closure(_step_down(pairs, 1 - confidence, unseen)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,12 +190,16 @@ def _summed_df(variances: np.ndarray, df: np.ndarray, total: np.ndarray) -> np.n
     return np.where(nothing, least, np.clip(summed, least, df[:, None] + df))
 
 
-def _step_down(pairs: _Pairs, alpha: float) -> np.ndarray:
-    """Return a mask [M, M], True if j is significantly better than k, by a step-down test."""
+def _step_down(pairs: _Pairs, alpha: float, unseen: int = 0) -> np.ndarray:
+    """Return a mask [M, M], True if j is significantly better than k, by a step-down test.
+
+    Pairs with `unseen` methods stay open to the end.
+    """
+    hidden = unseen * len(pairs.difference) + unseen * (unseen - 1) / 2
     is_open = ~np.eye(len(pairs.difference), dtype=bool)
     most = np.inf
     while is_open.any():
-        most = min(most, _most_equal(is_open))
+        most = min(most, _most_equal(is_open) + hidden)
         apart = is_open & pairs.apart(alpha / max(most, 1))
         if not apart.any():
             break

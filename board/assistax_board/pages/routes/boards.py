@@ -12,6 +12,7 @@ from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.partners import pair_values
 from assistax_board.pages.routes.rows import (
+    LAST,
     LONGEST,
     SAFETY,
     SORTS,
@@ -45,8 +46,7 @@ def board_router(site: Site) -> APIRouter:
     @router.get("/tasks/{task}.csv")
     def table(request: Request, task: str, version: str = "") -> Response:
         def text() -> str:
-            board = board_of(site, task, version)
-            return board_csv(board, safety_of(site, board))
+            return board_csv(board_of(site, task, version))
 
         page = site.cache.page(f"board.csv {task} {version}", LIVE, text, "text/csv; charset=utf-8")
         response = respond(request, page)
@@ -61,13 +61,15 @@ def board_router(site: Site) -> APIRouter:
         sort: str = "",
         search: Annotated[str, Query(max_length=LONGEST)] = "",
         show: str = "",
+        page: Annotated[int, Query(ge=1, le=LAST)] = 1,
     ) -> Response:
-        view = View(sort, search, show)
+        view = View(sort, search, show, page)
 
         def values() -> dict[str, Any]:
             return board_values(site, task, old_version(site, task, version), view)
 
-        return site.page(request, f"{task} {version} {view}", LIVE, "board.html", values)
+        key = f"{task} {version} {view}"
+        return site.page(request, key, LIVE, "board.html", values, limited=view != View())
 
     @router.get("/tasks/{task}/compare")
     def compare(request: Request, task: str, a: str = "", b: str = "") -> Response:
@@ -75,7 +77,8 @@ def board_router(site: Site) -> APIRouter:
             board = board_of(site, task, "")
             return {"task": task, "board": board, **compare_values(board, a, b)}
 
-        return site.page(request, f"{task} {a} {b}", LIVE, "compare.html", values)
+        key = f"{task} {a} {b}"
+        return site.page(request, key, LIVE, "compare.html", values, limited=bool(a or b))
 
     return router
 
@@ -96,16 +99,17 @@ def newest_film(site: Site) -> dict[str, Any] | None:
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
     """Return the values of a board's page; the default version is the newest."""
     board = site.boards.of(task, version)
-    safety = safety_of(site, board) if board else {}
+    safety = board.safety if board else {}
     rows = board.rows if board else ()
     # Rows to measure by are far away and would press the others into one point.
     drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
     ends = [end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)]
-    waiting = [row for row in site.queries.submissions(task=task) if row.place is not None]
+    waiting = site.queries.submissions(task=task, waiting=True)
     return {
         "task": task,
         "board": board,
-        "rows": view.of(board, safety) if board else (),
+        "listed": view.of(board) if board else None,
+        "singles": view.singles(board) if board else None,
         "view": view,
         "sorts": {name: text for name, text in SORTS.items() if safety or name not in SAFETY},
         "old_version": version,
@@ -113,23 +117,10 @@ def board_values(site: Site, task: str, version: str | None, view: View) -> dict
         "safety": safety,
         "is_behind": site.boards.is_behind(task, version),
         "axis": axis_over(ends),
-        "waiting": sorted(waiting, key=lambda row: row.place or 0),
+        "waiting": sorted((row for row in waiting if row.place), key=lambda row: row.place or 0),
         "seasons": site.queries.seasons(task),
         "has_crossplay": task in site.crossplays.tasks,
     }
-
-
-def safety_of(site: Site, board: Board) -> dict[str, tuple[float, float]]:
-    """Return safe success and violations of each row of a gentle task; nothing of another task."""
-    scores = site.queries.scores(task=board.task, panel="public", version=board.version)
-    figures = {score.submission: score.figures for score in scores if "violations" in score.figures}
-    safety = {}
-    for standing, played in board.rows:
-        seeds = [figures[seed.id] for seed in played.submissions if seed.id in figures]
-        if seeds:
-            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
-            safety[standing.name] = tuple(np.mean(shares, axis=0).tolist())
-    return safety
 
 
 @functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then

@@ -8,7 +8,6 @@ from starlette.responses import Response
 
 from assistax_board.pages.boards import Board
 from assistax_board.pages.charts import axis_over
-from assistax_board.pages.routes.boards import safety_of
 from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import board_of
 from assistax_board.pages.site import LIVE, Site
@@ -54,7 +53,7 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
         "submission": submission,
         "described": next(described, None),  # as the newest that says anything does
         "row": row,
-        "safety": safety_of(site, board).get(row[0].name) if board and row else None,
+        "safety": board.safety.get(row[0].name) if board and row else None,
         "history": history,
         **film_values(site, submission),
         "scores": {

@@ -4,16 +4,18 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Mapping
+import urllib.parse
+from collections.abc import Mapping, Sequence
 
-from assistax_board.pages.boards import Board, Played
+from assistax_board.pages.boards import Board, Played, Safety
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.places.boards import BoardRow
 from assistax_board.problems import Problem
 
 Row = tuple[BoardRow, Played]
-Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
 AGAIN_SECONDS = 10  # after which who asked for a board that is being computed asks again
+LAST = 10_000  # page that a reader may ask for
+ROWS, FEW = 50, 10  # of a page, and of the single robots below the entries
 LONGEST = 80  # characters of a search; a method's name has no more
 SAFETY = ("safe_success", "violations")  # columns of gentle tasks alone
 LOWER_IS_BETTER = ("violations", "gap")
@@ -26,14 +28,33 @@ class View:
 
     sort: str = ""
     search: str = ""
-    show: str = ""  # "methods" leaves out the rows to measure by
+    show: str = ""  # "methods" leaves out the rows to measure by, "singles" shows single robots
+    page: int = 1
 
-    def of(self, board: Board, safety: Safety) -> tuple[Row, ...]:
-        """Return the rows, the best first by `sort`, else as they stand on the board."""
-        rows = board.methods if self.show == "methods" else board.rows
+    def of(self, board: Board) -> "Listed":
+        """Return the page of the chosen list."""
+        if self.show == "singles":
+            return self._listed(board, board.singles)
+        entries = (row for row in board.rows if row[1].is_entry or row[1].is_reference)
+        return self._listed(board, board.methods if self.show == "methods" else tuple(entries))
+
+    def singles(self, board: Board) -> "Listed":
+        """Return the first of the single robots, which stand below the entries."""
+        view = dataclasses.replace(self, show="singles", page=1)
+        rows = () if self.show or self.page > 1 else board.singles
+        return view._listed(board, rows, FEW)
+
+    def _listed(self, board: Board, rows: Sequence[Row], size: int = ROWS) -> "Listed":
+        """Return a page of rows, the best first by `sort`, else as they stand on the board."""
         text = self.search[:LONGEST].casefold()
-        rows = tuple(row for row in rows if text in _names(row[1]).casefold())
-        return tuple(sorted(rows, key=lambda row: self._rank(cells(row, safety))))
+        found = [row for row in rows if text in _names(row[1]).casefold()]
+        if self.sort in SORTS:
+            found.sort(key=lambda row: self._rank(cells(row, board.safety)))
+        pages = max(1, -(-len(found) // size))
+        page = min(max(1, self.page), pages)
+        start = (page - 1) * size
+        shown = tuple(found[start : start + size])
+        return Listed(self, board.task, shown, page, pages, start + 1, len(found), len(rows))
 
     def _rank(self, values: Mapping[str, object]) -> tuple[bool, float | str]:
         value = values.get(self.sort) if self.sort in SORTS else None
@@ -42,6 +63,31 @@ class View:
         if not isinstance(value, int | float) or not math.isfinite(value):
             return True, 0.0  # at the end, in the board's order
         return False, value if self.sort in LOWER_IS_BETTER else -value
+
+
+@dataclasses.dataclass(frozen=True)
+class Listed:
+    """A page of a list of rows."""
+
+    view: View
+    task: str
+    rows: tuple[Row, ...]
+    page: int
+    pages: int
+    first: int  # number of its first row, from 1
+    count: int  # rows that match
+    all: int  # rows of the list
+
+    @property
+    def last(self) -> int:
+        """Number of its last row."""
+        return self.first + len(self.rows) - 1
+
+    def address(self, page: int) -> str:
+        """Return the address of another page of the list."""
+        view = dataclasses.asdict(self.view) | {"page": page if page > 1 else ""}
+        asked = urllib.parse.urlencode({name: value for name, value in view.items() if value})
+        return f"/tasks/{self.task}?{asked}" if asked else f"/tasks/{self.task}"
 
 
 SORTS = {
@@ -71,6 +117,7 @@ def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
         "submitter": played.newest.submitter,
         "reference": int(played.is_reference),
         "seeds": len(played.submissions),
+        "declared": played.newest.declared,
         "m_test": standing.m_test.mean,
         "m_test_low": low,
         "m_test_high": high,
@@ -85,13 +132,13 @@ def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
     }
 
 
-def board_csv(board: Board, safety: Safety) -> str:
+def board_csv(board: Board) -> str:
     """Return a board as CSV, each row with the version that scored it.
 
     Names are texts of strangers: one that a spreadsheet would compute begins with an apostrophe.
     """
     out = io.StringIO()
-    lines = [cells(row, safety) | {"version": board.version} for row in board.rows]
+    lines = [cells(row, board.safety) | {"version": board.version} for row in board.rows]
     writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _plain(value) for name, value in line.items()} for line in lines)

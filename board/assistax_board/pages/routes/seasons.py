@@ -40,7 +40,7 @@ def season_router(site: Site) -> APIRouter:
             raise being_computed(submission.task)
         if board is None or row is None:
             raise NotFoundError("It has no place yet: its score is not there.")
-        competing = sum(standing.place is not None for standing, _ in board.rows)
+        competing = sum(played.competes for _, played in board.rows)
         page = f"/tasks/{submission.task}"
         place, lowest = row[0].place, row[0].lowest
         answer = {"board_place": place, "board_lowest": lowest}
@@ -88,6 +88,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
     season = site.queries.season(submission.season) if submission.season else None
     return {
         "submission": submission,
+        "waits": submission.state == "queued" and submission.place is None,
         "season": season,
         "plays": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,

@@ -64,7 +64,9 @@ def submit_router(site: Site) -> APIRouter:
                 raise Problem("invalid", "choose a file that is not empty")
             names = ("task", "method", "request_id", "licence", "season")
             task, method, request_id, licence, season = (texts[name] for name in names)
-            draft = Draft(task, method.strip(), request_id, licence, season or None, data=file)
+            draft = Draft(
+                task, method.strip(), request_id, licence, season or None, None, data=file
+            )
             words = {name: texts[name].strip().replace("\r", "") for name in DESCRIPTION}
             draft = dataclasses.replace(draft, **words)
             with state.desk.place(str(owner.submitter)):
