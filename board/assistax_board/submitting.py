@@ -13,6 +13,7 @@ import polars as pl
 from assistax_base.digest import sha256
 from assistax_board.client import Client
 from assistax_board.ids import new_id
+from assistax_board.patience import time_limit
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.rules import results, seasons
@@ -31,6 +32,11 @@ from assistax_board.work.zoo_scorer import ZooScorer
 from assistax_envs.preferences import preferences_of
 
 CHECK_PARTNERS, CHECK_EPISODES = 3, 2
+CHECK_SECONDS = 600.0  # of admission, and of each job at home
+_TOO_LONG = (
+    "the server refuses what takes too long (too_slow): use a smaller network, or give it more "
+    "seconds on a busy machine"
+)
 POLL_SECONDS = 3.0  # fifty watchers at one address are below its rate
 
 
@@ -51,7 +57,12 @@ def read_file(path: Path) -> bytes:
 
 
 def check_file(
-    path: Path, task: str, registry: Path | None = None, *, whole: bool = False
+    path: Path,
+    task: str,
+    registry: Path | None = None,
+    *,
+    whole: bool = False,
+    seconds: float = CHECK_SECONDS,
 ) -> dict[str, Any]:
     """Run the server's admission here, and a few episodes with public partners.
 
@@ -60,6 +71,8 @@ def check_file(
         task: Task.
         registry: Registry of the public partners instead of the installed one.
         whole: Play the public half as the server does, job by job, and return its figures.
+        seconds: By the clock, for the file's admission, and then for each job: what takes longer
+            ends this process with an error.
 
     Raises:
         Refusal: What the server would say.
@@ -71,7 +84,9 @@ def check_file(
     sizes = robot_sizes(loaded)
     if task not in sizes:
         raise ValueError(f"task is {task!r}; allowed are {', '.join(sizes)}")
-    format, claimed = Admission(sizes)(data, task)
+    with time_limit(seconds, _TOO_LONG) as say:
+        say(f"looking at {path} as the server does")
+        format, claimed = Admission(sizes)(data, task)
     catalogue = ZooCatalogue(loaded, BACKEND)
     panel = catalogue.public_panel(task)
     if whole:
@@ -80,7 +95,11 @@ def check_file(
         few = panel[:: max(1, len(panel) // CHECK_PARTNERS)][:CHECK_PARTNERS]
         works = [_try_work(task, format, few)]
     scorer = ZooScorer(loaded, catalogue, BACKEND)
-    tables = [scorer.play(work, data, None) for work in works]
+    tables = []
+    for number, work in enumerate(works, 1):
+        with time_limit(seconds, _TOO_LONG) as say:
+            say(f"playing with {len(work.partners)} partners, job {number} of {len(works)}")
+            tables.append(scorer.play(work, data, None))
     table = pl.concat([table.sort("partner", "episode") for table in tables])
     answer = {
         "check": "admitted",

@@ -5,9 +5,11 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import httpx2
+import jax
 import numpy as np
 import pytest
 from onnx import helper
@@ -119,6 +121,23 @@ def test_unlike_operators_are_compiled_at_once() -> None:
     assert time.process_time() - began < 5.0
 
 
+@pytest.mark.slow
+def test_long_chain_of_operators_is_compiled_fast(optimised: None) -> None:
+    """The chain of 1,990 that got no answer; a compiler that does its best takes much longer."""
+    names = [*(f"v{place}" for place in range(1990)), "action"]
+    nodes = [helper.make_node("MatMul", ["obs", "w"], ["v0"])]
+    nodes += [helper.make_node("Tanh", [old], [new]) for old, new in pairwise(names)]
+    data = file_of(nodes, {"w": np.full((OBS, ACT), 0.01, np.float32)}, "action")
+    Admission(SIZES).read(many_shapes(1), TASK)
+    began = time.process_time()
+    robot = Admission(SIZES).read(data, TASK)
+    looked, policy = time.process_time() - began, robot.spec.player()
+    obs, carry = np.zeros((5, OBS), np.float32), policy.initial_carry((5,))
+    began = time.process_time()
+    jax.jit(policy.act)(robot.params, carry, obs, np.ones(5, bool))
+    assert looked < (time.process_time() - began) / 2
+
+
 def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     spec = PolicySpec("robot", OBS, ACT, hidden=(8,))
     good = to_onnx(spec, params_of(spec, 0))
@@ -173,9 +192,9 @@ def come(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Of each file that has its place at the desk, what looks at it."""
     seen, run = [], desk.Desk.run
 
-    def counted(self: desk.Desk, *args: Any) -> Any:
+    def counted(self: desk.Desk, *args: Any, **options: Any) -> Any:
         seen.append(args[0])
-        return run(self, *args)
+        return run(self, *args, **options)
 
     monkeypatch.setattr(desk.Desk, "run", counted)
     return seen
@@ -198,6 +217,29 @@ def test_one_lab_keeps_few_places_at_the_desk(service: Service, come: list[Any])
         threading.Timer(0.5, go_on.set).start()
         assert hand_in(other)
         assert len({row.result()["id"] for row in answers}) == 4
+
+
+def test_a_long_look_is_answered_and_goes_on(
+    service: Service, come: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client hears in time that it may ask again, and then gets the first look's answer."""
+    monkeypatch.setattr(desk, "ANSWER_SECONDS", 0.05)
+    go_on, looks = threading.Event(), []
+
+    def admit(data: bytes, task: str) -> Admitted:
+        looks.append(task)
+        return Admitted(str(go_on.wait(60)))
+
+    object.__setattr__(service, "admit", admit)
+    with served(service) as server, ThreadPoolExecutor(1) as pool:
+        impatient, patient = server.client("submit", patience=0.0), server.client("submit")
+        with pytest.raises(OSError, match="503"):
+            hand_in(impatient)
+        answer = pool.submit(hand_in, patient)
+        assert soon(lambda: len(come) >= 4)
+        go_on.set()
+        assert shown(service, answer.result()).state == "queued"
+    assert looks == [TASK]
 
 
 @pytest.mark.slow

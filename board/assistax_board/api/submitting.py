@@ -95,7 +95,9 @@ async def hand_in(request: Request, principal: Principal, draft: Draft) -> Submi
     """Submit the draft of a token's owner and return the submission."""
     state = request.app.state
     state.limiter.hit(SUBMIT, principal.token)
-    return await state.desk.run(_hand_in, state.service, str(principal.submitter), draft)
+    owner = str(principal.submitter)
+    name = owner, draft.request
+    return await state.desk.run(_hand_in, state.service, owner, draft, name=name)
 
 
 @router.post("/entries", status_code=201, openapi_extra=_ENTRY_API)

@@ -60,6 +60,7 @@ def submit(
     limits: bool = False,
     check: bool = False,
     all: bool = False,
+    check_seconds: float = 600.0,
     watch: bool = False,
     server: Server = Server(),
     registry: Path | None = None,
@@ -83,6 +84,8 @@ def submit(
         limits: Only print how much you may still submit: in this hour, and in each open season.
         check: Only check: the server's own admission, and a few episodes with public partners.
         all: With `--check`: play the whole public half as the server does, and print its figures.
+        check_seconds: Time limit of looking at a file, and then of each job of at most 25
+            partners. A line each quarter of a minute says what the check does.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
         server: Which server, and who asks.
         registry: Registry to check with instead of the installed one.
@@ -102,7 +105,8 @@ def submit(
     from assistax_board import submitting
 
     if check:
-        answers = [submitting.check_file(file, task, registry, whole=all) for file in files]
+        limits_of_check = {"whole": all, "seconds": check_seconds}
+        answers = [submitting.check_file(file, task, registry, **limits_of_check) for file in files]
     elif method is None:
         raise ValueError(_NO_METHOD)
     else:

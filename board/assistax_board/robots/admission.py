@@ -17,6 +17,7 @@ SAFETENSORS, ONNX = "safetensors", "onnx"
 # Version, producer, its version, graph and operator sets of a model, in any order.
 _FIRST_FIELDS = (b"\x08", b"\x12", b"\x1a", b"\x3a", b"\x42")
 _PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
+_FAST = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 SECONDS = 30  # of processors for a file's admission; a large network takes two
 BYTES = 1536 * 1024 * 1024  # of memory, of which JAX and its programs are a sixth
 
@@ -175,7 +176,10 @@ def _check_finite(robot: Robot) -> None:
         [np.full(robot.spec.observation_size, value, np.float32) for value in _PROBES]
     )
     carry, first = policy.initial_carry((len(_PROBES),)), jnp.ones(len(_PROBES), bool)
-    act = jax.jit(policy.act)  # else each operator is compiled by itself: minutes for a thousand
+    # Compiled whole, else each operator is by itself: minutes for a thousand. And fast, not well:
+    # a chain of two thousand operators takes a compiler that does its best nine seconds, this one.
+    traced = jax.jit(policy.act).lower(robot.params, carry, obs, first)
+    act = traced.compile(compiler_options=_FAST)
     for _ in range(2):
         carry, action = act(robot.params, carry, obs, first)
         if not bool(jnp.isfinite(action).all()):
