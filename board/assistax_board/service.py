@@ -11,7 +11,6 @@ import sqlalchemy as sa
 from assistax_board.clock import Clock, system_clock
 from assistax_board.problems import Problem
 from assistax_board.rules import (
-    attempts,
     closing,
     entries,
     jobs,
@@ -73,8 +72,8 @@ class Service:
                 return before
             if declaration.season:
                 at = declaration.season, declaration.task
-                season = attempts.open_season(transaction, *at)
-                attempts.check_attempts(transaction, season, submitter, len(declaration.files))
+                season = entries.open_season(transaction, *at)
+                entries.check_attempts(transaction, season, submitter, len(declaration.files))
             return entries.declare(transaction, submitter, declaration)
 
     def withdraw(self, submission: str, submitter: str) -> None:

@@ -13,9 +13,9 @@ import polars as pl
 from assistax_base.digest import sha256
 from assistax_board.client import Client
 from assistax_board.ids import new_id
-from assistax_board.patience import time_limit
 from assistax_board.problems import Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
+from assistax_board.robots.patience import time_limit
 from assistax_board.rules import results, seasons
 from assistax_board.rules.catalogue import (
     CHUNK,

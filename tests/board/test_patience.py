@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from assistax_board import patience, submitting
+from assistax_board import submitting
 from assistax_board.commands import submitting as commands
-from assistax_board.patience import time_limit
+from assistax_board.robots import patience
+from assistax_board.robots.patience import time_limit
 
 
 def test_slow_work_is_told_of_and_ended(
@@ -41,6 +42,8 @@ def test_the_option_reaches_the_check(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr(
         submitting, "check_file", lambda *args, **options: asked.append(options) or {}
     )
-    commands.submit(tmp_path / "a.onnx", task="scratch", check=True, check_seconds=5.0)
-    commands.submit(tmp_path / "a.onnx", task="scratch", check=True)
+    commands.submit(
+        tmp_path / "a.onnx", task="scratch", at_home=commands.Check(check=True, check_seconds=5.0)
+    )
+    commands.submit(tmp_path / "a.onnx", task="scratch", at_home=commands.Check(check=True))
     assert [options["seconds"] for options in asked] == [5.0, submitting.CHECK_SECONDS]

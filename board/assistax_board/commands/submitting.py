@@ -1,7 +1,9 @@
 """Commands of submitters."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from cyclopts import Parameter
 
@@ -49,6 +51,23 @@ class EntryCard:
     trained: int | None = None
 
 
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Check:
+    """A check at home.
+
+    Attributes:
+        check: Only check: the server's own admission, and a few episodes with public partners.
+        all: With `--check`: play the whole public half as the server does, and print its figures.
+        check_seconds: Time limit of looking at a file, and then of each job of at most 25
+            partners. A line each quarter of a minute says what the check does.
+    """
+
+    check: bool = False
+    all: bool = False
+    check_seconds: float = 600.0
+
+
 def submit(
     *files: Path,
     task: str,
@@ -58,9 +77,7 @@ def submit(
     words: Words = Words(),
     card: EntryCard = EntryCard(),
     limits: bool = False,
-    check: bool = False,
-    all: bool = False,
-    check_seconds: float = 600.0,
+    at_home: Check = Check(),
     watch: bool = False,
     server: Server = Server(),
     registry: Path | None = None,
@@ -82,10 +99,7 @@ def submit(
         words: Texts for the method's page.
         card: Of an entry, asked for with several files.
         limits: Only print how much you may still submit: in this hour, and in each open season.
-        check: Only check: the server's own admission, and a few episodes with public partners.
-        all: With `--check`: play the whole public half as the server does, and print its figures.
-        check_seconds: Time limit of looking at a file, and then of each job of at most 25
-            partners. A line each quarter of a minute says what the check does.
+        at_home: Whether and how to check only.
         watch: Wait for the end: print place in the queue and time left, then place on the board.
         server: Which server, and who asks.
         registry: Registry to check with instead of the installed one.
@@ -98,15 +112,11 @@ def submit(
     """
     if limits:
         return _print_limits(server, json)
-    if not files:
-        raise ValueError(_NO_FILE)
-    if all and not check:
-        raise ValueError("--all is about a check at home; give it with --check")
+    _check_words(files, at_home)
     from assistax_board import submitting
 
-    if check:
-        limits_of_check = {"whole": all, "seconds": check_seconds}
-        answers = [submitting.check_file(file, task, registry, **limits_of_check) for file in files]
+    if at_home.check:
+        answers = [_checked(file, task, registry, at_home) for file in files]
     elif method is None:
         raise ValueError(_NO_METHOD)
     else:
@@ -116,8 +126,29 @@ def submit(
         answers = submitting.hand_in(client, files, fields | vars(words), said, watch=watch)
         if not json:
             answers = [submitting.for_reader(answer, client.address) for answer in answers]
-    for answer in answers if not json else [answers[0] if len(answers) == 1 else answers]:
-        print_answer(answer, json)
+    _print_all(answers, json)
+
+
+def _checked(file: Path, task: str, registry: Path | None, how: Check) -> dict[str, Any]:
+    from assistax_board.submitting import check_file
+
+    return check_file(file, task, registry, whole=how.all, seconds=how.check_seconds)
+
+
+def _check_words(files: Sequence[Path], at_home: Check) -> None:
+    if not files:
+        raise ValueError(_NO_FILE)
+    if at_home.all and not at_home.check:
+        raise ValueError("--all is about a check at home; give it with --check")
+
+
+def _print_all(answers: Sequence[dict[str, Any]], json: bool) -> None:
+    """Print one document as JSON, an object of a single file, or all answers for a reader."""
+    if json:
+        print_answer(answers[0] if len(answers) == 1 else list(answers), json)
+    else:
+        for answer in answers:
+            print_answer(answer, json)
 
 
 def _said(card: EntryCard, files: int) -> dict[str, object] | None:

@@ -17,7 +17,10 @@ SAFETENSORS, ONNX = "safetensors", "onnx"
 # Version, producer, its version, graph and operator sets of a model, in any order.
 _FIRST_FIELDS = (b"\x08", b"\x12", b"\x1a", b"\x3a", b"\x42")
 _PROBES = (0.0, 1.0, -1.0, 10.0, -10.0)  # observations that a robot must survive
-_FAST = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+_FAST: dict[str, str | bool] = {
+    "xla_backend_optimization_level": "0",
+    "xla_llvm_disable_expensive_passes": True,
+}
 SECONDS = 30  # of processors for a file's admission; a large network takes two
 BYTES = 1536 * 1024 * 1024  # of memory, of which JAX and its programs are a sixth
 

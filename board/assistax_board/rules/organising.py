@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 
 from assistax_board.problems import Problem
-from assistax_board.rules import attempts, closing, jobs, submissions
+from assistax_board.rules import closing, entries, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.seasons import MAX_OPEN_SECONDS
 from assistax_board.store import schema
@@ -113,7 +113,7 @@ def _retry_submission(
     needs_extra = False
     if season is not None:
         _check_takes(transaction, season)
-        needs_extra = attempts.attempts_left(transaction, season, row.submitter) == 0
+        needs_extra = entries.attempts_left(transaction, season, row.submitter) == 0
     if needs_extra and not extra:
         raise Problem(
             "budget_spent",

@@ -19,7 +19,7 @@ import sqlalchemy as sa
 from assistax_base.digest import sha256
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem, Refusal
-from assistax_board.rules import attempts, entries, jobs
+from assistax_board.rules import entries, jobs
 from assistax_board.rules.catalogue import CHUNK, Catalogue, version_id
 from assistax_board.rules.scoring import cut
 from assistax_board.store import schema
@@ -109,9 +109,9 @@ def submit(
     _check_not_erased(transaction, submitter)
     if before := _known(transaction, submitter, draft.request):
         return before
-    season = attempts.open_season(transaction, draft.season, draft.task) if draft.season else None
+    season = entries.open_season(transaction, draft.season, draft.task) if draft.season else None
     if season is not None and draft.refusal is None:
-        attempts.check_attempts(transaction, season, submitter)
+        entries.check_attempts(transaction, season, submitter)
     public = catalogue.identity(draft.task).get("env_version")
     row = _row(transaction, submitter, draft)
     row["warning"] = warning_of(draft.env_version, public, season)
