@@ -113,7 +113,7 @@ def test_board_row_is_three_lines_on_telephone(browser: Browser, address: str) -
         assert page.evaluate(lines) == [3] * 7
         assert page.evaluate(height) < 110
         row = page.get_by_role("row", name="ppo ego").inner_text()
-        assert "987" in row and " to " in row and "4 seeds" in row
+        assert "987" in row and " to " in row and "4 of 4 declared" in row
 
 
 def test_colour_switch_works_with_and_without_scripts(browser: Browser, address: str) -> None:
@@ -167,7 +167,7 @@ def test_form_submits_with_and_without_scripts(
         work_off(service)
         if not scripts:
             look_again(page)
-        expect(page.get_by_role("status")).to_contain_text("place 1")
+        expect(page.get_by_role("status")).to_contain_text("scored")
         with page.expect_download() as download:
             page.get_by_role("link", name="Download it").click()
         receipt = json.loads(Path(download.value.path()).read_text())
