@@ -84,7 +84,7 @@ class Boards:
         """Return the board of a task under a version, or None while it is empty.
 
         Who asks waits a moment for a new one, then gets the board as it was before the last score.
-        Without a version it is the newest.
+        Without a version it is the one that is served.
         """
         scored = self._scored(task, version)
         if scored is None:
@@ -105,16 +105,15 @@ class Boards:
         if chosen is None:
             return None
         every = self._queries.submissions(task=task, limit=_NEWEST)
-        scored = tuple(row for row in every if row.state == "scored")
-        if version is not None:  # an old board stays as it is when others are scored under a newer
-            scores = self._queries.scores(task=task, panel="public", version=version)
-            under_it = {score.submission for score in scores}
-            scored = tuple(row for row in scored if row.id in under_it)
+        # Other versions' scores change nothing; after an upgrade this one's come one by one.
+        scores = self._queries.scores(task=task, panel="public", version=chosen[0])
+        under_it = {score.submission for score in scores}
+        scored = tuple(row for row in every if row.state == "scored" and row.id in under_it)
         return _Scored(*chosen, scored)
 
-    def _board(self, task: str, scored: "_Scored", is_newest: bool) -> Board | None:
-        # What old boards read is not kept: they hardly change.
-        cache = self._caches.setdefault(task, _ReturnsCache()) if is_newest else _ReturnsCache()
+    def _board(self, task: str, scored: "_Scored", is_served: bool) -> Board | None:
+        # What other boards read is not kept: they hardly change.
+        cache = self._caches.setdefault(task, _ReturnsCache()) if is_served else _ReturnsCache()
         cache.update(self._queries, scored)
         methods = cache.methods(scored.submissions)
         if not methods:
@@ -190,7 +189,7 @@ class _ReturnsCache:
         for submission in sorted(
             submissions, key=lambda submission: (submission.created_at, submission.id)
         ):
-            if self._returns.get(submission.id, ((),))[0] == partners:
+            if partners and self._returns.get(submission.id, ((),))[0] == partners:
                 groups.setdefault((submission.submitter, submission.method), []).append(submission)
         return [
             Played(tuple(group), np.stack([self._returns[seed.id][1] for seed in group]))

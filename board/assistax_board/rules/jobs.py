@@ -18,6 +18,7 @@ from assistax_board.store import schema
 from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
+OPEN = ("held", "waiting", "leased")  # states of a job that is not finished
 LEASE_SECONDS = 60.0
 CLOCKS_APART = 60.0  # a lease that begins later than this is of a clock that was set back
 
@@ -136,20 +137,31 @@ def release_held(transaction: Transaction, submission: str, version: str) -> Non
 
 def cancel_jobs(transaction: Transaction, submission: str, version: str | None = None) -> None:
     """Cancel the unfinished jobs of a submission, of one version or of all."""
-    where = (JOB.submission == submission) & JOB.state.in_(("held", "waiting", "leased"))
+    where = (JOB.submission == submission) & JOB.state.in_(OPEN)
     where = where if version is None else where & (JOB.version == version)
     transaction.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
 
 
-def queue_again(transaction: Transaction, submission: str, version: str) -> bool:
+def drop_other_versions(transaction: Transaction, task: str, version: str) -> None:
+    """Cancel the unfinished jobs of a task that no worker of this version can do."""
+    of_task = sa.select(SUBMISSION.id).where(SUBMISSION.task == task)
+    where = JOB.submission.in_(of_task), JOB.version != version
+    dropped = sa.update(schema.jobs).where(*where, JOB.state.in_(OPEN))
+    transaction.execute(dropped.values(state="cancelled"))
+
+
+def queue_again(
+    transaction: Transaction, submission: str, version: str, *, hidden: bool = True
+) -> bool:
     """Queue the cancelled jobs of a submission again; return False if it has no jobs.
 
-    Its hidden panel is held back until the public one is done.
+    Its hidden panel is held back until the public one is done, and left out unless `hidden`.
     """
     mine = JOB.submission == submission, JOB.version == version
     jobs = transaction.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
     held = any(panel == "public" and state != "done" for panel, state in jobs)
-    for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
+    states = {"public": "waiting"} | ({"A": "held" if held else "waiting"} if hidden else {})
+    for panel, state in states.items():
         again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
         transaction.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
     return bool(jobs)
