@@ -201,7 +201,7 @@ def _last_shown(transaction: Transaction, season: str) -> dict[str, str]:
         .join(schema.scores, SCORE.submission == SUBMISSION.id)
         .where(SUBMISSION.season == season, SUBMISSION.state == "scored")
         .where(SCORE.panel == "A", SCORE.released.is_not(None))
-        .order_by(SCORE.created_at, SUBMISSION.created_at, SUBMISSION.id)
+        .order_by(SUBMISSION.finished_at, SUBMISSION.id)  # when each was first answered
     )
     return {row.submitter: row.id for row in transaction.execute(query)}
 

@@ -69,6 +69,7 @@ def lease_job(
     """
     exhausted = expire_leases(transaction)
     query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
+    query = query.where(~_waits_for_earlier())
     order = query.order_by(JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk).limit(1)
     row = transaction.execute(order).first()
     if row is None:
@@ -87,6 +88,27 @@ def lease_job(
     return Lease(row.id, secret, row.submission, row.version, row.panel, row.chunk), exhausted
 
 
+def _waits_for_earlier() -> sa.ColumnElement[bool]:
+    """Return whether a job of panel A must wait: an attempt that was answered earlier is replayed.
+
+    The Ladder compares an attempt with those of its lab before it. So they come in one order,
+    however many workers play them anew after an upgrade.
+    """
+    mine, other = schema.submissions.alias(), schema.submissions.alias()
+    replay = schema.jobs.alias()
+    order = sa.tuple_(other.c.finished_at, other.c.id) < sa.tuple_(mine.c.finished_at, mine.c.id)
+    query = (
+        sa.select(other.c.id)
+        .select_from(mine)
+        .join(other, (other.c.season == mine.c.season) & (other.c.submitter == mine.c.submitter))
+        .join(replay, replay.c.submission == other.c.id)
+        .where(mine.c.id == JOB.submission, mine.c.finished_at.is_(None) | order)
+        .where(other.c.state == "scored", replay.c.version == JOB.version)
+        .where(replay.c.panel != "B", replay.c.state.in_(OPEN))
+    )
+    return (JOB.panel == "A") & query.exists()
+
+
 def expire_leases(transaction: Transaction) -> list[str]:
     """Put jobs of broken leases back; return the submissions whose jobs failed too often.
 
@@ -94,10 +116,10 @@ def expire_leases(transaction: Transaction) -> list[str]:
     unknown, so it counts as expired.
     """
     broken = (JOB.expires_at < transaction.now) | (JOB.leased_at > transaction.now + CLOCKS_APART)
-    query = sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
+    query = sa.select(schema.jobs).where(JOB.state == "leased", broken)
     rows = transaction.execute(query).all()
     for row in rows:
-        _put_back(transaction, row.id, row.failures + 1)
+        _put_back(transaction, row)
     return [row.submission for row in rows if row.failures + 1 >= MAX_FAILURES]
 
 
@@ -119,7 +141,7 @@ def fail_job(transaction: Transaction, job: str, secret: str) -> str | None:
     row = transaction.execute(sa.select(schema.jobs).where(*_held(job, secret))).first()
     if row is None:
         return None
-    _put_back(transaction, job, row.failures + 1)
+    _put_back(transaction, row)
     return row.submission if row.failures + 1 >= MAX_FAILURES else None
 
 
@@ -175,11 +197,15 @@ def queue_b_again(transaction: Transaction, submission: str) -> None:
     transaction.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
 
 
-def _put_back(transaction: Transaction, job: str, failures: int) -> None:
+def _put_back(transaction: Transaction, job: Any) -> None:
+    """Let another worker try a job again; give its panel up if it failed too often."""
     # The lease's hash stays: should its worker answer after all, the answer counts.
+    failures = job.failures + 1
     state = "cancelled" if failures >= MAX_FAILURES else "waiting"
     values = {"state": state, "failures": failures, "expires_at": None}
-    transaction.execute(sa.update(schema.jobs).where(JOB.id == job).values(values))
+    transaction.execute(sa.update(schema.jobs).where(JOB.id == job.id).values(values))
+    if state == "cancelled" and job.panel != "B":  # a replay's panels can be scored no more
+        cancel_jobs(transaction, job.submission, job.version)
 
 
 def _held(job: str, secret: str) -> tuple[Any, ...]:

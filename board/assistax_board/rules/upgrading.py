@@ -1,5 +1,6 @@
 """After an upgrade or a rollback, plan every submission at the version that is now served."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -35,21 +36,26 @@ def adopt_version(service: "Service") -> int:
         with service.begin() as transaction:
             version = submissions.record_version(transaction, service.catalogue, task)
             jobs.drop_other_versions(transaction, task, version)
+            turns: Counter[str] = Counter()
             for row in _lacking(transaction, task, version):
                 season = closing.season_of(transaction, row["id"])
                 season = season if season is not None and season.state == "open" else None
                 hidden = season is not None
                 if not jobs.queue_again(transaction, row["id"], version, hidden=hidden):
-                    submissions.plan_jobs(transaction, service.catalogue, row, season)
+                    turn = {"turn": row["turn"] + turns[row["submitter"]]}
+                    submissions.plan_jobs(transaction, service.catalogue, {**row, **turn}, season)
+                turns[row["submitter"]] += 1
                 changed += 1
     return changed
 
 
 def _lacking(transaction: Transaction, task: str, version: str) -> Sequence[Any]:
-    """Return the submissions of which jobs of a version are missing, or were dropped."""
+    """Return the submissions of which jobs of a version are missing, or were dropped.
+
+    Those that were never answered come first, the others in the order of their first answers.
+    """
     mine = sa.select(JOB.submission).where(JOB.version == version)
-    # What workers failed waits for the organiser.
-    dropped = mine.where(JOB.state == "cancelled", JOB.panel != "B", JOB.failures < MAX_FAILURES)
+    dropped = mine.where(JOB.state == "cancelled", JOB.panel != "B")
     query = sa.select(schema.submissions).where(
         SUBMISSION.task == task,
         SUBMISSION.state.in_(("queued", "running", "scored")),
@@ -59,6 +65,8 @@ def _lacking(transaction: Transaction, task: str, version: str) -> Sequence[Any]
         # Nobody has the file of an erased lab.
         SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
     )
+    order = SUBMISSION.finished_at.is_not(None), SUBMISSION.finished_at, SUBMISSION.created_at
+    query = query.order_by(*order, SUBMISSION.id)
     return transaction.execute(query).mappings().all()
 
 
