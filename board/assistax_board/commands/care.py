@@ -27,8 +27,6 @@ def service_check(
     *,
     data: Path | None = None,
     backup: Path | None = None,
-    database: str | None = None,
-    artefacts: str | None = None,
     json: bool = False,
 ) -> None:
     """Check that a service's data are whole: database, ledger, artefacts and receipts.
@@ -38,8 +36,6 @@ def service_check(
     Args:
         data: Folder of the service.
         backup: A backup to check instead: it is restored to a temporary folder.
-        database: URL, if it is not in the folder.
-        artefacts: Address, if they are not in the folder.
         json: Print JSON.
 
     Example:
@@ -48,7 +44,7 @@ def service_check(
     from assistax_board.checking import check_service
 
     if backup is None and data is not None:
-        print_answer(check_service(open_folder(data, database, artefacts)), json)
+        print_answer(check_service(open_folder(data)), json)
     elif backup is not None and data is None:
         with tempfile.TemporaryDirectory() as folder:
             restored = Path(folder) / "board"
@@ -88,13 +84,36 @@ def service_restore(source: Path, /, *, data: Path) -> None:
     restore_backup(source, data)
 
 
-def service_erase(submitter: str, /, *, data: Path, database: str | None = None) -> None:
+def service_move(*, data: Path, to: str) -> None:
+    """Move a board to another database: from SQLite to PostgreSQL, or back.
+
+    Stop its server before. All rows are copied and compared, then the folder takes the new address.
+    If anything fails, the board stays where it is. The database before is kept as it was.
+
+    Args:
+        data: Folder of the service.
+        to: URL of a new database, such as postgresql://user@host/name.
+
+    Example:
+        assistax-zoo service move --to postgresql://zoo@db.example.org/board --data my-board
+    """
+    from assistax_board.serve import only_server
+    from assistax_board.store.moving import move_board
+
+    service = open_folder(data)
+    before = service.database.url.render_as_string()
+    with only_server(data):
+        count = move_board(data, service.database, to)
+    print(f"the board of {data} is moved: {count} rows, all compared; all commands find it there")
+    print(f"{before} has its rows too; remove it when you like")
+
+
+def service_erase(submitter: str, /, *, data: Path) -> None:
     """Erase a lab: name, contact, method names, files and films; hashes and scores stay.
 
     Args:
         submitter: Name of the lab.
         data: Folder of the service.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo service erase 'Lab of Ada' --data my-board
@@ -102,6 +121,6 @@ def service_erase(submitter: str, /, *, data: Path, database: str | None = None)
     from assistax_board.pages.videos import FILMS_FOLDER, erase_robots
     from assistax_board.rules.tokens import submitter_id
 
-    service = open_folder(data, database)
+    service = open_folder(data)
     service.erase_submitter(submitter_id(service.database, submitter))
     erase_robots(data / FILMS_FOLDER)

@@ -13,7 +13,6 @@ def token_create(
     submitter: str | None = None,
     contact: str | None = None,
     label: str = "",
-    database: str | None = None,
 ) -> None:
     """Make a token and print it; it is shown only once.
 
@@ -23,21 +22,19 @@ def token_create(
         submitter: Lab that submits with it; made if it is new.
         contact: How to reach a new lab.
         label: For `token list`.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token create submit --submitter 'Lab of Ada' --data my-board
     """
     options = {"submitter": submitter, "contact": contact, "label": label}
-    print(open_folder(data, database).create_token(scopes, **options))
+    print(open_folder(data).create_token(scopes, **options))
 
 
-def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:
+def token_list(*, data: Path, json: bool = False) -> None:
     """List the tokens, without their secrets.
 
     Args:
         data: Folder of the service.
-        database: URL, if it is not in the folder.
         json: Print JSON.
 
     Example:
@@ -45,23 +42,22 @@ def token_list(*, data: Path, database: str | None = None, json: bool = False) -
     """
     from assistax_board.rules.tokens import list_tokens
 
-    tokens = list_tokens(open_folder(data, database).database)
+    tokens = list_tokens(open_folder(data).database)
     print_answer([dataclasses.asdict(token) for token in tokens], json)
 
 
-def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None:
+def token_revoke(id: str, /, *, data: Path) -> None:
     """Make a token invalid.
 
     Args:
         id: As `token list` shows it.
         data: Folder of the service.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token revoke 7kq2mz4a --data my-board
     """
     from assistax_board.rules.tokens import revoke_token
 
-    service = open_folder(data, database)
+    service = open_folder(data)
     with service.begin() as transaction:
         revoke_token(transaction, id)
