@@ -55,15 +55,21 @@ def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
     return {"films": data / FILMS_FOLDER, "registry": registry, "crossplays": crossplays}
 
 
-def about_token(service: Service, data: Path) -> list[str]:
-    """Return lines about the organiser's token, which is made if this service never had one."""
-    path, lines = data / ORGANISER_TOKEN_FILE, []
+def about_token(service: Service, data: Path) -> str:
+    """Return where the organiser's token lies; it is made if this service never had one.
+
+    The token itself is not printed: journals keep what a server prints.
+    """
+    path = data / ORGANISER_TOKEN_FILE
     if not any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
         token = service.create_token(("organise", "submit"), label="first", submitter="organiser")
         atomic_write(path, f"{token}\n".encode(), OWNER)
-        lines = [f"organiser's token: {token}"]
-    place = f"the token is in {path}; `cat {path}` prints it"
-    return [*lines, place if path.is_file() else "the organiser has a token; it is not kept here"]
+    if path.is_file():
+        return f"the organiser's token is in {path}; `cat {path}` prints it"
+    return (
+        "the organiser has a token, which is not kept here; if it is lost, make another by "
+        f"`assistax-zoo token create organise submit --submitter organiser --data {data}`"
+    )
 
 
 def worker_token(service: Service, data: Path) -> str:

@@ -64,7 +64,7 @@ def serve(
                 serving.add_references_later(service)
             address = f"http://{f'[{host}]' if ':' in host else host}:{port}"
             print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-            print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
+            print(folder.about_token(service, data), file=sys.stderr, flush=True)
             options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
             local = address.replace("0.0.0.0", "127.0.0.1")
             playing = serving.local_workers(workers, local, token, options)
