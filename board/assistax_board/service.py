@@ -157,6 +157,7 @@ class Service:
     erase_submitter = organising.erase_submitter
     retry = organising.retry
     disqualify = organising.disqualify
+    delete_draft = organising.delete_draft
     adopt_version = upgrading.adopt_version
 
     def failures(self) -> list[organising.Failure]:
@@ -164,7 +165,7 @@ class Service:
         return organising.failures(self.database)
 
     def extend_season(self, name: str, closes_at: float) -> None:
-        """Let an open season close later than was announced."""
+        """Let an open season close later than was announced, or set the date of a draft."""
         with self.begin() as transaction:
             organising.extend(transaction, name, closes_at)
 

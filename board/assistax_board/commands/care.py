@@ -42,13 +42,14 @@ def service_check(
         assistax-zoo service check --data my-board
     """
     from assistax_board.checking import check_service
+    from assistax_board.store.backup import restore
 
     if backup is None and data is not None:
         print_answer(check_service(open_folder(data)), json)
     elif backup is not None and data is None:
         with tempfile.TemporaryDirectory() as folder:
             restored = Path(folder) / "board"
-            service_restore(backup, data=restored)
+            restore(backup, restored)
             print_answer(check_service(open_folder(restored)), json)
     else:
         raise ValueError("give --data with a service's folder, or --backup with a backup's file")
@@ -70,7 +71,7 @@ def service_backup(target: Path, /, *, data: Path) -> None:
 
 
 def service_restore(source: Path, /, *, data: Path) -> None:
-    """Write a backup to a new folder.
+    """Write a backup to a new folder. It has no tokens in clear, the organiser's neither.
 
     Args:
         source: The backup.
@@ -79,9 +80,14 @@ def service_restore(source: Path, /, *, data: Path) -> None:
     Example:
         assistax-zoo service restore my-board.zip --data my-board2
     """
-    from assistax_board.store.backup import restore as restore_backup
+    from assistax_board.store.backup import restore
 
-    restore_backup(source, data)
+    restore(source, data)
+    print(f"{data} has the board of {source}; tokens are valid as they were then")
+    print(
+        "no backup has the organiser's token: use yours, or make another by `assistax-zoo token "
+        f"create organise submit --submitter organiser --data {data}`"
+    )
 
 
 def service_move(*, data: Path, to: str) -> None:

@@ -3,10 +3,12 @@
 import dataclasses
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from assistax_base.errors import counted
-from assistax_board.clock import seconds_of
+from assistax_board.clock import date_of, seconds_of
 from assistax_board.commands.opening import open_folder, print_answer
+from assistax_board.store.shown import Season
 
 
 def service_failures(*, data: Path, json: bool = False) -> None:
@@ -64,7 +66,7 @@ def service_notices(*, data: Path, clear: bool = False, json: bool = False) -> N
             "kind": notice.kind,
             "about": notice.about,
             "count": notice.count,
-            "last": datetime.fromtimestamp(notice.last_at, UTC).isoformat(timespec="seconds"),
+            "last": date_of(notice.last_at),
             "text": notice.text,
         }
         for notice in notices
@@ -95,7 +97,7 @@ def season_disqualify(season: str, lab: str, /, *, data: Path) -> None:
 
 
 def season_extend(name: str, /, *, closes: datetime, data: Path) -> None:
-    """Let an open season close later than was announced.
+    """Let an open season close later than was announced, or set the date of a draft.
 
     Args:
         name: Name or id of the season.
@@ -109,3 +111,75 @@ def season_extend(name: str, /, *, closes: datetime, data: Path) -> None:
     open_folder(data).extend_season(name, at)
     date = datetime.fromtimestamp(at, UTC)
     print(f"season {name} now closes by itself at {date:%Y-%m-%d %H:%M} UTC")
+
+
+def season_list(*, data: Path, json: bool = False) -> None:
+    """List all seasons, the newest first; drafts too, which nobody else sees.
+
+    Args:
+        data: Folder of the service.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season list --data my-board
+    """
+    rows = [_described(season) for season in open_folder(data).queries.seasons(drafts=True)]
+    if not rows and not json:
+        print("there is no season; `assistax-zoo season create` makes one")
+    else:
+        print_answer(rows, json)
+
+
+def season_show(name: str, /, *, data: Path, json: bool = False) -> None:
+    """Show a season: its dates, what it hides, its root, and each lab's attempts.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo season show spring --data my-board
+    """
+    from assistax_board.problems import Problem
+    from assistax_board.store.played import partners_in_words
+
+    queries = open_folder(data).queries
+    season = queries.season(name, drafts=True)
+    if season is None:
+        raise Problem("not_found", f"no season {name!r}; `assistax-zoo season list` shows them")
+    labs = {row.submitter: row for row in queries.attempts(season.id)}
+    attempts = {
+        name: f"{row.spent} made, {row.reserved} under way, {row.left} left"
+        for name, row in labs.items()
+    }
+    hidden = {"hides": partners_in_words(season.hidden), "root": season.root}
+    answer = {**_described(season), **hidden, "rules": season.rules}
+    if json:
+        print_answer(answer | {"labs": attempts}, json)
+    else:
+        answer |= attempts
+        print_answer({name: value for name, value in answer.items() if value is not None}, json)
+
+
+def season_delete(name: str, /, *, data: Path) -> None:
+    """Delete a draft and the copy of its partners; a season that was opened stays.
+
+    Args:
+        name: Name or id of the season.
+        data: Folder of the service.
+
+    Example:
+        assistax-zoo season delete spring --data my-board
+    """
+    open_folder(data).delete_draft(name)
+    print(f"the draft {name} is deleted; nobody saw it")
+
+
+def _described(season: Season) -> dict[str, Any]:
+    dates = {"opened": season.opened_at, "closes": season.closes_at, "closed": season.closed_at}
+    return {
+        **{name: getattr(season, name) for name in ("name", "id", "task", "state", "budget")},
+        "partners": f"A {season.panel_sizes['A']}, B {season.panel_sizes['B']}",
+        **{name: None if at is None else date_of(at) for name, at in dates.items()},
+    }

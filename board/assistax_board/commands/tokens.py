@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
+from assistax_board.clock import date_of
 from assistax_board.commands.opening import open_folder, print_answer
 
 
@@ -43,7 +44,11 @@ def token_list(*, data: Path, json: bool = False) -> None:
     from assistax_board.rules.tokens import list_tokens
 
     tokens = list_tokens(open_folder(data).database)
-    print_answer([dataclasses.asdict(token) for token in tokens], json)
+    rows = [dataclasses.asdict(token) for token in tokens]
+    for row in rows:
+        for name in ("created_at", "revoked_at"):
+            row[name] = date_of(row[name]) if row[name] is not None else None
+    print_answer(rows, json)
 
 
 def token_revoke(id: str, /, *, data: Path) -> None:
