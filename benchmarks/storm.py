@@ -151,7 +151,8 @@ def put_answer(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]
     try:
         answers.put(function(*args))
     except Exception as error:
-        answers.put(RuntimeError(f"{function.__name__} broke: {type(error).__name__}: {error}"))
+        name = getattr(function, "__name__", "a process")
+        answers.put(RuntimeError(f"{name} broke: {type(error).__name__}: {error}"))
 
 
 def answer_of(answers: Any) -> Any:

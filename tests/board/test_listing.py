@@ -149,10 +149,14 @@ def test_a_draft_has_a_date_that_may_change(drafts: Service, tmp_path: Path) -> 
 
 
 def test_a_small_panel_names_its_option(tmp_path: Path) -> None:
+    data = tmp_path / "board"
+    new_service(data)
     private = published(teams_of(3), tmp_path / "private").parent
-    public: Any = SimpleNamespace(policies=())
-    with pytest.raises(Problem, match=r"panel B needs 60 .*season create --small"):
-        new_service(tmp_path / "board").create_season(Plan("spring", TASK), private, public)
+    create = ("season", "create", "spring", "--task", TASK, "--release", private, "--data", data)
+    assert re.search(
+        r"panel B needs 60 .*or plan a small season.*--small does so", refused(*create)
+    )
+    assert "season spring is made" in printed(*create, "--small")
 
 
 def test_tokens_are_listed_with_dates(tmp_path: Path) -> None:

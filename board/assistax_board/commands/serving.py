@@ -32,10 +32,8 @@ def serve(
         host: Address or name to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
         port: Port to listen on; 0 takes a free one.
         workers: Local worker processes; 0 if all workers run elsewhere.
-        database: URL of a new board's PostgreSQL database instead of SQLite in the folder, such as
-            postgresql://user@host/name; the folder remembers it. `service move` moves a board.
-        artefacts: Address of a new board's store instead of the folder, such as s3://bucket/path;
-            the folder remembers it.
+        database: URL of a new board's database, postgresql://user@host/name; the folder keeps it.
+        artefacts: Address of a new board's store, s3://bucket/path; the folder keeps it too.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play rows to compare with, such as scripts, when no submission waits.

@@ -82,7 +82,8 @@ def create_season(service: "Service", plan: Plan, folder: Path, public: "Registr
         raise Problem(
             "invalid",
             f"panels of {sizes['A']} and {sizes['B']} partners; panel B needs {ENOUGH_IN_B} for a "
-            "useful interval: train more, or allow fewer by `season create --small`",
+            "useful interval: train more, or plan a small season",
+            remedy="allow small",
         )
     row = {
         "id": new_id(),

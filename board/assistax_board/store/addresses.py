@@ -10,6 +10,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import sqlalchemy as sa
+from sqlalchemy.exc import ArgumentError
 
 from assistax_base.files import OWNER, atomic_write
 from assistax_board.store.artefacts import ARTEFACTS_FOLDER
@@ -37,7 +38,7 @@ def database_url(text: str) -> sa.URL:
     """
     try:
         url = sa.make_url(text)
-    except sa.exc.ArgumentError:
+    except ArgumentError:
         raise ValueError(
             f"{text.rpartition('@')[2]!r} is no database's address; {_ALLOWED}"
         ) from None

@@ -16,6 +16,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+from sqlalchemy.exc import OperationalError
 
 from assistax_board.clock import Clock
 from assistax_board.store import ledger
@@ -103,7 +104,7 @@ class Database:
         where = self.url.render_as_string()  # without a password
         try:
             command.upgrade(alembic_config(self.url), "head")
-        except sa.exc.OperationalError as error:
+        except OperationalError as error:
             reason = str(error.orig).partition("\n")[0]
             raise ValueError(
                 f"{where} does not answer ({reason}); correct its address, or let it run"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.exc import DataError
 
 from assistax_base.digest import json_sha256
 from assistax_board.store.addresses import (
@@ -67,7 +68,7 @@ def _copy_once(old: sa.Connection, new: sa.Connection, name: str) -> int:
             for table in _tables():
                 for rows in _batches(old, table):
                     new.execute(sa.insert(table), rows)
-        except sa.exc.DataError as error:
+        except DataError as error:
             reason = str(error.orig).partition("\n")[0]
             raise ValueError(
                 f"{name} cannot hold a row of the board ({reason}); nothing was moved"
