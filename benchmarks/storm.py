@@ -81,7 +81,7 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
                         )
                     ]
                     pages = read_pages(address, readers, seconds)[-1]
-                    ended = [answer.get(timeout=900) for answer in answers]
+                    ended = [answer_of(answer) for answer in answers]
                 calm_after = tree.wait_for(1.2 * calm)
         states = Counter(
             submission.state
@@ -137,7 +137,7 @@ def memory_of(pid: int) -> float:
 def _alongside(function: Callable[..., Any], *args: Any) -> Any:
     """Run a function in its own process; yield the queue of its answer."""
     answers: Any = SPAWN.Queue()
-    process = SPAWN.Process(target=_answering, args=(answers, function, args), daemon=True)
+    process = SPAWN.Process(target=put_answer, args=(answers, function, args), daemon=True)
     process.start()
     try:
         yield answers
@@ -146,8 +146,25 @@ def _alongside(function: Callable[..., Any], *args: Any) -> Any:
         process.join()
 
 
-def _answering(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    answers.put(function(*args))
+def put_answer(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    """Put what a function returns into a queue, or its error: somebody waits for one of them."""
+    try:
+        answers.put(function(*args))
+    except Exception as error:
+        name = getattr(function, "__name__", "a process")
+        answers.put(RuntimeError(f"{name} broke: {type(error).__name__}: {error}"))
+
+
+def answer_of(answers: Any) -> Any:
+    """Return what a process puts into its queue.
+
+    Raises:
+        RuntimeError: The process's own error.
+    """
+    answer = answers.get(timeout=900)
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
 
 
 def hand_in_hostile(address: str, tokens: list[str], count: int, end: float) -> dict[str, int]:
@@ -271,10 +288,12 @@ def probe(address: str, end: float) -> dict[str, float]:
     """Return latencies (ms) and failures of the health check, ten a second on new connections.
 
     It uses plain connections: a client of `httpx2` takes longer to make than the answer to come.
+    It asks at least once. A check that fails counts with the time until its end.
     """
-    times, failed = [], 0
+    times: list[float] = []
+    failed = 0
     host, port = address.rpartition("/")[2].split(":")
-    while time.time() < end:
+    while not times or time.time() < end:
         began, line = time.monotonic(), http.client.HTTPConnection(host, int(port), timeout=10.0)
         try:
             line.request("GET", "/api/health")

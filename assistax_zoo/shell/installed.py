@@ -18,6 +18,7 @@ ELSEWHERE = {
         ("serve",),
         ("worker",),
         ("submit",),
+        ("submission",),
         ("token",),
         ("season",),
         ("receipt",),

@@ -76,6 +76,7 @@ REMEDIES = {
     "fetch before": "--fetch does so in the same command",
     "name a remote": "--from names one",
     "new release": "--release v1, for example",
+    "allow small": "--small does so",
     "replace the file": "--force replaces it, --out names another",
 }
 # What `--help` shows together, by what somebody came for: first words of commands, ours and other

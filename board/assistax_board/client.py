@@ -85,6 +85,11 @@ class Client:
         """Return a submission as it stands."""
         return self.call("GET", f"/api/submissions/{id}").json()
 
+    def mine(self, season: str | None = None) -> list[dict[str, Any]]:
+        """Return the submissions of the token's owner, the newest first."""
+        params = {} if season is None else {"season": season}
+        return self.call("GET", "/api/mine", params=params).json()
+
     def withdraw(self, id: str) -> dict[str, Any]:
         """Take a submission back."""
         return self.call("POST", f"/api/submissions/{id}/withdraw").json()

@@ -33,6 +33,11 @@ class SteadyClock:
 system_clock: Clock = SteadyClock()
 
 
+def date_of(seconds: float) -> str:
+    """Return seconds since 1970 as a date in UTC, such as 2026-12-01T12:00:00+00:00."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
 def seconds_of(date: datetime) -> float:
     """Return a date as seconds since 1970; without a zone it is UTC."""
     return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()

@@ -1,7 +1,8 @@
 """A service's folder: its files and its tokens.
 
-DIR/service.db      SQLite, if no other database is given
-DIR/artefacts/      robots, results and private releases by sha256, if no store is given
+DIR/service.db      SQLite, unless the board has another database
+DIR/artefacts/      robots, results and private releases by sha256, unless it has another store
+DIR/addresses.json  of the other database and store; only the owner can read it
 DIR/signing-key.pem
 DIR/films/          of pairs of published policies, made when a reader asks
 DIR/crossplays/     a finished cross-play for each task, if the organiser puts them there
@@ -18,6 +19,7 @@ from assistax_base.files import OWNER, atomic_write
 from assistax_board.pages.videos import FILMS_FOLDER
 from assistax_board.rules import tokens
 from assistax_board.service import Service
+from assistax_board.store.addresses import ADDRESSES_FILE
 from assistax_board.store.artefacts import ARTEFACTS_FOLDER
 from assistax_board.store.database import DATABASE_FILE
 from assistax_board.store.receipts import KEY_FILE
@@ -33,7 +35,7 @@ def check_folder(data: Path) -> None:
         ValueError: It holds other files than a service's, and no service.
     """
     known = (DATABASE_FILE, ARTEFACTS_FOLDER, KEY_FILE, FILMS_FOLDER, "crossplays", SECRET_FILE)
-    known += (WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE)
+    known += (WORKER_TOKEN_FILE, ORGANISER_TOKEN_FILE, ADDRESSES_FILE)
     if not data.exists() or (data / KEY_FILE).exists():
         return
     if not data.is_dir():
@@ -53,15 +55,21 @@ def page_folders(data: Path, registry: Path | None) -> dict[str, Path | None]:
     return {"films": data / FILMS_FOLDER, "registry": registry, "crossplays": crossplays}
 
 
-def about_token(service: Service, data: Path) -> list[str]:
-    """Return lines about the organiser's token, which is made if this service never had one."""
-    path, lines = data / ORGANISER_TOKEN_FILE, []
+def about_token(service: Service, data: Path) -> str:
+    """Return where the organiser's token lies; it is made if this service never had one.
+
+    The token itself is not printed: journals keep what a server prints.
+    """
+    path = data / ORGANISER_TOKEN_FILE
     if not any("organise" in token.scopes for token in tokens.list_tokens(service.database)):
         token = service.create_token(("organise", "submit"), label="first", submitter="organiser")
         atomic_write(path, f"{token}\n".encode(), OWNER)
-        lines = [f"organiser's token: {token}"]
-    place = f"the token is in {path}; `cat {path}` prints it"
-    return [*lines, place if path.is_file() else "the organiser has a token; it is not kept here"]
+    if path.is_file():
+        return f"the organiser's token is in {path}; `cat {path}` prints it"
+    return (
+        "the organiser has a token, which is not kept here; if it is lost, make another by "
+        f"`assistax-zoo token create organise submit --submitter organiser --data {data}`"
+    )
 
 
 def worker_token(service: Service, data: Path) -> str:

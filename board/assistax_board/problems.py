@@ -12,6 +12,7 @@ class Problem(ValueError):
     code: str  # for programs: one of `CODES`
     message: str  # for people: what was found, what is allowed, what to do next
     retry_after: int | None = None  # seconds, where asking again will help
+    remedy: str = ""  # for a command line, which names its option: see `ZooError`
 
     def __str__(self) -> str:
         return self.message

@@ -30,6 +30,7 @@ from assistax_envs.preferences import preferences_of
 
 SEASON = "rehearsal"
 LIMIT_SECONDS = 1800.0  # for any one thing to happen
+SILENT_SECONDS = 60.0  # between two lines about a submission that is played
 TINY = {"num_envs": 4, "rollout_steps": 8, "minibatches": 2, "epochs": 1, "hidden": [8, 8]}
 HIDDEN_PERSONS = 4  # hidden, where the task has any
 MEMBERS = {"disabilities": ("d1", "d9"), "seeds": 2, "steps": 32, "self_play_episodes": 1}
@@ -222,12 +223,7 @@ def upgrade(
     stage: Stage, service: Service, server: Server, client: Client, id: str
 ) -> Iterator[str]:
     """Start the server in the newest version once one robot was scored by the version before."""
-
-    def is_scored() -> bool:
-        keep_open(stage, service)
-        return client.submission(id)["state"] in FINAL_STATES
-
-    wait(f"{id} ends", is_scored)
+    yield from watch(client, id, lambda: keep_open(stage, service))
     server.stop()
     server.start(stage.backend)
     yield f"upgraded while the season is open: {stage.backend} plays anew what {stage.older} scored"
@@ -236,7 +232,7 @@ def upgrade(
 def scores_of(submitted: Sequence[tuple[Client, str]]) -> Iterator[str]:
     """Wait for the scores of submissions, each given with its lab's client."""
     for client, id in submitted:
-        wait(f"{id} ends", lambda c=client, i=id: c.submission(i)["state"] in FINAL_STATES)
+        yield from watch(client, id)
         submission = client.submission(id)
         if submission["state"] != "scored":
             raise ValueError(
@@ -306,6 +302,28 @@ def state_of(client: Client) -> str:
     return client.call("GET", f"/api/seasons/{SEASON}").json()["state"]
 
 
+def watch(client: Client, id: str, meanwhile: Callable[[], Any] = int) -> Iterator[str]:
+    """Wait for a submission's end; yield a line when a job of it is done, and every minute.
+
+    Args:
+        client: Of its lab.
+        id: The submission.
+        meanwhile: Called at each look.
+
+    Raises:
+        ValueError: It does not end in half an hour.
+    """
+    end, said, said_at = time.monotonic() + LIMIT_SECONDS, "", 0.0
+    while (row := client.submission(id))["state"] not in FINAL_STATES:
+        meanwhile()
+        now = time.monotonic()
+        line = f"{id} is {row['state']}: {row['jobs_done']} of {row['jobs']} jobs done"
+        if line != said or now > said_at + SILENT_SECONDS:
+            yield line
+            said, said_at = line, now
+        _pause(f"{id} ends", end)
+
+
 def wait(what: str, is_so: Callable[[], Any]) -> None:
     """Wait until something is so.
 
@@ -314,6 +332,10 @@ def wait(what: str, is_so: Callable[[], Any]) -> None:
     """
     end = time.monotonic() + LIMIT_SECONDS
     while not is_so():
-        if time.monotonic() > end:
-            raise ValueError(f"waited {LIMIT_SECONDS / 60:.0f} minutes in vain: {what}")
-        time.sleep(0.5)
+        _pause(what, end)
+
+
+def _pause(what: str, end: float) -> None:
+    if time.monotonic() > end:
+        raise ValueError(f"waited {LIMIT_SECONDS / 60:.0f} minutes in vain: {what}")
+    time.sleep(0.5)

@@ -24,8 +24,9 @@ from assistax_base.locks import locked
 from assistax_board.robots.limited import stop_limited
 from assistax_board.rules.catalogue import ZooCatalogue
 from assistax_board.service import Service
-from assistax_board.store.artefacts import ARTEFACTS_FOLDER, Artefacts
-from assistax_board.store.database import DATABASE_FILE, ONE_SERVER, Database
+from assistax_board.store.addresses import addresses_of, extras_named, keep_addresses
+from assistax_board.store.artefacts import Artefacts
+from assistax_board.store.database import ONE_SERVER, Database
 from assistax_board.store.receipts import load_signer
 from assistax_board.vocabulary import BACKEND, TOKEN_VARIABLE
 
@@ -38,7 +39,6 @@ TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given bac
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
 MISSING = errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT  # what a machine says of an address it lacks
-EXTRAS = {"psycopg": "postgres", "s3fs": "s3"}  # module -> extra of this distribution
 SERVER_LOCK = ".server-lock"  # in a data folder
 PARENT_VARIABLE = "ASSISTAX_ZOO_PARENT"  # a local worker ends when this process is gone
 
@@ -55,20 +55,26 @@ def open_service(
 
     Args:
         data: The folder; made if it is new.
-        database: URL of another database than the folder's.
-        artefacts: Address of another store than the folder's, such as s3://bucket/path.
+        database: URL of a new board's database, if it is not to lie in the folder, which
+            remembers it.
+        artefacts: Address of a new board's files, such as s3://bucket/path; so is this.
         registry: Of the public partners; the installed one if not given.
         backend: What plays the episodes, part of every score's version.
+
+    Raises:
+        ValueError: The board that is there lies elsewhere, or its database does not answer.
     """
     from assistax_board.robots.admission import Admission, robot_sizes
     from zoo.registry import load_registry
 
     data.mkdir(parents=True, exist_ok=True)
     data.chmod(0o700)  # robots, tokens' hashes and private releases are nobody else's business
-    with _extras_named():
-        opened = Database(database or f"sqlite:///{(data / DATABASE_FILE).absolute()}")
-        store = Artefacts(artefacts or str((data / ARTEFACTS_FOLDER).absolute()))
+    addresses = addresses_of(data, database, artefacts)
+    with extras_named():
+        opened = Database(addresses.database.render_as_string(hide_password=False))
+        store = Artefacts(addresses.artefacts)
     opened.upgrade()
+    keep_addresses(data, addresses)
     loaded = load_registry(registry)
     return Service(
         opened,
@@ -77,21 +83,6 @@ def open_service(
         load_signer(data),
         Admission(robot_sizes(loaded)),
     )
-
-
-@contextlib.contextmanager
-def _extras_named() -> Generator[None]:
-    """Name the extra to install if its module is missing."""
-    try:
-        yield
-    except ImportError as error:
-        for module, extra in EXTRAS.items():
-            if module in str(error):
-                raise ValueError(
-                    f"{module} is not installed; install it with: "
-                    f"pip install 'assistax-zoo-board[{extra}]'"
-                ) from None
-        raise
 
 
 @contextlib.contextmanager

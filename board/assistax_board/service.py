@@ -21,7 +21,13 @@ from assistax_board.rules import (
     tokens,
     upgrading,
 )
-from assistax_board.rules.catalogue import CHUNK, PUBLIC_SEED, Catalogue, panel_episodes
+from assistax_board.rules.catalogue import (
+    CHUNK,
+    PUBLIC_SEED,
+    Catalogue,
+    panel_episodes,
+    version_id,
+)
 from assistax_board.rules.scoring import Work
 from assistax_board.rules.submissions import Admitted, Draft
 from assistax_board.store import notices, schema
@@ -49,7 +55,11 @@ class Service:
     @property
     def queries(self) -> Queries:
         """Questions whose answers are public."""
-        return Queries(self.database)
+        return Queries(self.database, self.served)
+
+    def served(self, task: str) -> str | None:
+        """Return the id of the version under which a task is scored now; None if it is not."""
+        return version_id(self.catalogue.identity(task)) if task in self.catalogue.tasks else None
 
     def begin(self) -> AbstractContextManager[Transaction]:
         """Return a transaction of the only writer, at the time of the board's clock."""
@@ -160,6 +170,7 @@ class Service:
     erase_submitter = organising.erase_submitter
     retry = organising.retry
     disqualify = organising.disqualify
+    delete_draft = organising.delete_draft
     adopt_version = upgrading.adopt_version
 
     def failures(self) -> list[organising.Failure]:
@@ -167,7 +178,7 @@ class Service:
         return organising.failures(self.database)
 
     def extend_season(self, name: str, closes_at: float) -> None:
-        """Let an open season close later than was announced."""
+        """Let an open season close later than was announced, or set the date of a draft."""
         with self.begin() as transaction:
             organising.extend(transaction, name, closes_at)
 

@@ -13,7 +13,7 @@ import polars as pl
 from assistax_base.digest import sha256
 from assistax_board.client import Client
 from assistax_board.ids import new_id
-from assistax_board.problems import Refusal
+from assistax_board.problems import Problem, Refusal
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.robots.patience import time_limit
 from assistax_board.rules import results, seasons
@@ -165,7 +165,12 @@ def watch_submission(client: Client, id: str) -> dict[str, Any]:
     if submission["state"] != "scored":
         return submission
     scores = {score["panel"]: score["figures"] for score in client.scores(id)}
-    return {**submission, **client.standing(id), "scores": scores, "receipt": client.receipt(id)}
+    standing = {}
+    try:
+        standing = client.standing(id)
+    except (Problem, OSError):  # after an upgrade its board comes later than its score
+        print("its place is not known yet; see its page", file=sys.stderr, flush=True)
+    return {**submission, **standing, "scores": scores, "receipt": client.receipt(id)}
 
 
 def for_reader(submission: dict[str, Any], address: str) -> dict[str, Any]:

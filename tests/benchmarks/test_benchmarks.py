@@ -1,4 +1,5 @@
 import json
+import queue
 import socket
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 from benchmarks import __main__ as bench
 from benchmarks.__main__ import run
+from benchmarks.storm import answer_of, probe, put_answer
 
 
 @pytest.mark.slow
@@ -158,3 +160,20 @@ def test_pages_of_no_server(capfd: pytest.CaptureFixture[str]):
         assert run(["pages", "--url", f"http://127.0.0.1:{taken.getsockname()[1]}"]) == 1
     printed = capfd.readouterr().err
     assert "does not answer" in printed and printed.count("\n") == 1
+
+
+def test_storm_ends_where_no_probe_is_answered():
+    with socket.socket() as taken:  # bound and never listening
+        taken.bind(("127.0.0.1", 0))
+        address = f"http://127.0.0.1:{taken.getsockname()[1]}"
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        put_answer(answers, probe, (address, 0.0))  # the storm is over before it asks
+    health = answer_of(answers)
+    assert (health["asked"], health["failed"]) == (1, 1)
+
+
+def test_storm_hears_of_a_process_that_broke():
+    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    put_answer(answers, probe, ("no address", 0.0))
+    with pytest.raises(RuntimeError, match="probe broke: ValueError"):
+        answer_of(answers)

@@ -180,6 +180,16 @@ def test_an_upgrade_is_answered_as_a_plain_request(
     assert caplog.messages == []
 
 
+@pytest.mark.parametrize("length", [0, 5, 40])
+def test_two_lengths_are_one_bad_request(service: Service, length: int) -> None:
+    """A proxy that believes the other length would take the rest for a second request."""
+    both = f"Content-Length: {length}\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n".encode()
+    with served(service) as server, connected(server, HALF + both + HALF + b"\r\n") as connection:
+        answer = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert answer.count(b"HTTP/1.1 ") == 1 and answer.startswith(b"HTTP/1.1 400 ")
+    assert b"not both" in answer
+
+
 def test_full_database_refuses_without_loss(service: Service) -> None:
     space = {"pages": 0}
 

@@ -2,12 +2,15 @@
 
 import contextlib
 import errno
+import itertools
 import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -199,3 +202,31 @@ def test_what_never_happens_ends_a_rehearsal(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(rehearsal, "LIMIT_SECONDS", 0.0)
     with pytest.raises(ValueError, match="in vain: the moon falls"):
         rehearsal.wait("the moon falls", lambda: False)
+
+
+def test_a_rehearsal_says_how_far_a_submission_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    states = [("queued", 0), ("running", 0), ("running", 0), ("running", 1), ("scored", 2)]
+    rows = iter([{"state": state, "jobs_done": done, "jobs": 2} for state, done in states])
+    looks: list[str] = []
+    client: Any = SimpleNamespace(submission=lambda id: next(rows))
+    lines = list(rehearsal.watch(client, "7kq2", lambda: looks.append("open")))
+    assert lines == [
+        "7kq2 is queued: 0 of 2 jobs done",
+        "7kq2 is running: 0 of 2 jobs done",
+        "7kq2 is running: 1 of 2 jobs done",
+    ]
+    assert len(looks) == 4
+
+
+def test_a_long_job_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = itertools.count(0.0, 40.0)
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    monkeypatch.setattr(time, "monotonic", lambda: next(seconds))
+    row = {"state": "running", "jobs_done": 0, "jobs": 2}
+    client: Any = SimpleNamespace(submission=lambda id: row)
+    lines: list[str] = []
+    with pytest.raises(ValueError, match="30 minutes in vain: 7kq2 ends"):
+        lines += rehearsal.watch(client, "7kq2")
+    watching = rehearsal.watch(client, "7kq2")
+    assert [next(watching) for _ in range(3)] == ["7kq2 is running: 0 of 2 jobs done"] * 3

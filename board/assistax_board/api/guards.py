@@ -67,8 +67,14 @@ class BodyLimit:
             # No name has such a character, and PostgreSQL fails where one is asked for.
             await _answer(send, Problem("not_found", "there is nothing of this name"))
             return
+        headers = dict(scope["headers"])
+        if headers.keys() >= {b"content-length", b"transfer-encoding"}:
+            # A proxy may take the one for the body's end, and this server the other.
+            text = "a request has Content-Length or Transfer-Encoding, not both"
+            await _answer(send, Problem("invalid", text), 400)
+            return
         most = min(self._most, largest_body(scope["path"]))
-        length = dict(scope["headers"]).get(b"content-length", b"0")
+        length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > most:
             await _answer(send, Problem("too_large", f"this request has at most {most} bytes"))
             return
@@ -202,11 +208,12 @@ Submitter = Annotated[Principal, signed_in("submit")]
 Worker = Annotated[Principal, signed_in("work")]
 
 
-async def _answer(send: Any, problem: Problem) -> None:
+async def _answer(send: Any, problem: Problem, status: int | None = None) -> None:
+    """Answer with a problem, in another status than its own if one is given, and hang up."""
     import json
 
     body = json.dumps({"error": {"code": problem.code, "message": problem.message}}).encode()
     headers = [(b"content-type", b"application/json"), (b"connection", b"close")]
-    status = CODES[problem.code]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
+    start = {"status": status or CODES[problem.code], "headers": headers}
+    await send({"type": "http.response.start", **start})
     await send({"type": "http.response.body", "body": body})

@@ -53,7 +53,7 @@ def about(service: TheService) -> About:
 
 @router.get("/boards/{task}")
 def board(service: TheService, task: str, season: Word = None, version: Word = None) -> Board:
-    """Return the scores of a task: by the newest version, if no other is asked for."""
+    """Return the scores of a task: by the version served, if no other is asked for."""
     queries, season = service.queries, season_id(service, season)
     check_task(service, task)
     versions = [name for name, _ in queries.versions(task)]

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read, json_body
+from assistax_board.api.public import season_id
 from assistax_board.problems import Problem
 from assistax_board.rules.entries import Card, Declaration
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
@@ -17,6 +18,7 @@ from assistax_board.store.shown import Attempts, Limits, SeasonLimit, Submission
 
 router = APIRouter(prefix="/api", tags=["submit"], responses=RESPONSES)
 
+LISTED = 10_000  # submissions of one lab
 Text = Annotated[str, Query(min_length=1, max_length=80)]
 Words = Annotated[str | None, Query(max_length=max(DESCRIPTION.values()))]
 _FILE = {
@@ -137,6 +139,18 @@ def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
 def limits(request: Request, principal: Submitter) -> Limits:
     """Return your limits: requests left this hour, and attempts left in open seasons."""
     return limits_of(request, principal)
+
+
+@router.get("/mine", dependencies=[Depends(count_read)])
+def mine(
+    service: TheService,
+    principal: Submitter,
+    season: Annotated[str | None, Query(max_length=80)] = None,
+) -> list[Submission]:
+    """Return your submissions, the newest first: all, or those of a season."""
+    id = season_id(service, season)
+    owner = str(principal.submitter)
+    return service.queries.submissions(submitter=owner, season=id, limit=LISTED)
 
 
 def limits_of(request: Request, principal: Principal) -> Limits:

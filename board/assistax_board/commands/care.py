@@ -27,8 +27,6 @@ def service_check(
     *,
     data: Path | None = None,
     backup: Path | None = None,
-    database: str | None = None,
-    artefacts: str | None = None,
     json: bool = False,
 ) -> None:
     """Check that a service's data are whole: database, ledger, artefacts and receipts.
@@ -38,21 +36,20 @@ def service_check(
     Args:
         data: Folder of the service.
         backup: A backup to check instead: it is restored to a temporary folder.
-        database: URL, if it is not in the folder.
-        artefacts: Address, if they are not in the folder.
         json: Print JSON.
 
     Example:
         assistax-zoo service check --data my-board
     """
     from assistax_board.checking import check_service
+    from assistax_board.store.backup import restore
 
     if backup is None and data is not None:
-        print_answer(check_service(open_folder(data, database, artefacts)), json)
+        print_answer(check_service(open_folder(data)), json)
     elif backup is not None and data is None:
         with tempfile.TemporaryDirectory() as folder:
             restored = Path(folder) / "board"
-            service_restore(backup, data=restored)
+            restore(backup, restored)
             print_answer(check_service(open_folder(restored)), json)
     else:
         raise ValueError("give --data with a service's folder, or --backup with a backup's file")
@@ -74,7 +71,7 @@ def service_backup(target: Path, /, *, data: Path) -> None:
 
 
 def service_restore(source: Path, /, *, data: Path) -> None:
-    """Write a backup to a new folder.
+    """Write a backup to a new folder. It has no tokens in clear, the organiser's neither.
 
     Args:
         source: The backup.
@@ -83,18 +80,46 @@ def service_restore(source: Path, /, *, data: Path) -> None:
     Example:
         assistax-zoo service restore my-board.zip --data my-board2
     """
-    from assistax_board.store.backup import restore as restore_backup
+    from assistax_board.store.backup import restore
 
-    restore_backup(source, data)
+    restore(source, data)
+    print(f"{data} has the board of {source}; tokens are valid as they were then")
+    print(
+        "no backup has the organiser's token: use yours, or make another by `assistax-zoo token "
+        f"create organise submit --submitter organiser --data {data}`"
+    )
 
 
-def service_erase(submitter: str, /, *, data: Path, database: str | None = None) -> None:
+def service_move(*, data: Path, to: str) -> None:
+    """Move a board to another database: from SQLite to PostgreSQL, or back.
+
+    Stop its server before. All rows are copied and compared, then the folder takes the new address.
+    If anything fails, the board stays where it is. The database before is kept as it was.
+
+    Args:
+        data: Folder of the service.
+        to: URL of a new database, such as postgresql://user@host/name.
+
+    Example:
+        assistax-zoo service move --to postgresql://zoo@db.example.org/board --data my-board
+    """
+    from assistax_board.rules.moving import move_board
+    from assistax_board.serve import only_server
+
+    service = open_folder(data)
+    before = service.database.url.render_as_string()
+    with only_server(data):
+        count = move_board(data, service.database, to)
+    print(f"the board of {data} is moved: {count} rows, all compared; all commands find it there")
+    print(f"{before} has its rows too; remove it when you like")
+
+
+def service_erase(submitter: str, /, *, data: Path) -> None:
     """Erase a lab: name, contact, method names, files and films; hashes and scores stay.
 
     Args:
         submitter: Name of the lab.
         data: Folder of the service.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo service erase 'Lab of Ada' --data my-board
@@ -102,6 +127,6 @@ def service_erase(submitter: str, /, *, data: Path, database: str | None = None)
     from assistax_board.pages.videos import FILMS_FOLDER, erase_robots
     from assistax_board.rules.tokens import submitter_id
 
-    service = open_folder(data, database)
+    service = open_folder(data)
     service.erase_submitter(submitter_id(service.database, submitter))
     erase_robots(data / FILMS_FOLDER)

@@ -31,13 +31,13 @@ class Server:
     token_file: Path | None = None
 
 
-def open_folder(data: Path, database: str | None = None, artefacts: str | None = None) -> "Service":
+def open_folder(data: Path) -> "Service":
     """Open the service of a folder that exists: a mistyped name must not make a new one."""
     from assistax_board.serve import open_service
 
     if not (data / "signing-key.pem").is_file():
         raise ValueError(f"{data} is not a service's folder; `assistax-zoo serve` makes one")
-    return open_service(data, database=database, artefacts=artefacts)
+    return open_service(data)
 
 
 def open_client(url: str | None, token_file: Path | None) -> "Client":

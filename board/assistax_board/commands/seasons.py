@@ -76,8 +76,6 @@ def season_create(
     budget: int = 20,
     rules: Path | None = None,
     small: bool = False,
-    database: str | None = None,
-    artefacts: str | None = None,
 ) -> None:
     """Make a season of a private release; it is not visible yet.
 
@@ -89,8 +87,6 @@ def season_create(
         budget: Attempts of each lab.
         rules: File with the season's rules; default those of docs/service.md.
         small: Allow a panel B of fewer than 60 partners.
-        database: URL, if it is not in the folder.
-        artefacts: Address, if they are not in the folder.
 
     Example:
         assistax-zoo season create spring --task scratch --release private --data my-board
@@ -101,7 +97,7 @@ def season_create(
 
     text = seasons.DEFAULT_RULES if rules is None else rules.read_text(encoding="utf-8")
     plan = seasons.Plan(name, task, budget, text, small)
-    service = open_folder(data, database, artefacts)
+    service = open_folder(data)
     id = service.create_season(plan, release, load_registry())
     season = service.queries.season(id, drafts=True)
     hidden = season.hidden if season else None
@@ -109,21 +105,18 @@ def season_create(
     print("nobody sees it until you open it: `assistax-zoo season open`")
 
 
-def season_open(
-    name: str, /, *, data: Path, closes: datetime | None = None, database: str | None = None
-) -> None:
+def season_open(name: str, /, *, data: Path, closes: datetime | None = None) -> None:
     """Publish a season's Merkle root and its closing date, and let labs submit; print the root.
 
     Args:
         name: Name or id of the season.
         data: Folder of the service.
         closes: When it closes by itself, in UTC if no zone is given; default in 90 days.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season open spring --closes 2026-12-01T12:00 --data my-board
     """
-    service = open_folder(data, database)
+    service = open_folder(data)
     root = service.open_season(name, seconds_of(closes) if closes else None)
     print(f"season {name} is open; announce its Merkle root: {root}")
     opened = service.queries.season(name)
@@ -131,18 +124,17 @@ def season_open(
     print(f"it closes by itself at {date:%Y-%m-%d %H:%M} UTC")
 
 
-def season_close(name: str, /, *, data: Path, database: str | None = None) -> None:
+def season_close(name: str, /, *, data: Path) -> None:
     """Close a season early: workers play all submissions, then panel B; all is revealed.
 
     Args:
         name: Name or id of the season.
         data: Folder of the service.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo season close spring --data my-board
     """
-    open_folder(data, database).close_season(name)
+    open_folder(data).close_season(name)
     print(f"season {name} is closing: nothing more is taken, and panel B is played")
 
 

@@ -32,8 +32,8 @@ def serve(
         host: Address or name to listen on; 0.0.0.0 is all, behind a proxy that speaks TLS.
         port: Port to listen on; 0 takes a free one.
         workers: Local worker processes; 0 if all workers run elsewhere.
-        database: URL of a PostgreSQL database instead of SQLite in the folder.
-        artefacts: Address of a store instead of the folder, such as s3://bucket/path.
+        database: URL of a new board's database, postgresql://user@host/name; the folder keeps it.
+        artefacts: Address of a new board's store, s3://bucket/path; the folder keeps it too.
         registry: Registry of the public partners instead of the installed one.
         backend: Backend that plays, the same for every worker.
         references: Play rows to compare with, such as scripts, when no submission waits.
@@ -62,7 +62,7 @@ def serve(
                 serving.add_references_later(service)
             address = f"http://{f'[{host}]' if ':' in host else host}:{port}"
             print(f"serving {address} from {data}; Ctrl-C stops", file=sys.stderr, flush=True)
-            print(*folder.about_token(service, data), sep="\n", file=sys.stderr, flush=True)
+            print(folder.about_token(service, data), file=sys.stderr, flush=True)
             options = ["--backend", backend, *(["--registry", str(registry)] if registry else [])]
             local = address.replace("0.0.0.0", "127.0.0.1")
             playing = serving.local_workers(workers, local, token, options)

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
+from assistax_board.clock import date_of
 from assistax_board.commands.opening import open_folder, print_answer
 
 
@@ -13,7 +14,6 @@ def token_create(
     submitter: str | None = None,
     contact: str | None = None,
     label: str = "",
-    database: str | None = None,
 ) -> None:
     """Make a token and print it; it is shown only once.
 
@@ -23,21 +23,19 @@ def token_create(
         submitter: Lab that submits with it; made if it is new.
         contact: How to reach a new lab.
         label: For `token list`.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token create submit --submitter 'Lab of Ada' --data my-board
     """
     options = {"submitter": submitter, "contact": contact, "label": label}
-    print(open_folder(data, database).create_token(scopes, **options))
+    print(open_folder(data).create_token(scopes, **options))
 
 
-def token_list(*, data: Path, database: str | None = None, json: bool = False) -> None:
+def token_list(*, data: Path, json: bool = False) -> None:
     """List the tokens, without their secrets.
 
     Args:
         data: Folder of the service.
-        database: URL, if it is not in the folder.
         json: Print JSON.
 
     Example:
@@ -45,23 +43,26 @@ def token_list(*, data: Path, database: str | None = None, json: bool = False) -
     """
     from assistax_board.rules.tokens import list_tokens
 
-    tokens = list_tokens(open_folder(data, database).database)
-    print_answer([dataclasses.asdict(token) for token in tokens], json)
+    tokens = list_tokens(open_folder(data).database)
+    rows = [dataclasses.asdict(token) for token in tokens]
+    for row in rows:
+        for name in ("created_at", "revoked_at"):
+            row[name] = date_of(row[name]) if row[name] is not None else None
+    print_answer(rows, json)
 
 
-def token_revoke(id: str, /, *, data: Path, database: str | None = None) -> None:
+def token_revoke(id: str, /, *, data: Path) -> None:
     """Make a token invalid.
 
     Args:
         id: As `token list` shows it.
         data: Folder of the service.
-        database: URL, if it is not in the folder.
 
     Example:
         assistax-zoo token revoke 7kq2mz4a --data my-board
     """
     from assistax_board.rules.tokens import revoke_token
 
-    service = open_folder(data, database)
+    service = open_folder(data)
     with service.begin() as transaction:
         revoke_token(transaction, id)

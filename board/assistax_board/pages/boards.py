@@ -115,7 +115,7 @@ class Boards:
         """Return the board of a task under a version, or None while it is empty.
 
         Who asks waits a moment for a new one, then gets the board as it was before the last score.
-        Without a version it is the newest.
+        Without a version it is the one that is served.
         """
         versions = self._queries.versions(task)
         chosen = next((row for row in versions if version in (None, row[0])), None)
@@ -135,14 +135,15 @@ class Boards:
     def _scored(self, task: str, version: str, identity: Mapping[str, Any]) -> "_Scored":
         """Return all submissions that count on the board of a version."""
         every = self._queries.submissions(task=task, limit=_NEWEST)
+        # Other versions' scores change nothing; after an upgrade this one's come one by one.
         scores = self._queries.scores(task=task, panel="public", version=version)
         under_it = {score.submission for score in scores}
         scored = [row for row in every if row.state == "scored" and row.id in under_it]
         return _Scored(version, identity, tuple(scored), scores)
 
-    def _board(self, task: str, scored: "_Scored", is_newest: bool) -> Board | None:
-        # What old boards read is not kept: they hardly change.
-        cache = self._caches.setdefault(task, _ReturnsCache()) if is_newest else _ReturnsCache()
+    def _board(self, task: str, scored: "_Scored", is_served: bool) -> Board | None:
+        # What other boards read is not kept: they hardly change.
+        cache = self._caches.setdefault(task, _ReturnsCache()) if is_served else _ReturnsCache()
         cache.update(self._queries, scored)
         methods = cache.methods(scored.submissions)
         if not methods:
@@ -232,7 +233,9 @@ class _ReturnsCache:
         """
         partners = tuple(score.partner for score in self.panel())
         groups = group_methods(
-            seed for seed in submissions if self._returns.get(seed.id, ((),))[0] == partners
+            seed
+            for seed in submissions
+            if partners and self._returns.get(seed.id, ((),))[0] == partners
         )
         copies = find_copies(groups, self._digests)
         return [

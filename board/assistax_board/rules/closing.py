@@ -237,7 +237,7 @@ def _shown(transaction: Transaction, season: str) -> list[str]:
         .join(schema.scores, SCORE.submission == SUBMISSION.id)
         .where(SUBMISSION.season == season, SUBMISSION.state == "scored")
         .where(SCORE.panel == "A", SCORE.released.is_not(None))
-        .order_by(SCORE.created_at, SUBMISSION.created_at, SUBMISSION.id)
+        .order_by(SUBMISSION.finished_at, SUBMISSION.id)  # when each was first answered
     )
     return list(transaction.execute(query).scalars())
 

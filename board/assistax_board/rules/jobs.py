@@ -18,6 +18,7 @@ from assistax_board.store import schema
 from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.schema import JOB, MAX_FAILURES, SUBMISSION
 
+OPEN = ("held", "waiting", "leased")  # states of a job that is not finished
 LEASE_SECONDS = 60.0
 CLOCKS_APART = 60.0  # a lease that begins later than this is of a clock that was set back
 
@@ -68,6 +69,7 @@ def lease_job(
     """
     exhausted = expire_leases(transaction)
     query = sa.select(schema.jobs).where(JOB.state == "waiting", JOB.version.in_(versions))
+    query = query.where(~_waits_for_earlier())
     order = query.order_by(JOB.turn, JOB.created_at, JOB.submission, JOB.panel, JOB.chunk).limit(1)
     row = transaction.execute(order).first()
     if row is None:
@@ -86,6 +88,27 @@ def lease_job(
     return Lease(row.id, secret, row.submission, row.version, row.panel, row.chunk), exhausted
 
 
+def _waits_for_earlier() -> sa.ColumnElement[bool]:
+    """Return whether a job of panel A must wait: an attempt that was answered earlier is replayed.
+
+    The Ladder compares an attempt with those of its lab before it. So they come in one order,
+    however many workers play them anew after an upgrade.
+    """
+    mine, other = schema.submissions.alias(), schema.submissions.alias()
+    replay = schema.jobs.alias()
+    order = sa.tuple_(other.c.finished_at, other.c.id) < sa.tuple_(mine.c.finished_at, mine.c.id)
+    query = (
+        sa.select(other.c.id)
+        .select_from(mine)
+        .join(other, (other.c.season == mine.c.season) & (other.c.submitter == mine.c.submitter))
+        .join(replay, replay.c.submission == other.c.id)
+        .where(mine.c.id == JOB.submission, mine.c.finished_at.is_(None) | order)
+        .where(other.c.state == "scored", replay.c.version == JOB.version)
+        .where(replay.c.panel != "B", replay.c.state.in_(OPEN))
+    )
+    return (JOB.panel == "A") & query.exists()
+
+
 def expire_leases(transaction: Transaction) -> list[str]:
     """Put jobs of broken leases back; return the submissions whose jobs failed too often.
 
@@ -93,10 +116,10 @@ def expire_leases(transaction: Transaction) -> list[str]:
     unknown, so it counts as expired.
     """
     broken = (JOB.expires_at < transaction.now) | (JOB.leased_at > transaction.now + CLOCKS_APART)
-    query = sa.select(JOB.id, JOB.submission, JOB.failures).where(JOB.state == "leased", broken)
+    query = sa.select(schema.jobs).where(JOB.state == "leased", broken)
     rows = transaction.execute(query).all()
     for row in rows:
-        _put_back(transaction, row.id, row.failures + 1)
+        _put_back(transaction, row)
     return [row.submission for row in rows if row.failures + 1 >= MAX_FAILURES]
 
 
@@ -118,7 +141,7 @@ def fail_job(transaction: Transaction, job: str, secret: str) -> str | None:
     row = transaction.execute(sa.select(schema.jobs).where(*_held(job, secret))).first()
     if row is None:
         return None
-    _put_back(transaction, job, row.failures + 1)
+    _put_back(transaction, row)
     return row.submission if row.failures + 1 >= MAX_FAILURES else None
 
 
@@ -136,20 +159,31 @@ def release_held(transaction: Transaction, submission: str, version: str) -> Non
 
 def cancel_jobs(transaction: Transaction, submission: str, version: str | None = None) -> None:
     """Cancel the unfinished jobs of a submission, of one version or of all."""
-    where = (JOB.submission == submission) & JOB.state.in_(("held", "waiting", "leased"))
+    where = (JOB.submission == submission) & JOB.state.in_(OPEN)
     where = where if version is None else where & (JOB.version == version)
     transaction.execute(sa.update(schema.jobs).where(where).values(state="cancelled"))
 
 
-def queue_again(transaction: Transaction, submission: str, version: str) -> bool:
+def drop_other_versions(transaction: Transaction, task: str, version: str) -> None:
+    """Cancel the unfinished jobs of a task that no worker of this version can do."""
+    of_task = sa.select(SUBMISSION.id).where(SUBMISSION.task == task)
+    where = JOB.submission.in_(of_task), JOB.version != version
+    dropped = sa.update(schema.jobs).where(*where, JOB.state.in_(OPEN))
+    transaction.execute(dropped.values(state="cancelled"))
+
+
+def queue_again(
+    transaction: Transaction, submission: str, version: str, *, hidden: bool = True
+) -> bool:
     """Queue the cancelled jobs of a submission again; return False if it has no jobs.
 
-    Its hidden panel is held back until the public one is done.
+    Its hidden panel is held back until the public one is done, and left out unless `hidden`.
     """
     mine = JOB.submission == submission, JOB.version == version
     jobs = transaction.execute(sa.select(JOB.panel, JOB.state).where(*mine)).all()
     held = any(panel == "public" and state != "done" for panel, state in jobs)
-    for panel, state in (("public", "waiting"), ("A", "held" if held else "waiting")):
+    states = {"public": "waiting"} | ({"A": "held" if held else "waiting"} if hidden else {})
+    for panel, state in states.items():
         again = sa.update(schema.jobs).where(*mine, JOB.panel == panel, JOB.state == "cancelled")
         transaction.execute(again.values(state=state, failures=0, lease=None, expires_at=None))
     return bool(jobs)
@@ -163,11 +197,15 @@ def queue_b_again(transaction: Transaction, submission: str) -> None:
     transaction.execute(again.values(state="waiting", failures=0, lease=None, expires_at=None))
 
 
-def _put_back(transaction: Transaction, job: str, failures: int) -> None:
+def _put_back(transaction: Transaction, job: Any) -> None:
+    """Let another worker try a job again; give its panel up if it failed too often."""
     # The lease's hash stays: should its worker answer after all, the answer counts.
+    failures = job.failures + 1
     state = "cancelled" if failures >= MAX_FAILURES else "waiting"
     values = {"state": state, "failures": failures, "expires_at": None}
-    transaction.execute(sa.update(schema.jobs).where(JOB.id == job).values(values))
+    transaction.execute(sa.update(schema.jobs).where(JOB.id == job.id).values(values))
+    if state == "cancelled" and job.panel != "B":  # a replay's panels can be scored no more
+        cancel_jobs(transaction, job.submission, job.version)
 
 
 def _held(job: str, secret: str) -> tuple[Any, ...]:

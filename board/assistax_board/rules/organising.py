@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, entries, jobs, submissions
 from assistax_board.rules.catalogue import version_id
-from assistax_board.rules.seasons import MAX_OPEN_SECONDS
+from assistax_board.rules.seasons import MAX_OPEN_SECONDS, check_date
 from assistax_board.store import schema
 from assistax_board.store.database import Database, Transaction
 from assistax_board.store.notices import withdraw_notice
@@ -198,11 +198,16 @@ def disqualify(service: "Service", season: str, lab: str) -> int:
 
 
 def extend(transaction: Transaction, name: str, closes_at: float) -> None:
-    """Let an open season close later than was announced.
+    """Let an open season close later than was announced, or set the date of a draft.
 
     Raises:
-        Problem: It is not open, or the date is not later.
+        Problem: It is neither open nor a draft, or the date is not later.
     """
+    query = sa.update(schema.seasons).where((SEASON.id == name) | (SEASON.name == name))
+    query = query.where(SEASON.state == "draft").values(closes_at=closes_at)
+    if transaction.execute(query).rowcount:  # of a draft nobody is told, and no ledger
+        check_date(transaction, closes_at)
+        return
     row = closing.find_season(transaction, name, "open", in_time=True)
     if not (row.closes_at or transaction.now) < closes_at < transaction.now + MAX_OPEN_SECONDS:
         raise Problem(
@@ -215,6 +220,21 @@ def extend(transaction: Transaction, name: str, closes_at: float) -> None:
     )
     body = {"season": row.id, "closes_at": closes_at}
     transaction.record("season_extend", body)
+
+
+def delete_draft(service: "Service", name: str) -> None:
+    """Delete a season that was never opened, and the release that was packed for it.
+
+    Raises:
+        Problem: There is none of this name, or it was opened: it is in the ledger, and stays.
+    """
+    with service.begin() as transaction:
+        row = closing.find_season(transaction, name, "draft")
+        transaction.execute(sa.delete(schema.seasons).where(SEASON.id == row.id))
+        others = sa.select(SEASON.id).where(SEASON.release == row.release)
+        gone = set() if transaction.execute(others).first() else {row.release}
+        _mark_erased(transaction, gone)
+    _erase_files(service, gone)
 
 
 def erase_submitter(service: "Service", submitter: str) -> None:
@@ -252,17 +272,23 @@ def erase_submitter(service: "Service", submitter: str) -> None:
         )
         needed = set(transaction.execute(others).scalars())
         gone = {row.artefact for row in mine if row.artefact} - needed
-        transaction.execute(
-            sa.update(schema.artefacts)
-            .where(ARTEFACT.sha256.in_(gone))
-            .values(erased_at=transaction.now)
-        )
+        _mark_erased(transaction, gone)
         transaction.record("erase", {"submitter": submitter})
         for season in seasons:
             closing.take_next_step(transaction, season)
+    _erase_files(service, gone)
+
+
+def _mark_erased(transaction: Transaction, names: set[str]) -> None:
+    mine = sa.update(schema.artefacts).where(ARTEFACT.sha256.in_(names))
+    transaction.execute(mine.values(erased_at=transaction.now))
+
+
+def _erase_files(service: "Service", names: set[str]) -> None:
+    """Remove the files of artefacts that were marked as erased."""
     with service.begin() as transaction:
         # Another lab may have handed in such a file since; this transaction keeps new ones out.
-        for name in transaction.execute(ERASED.where(ARTEFACT.sha256.in_(gone))).scalars():
+        for name in transaction.execute(ERASED.where(ARTEFACT.sha256.in_(names))).scalars():
             service.artefacts.erase(name)
 
 

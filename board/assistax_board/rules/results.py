@@ -1,6 +1,7 @@
 """From results to scores: a result is taken once, and the last one of a panel makes its score."""
 
 import io
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,50 +202,51 @@ def _release(service: "Service", transaction: Transaction, job: Any) -> None:
 def _hidden_answer(
     service: "Service", transaction: Transaction, job: Any, row: Any
 ) -> dict[str, Any] | None:
-    """Return the Ladder's answer for panel A: a rounded mean, or None for silence."""
+    """Return the Ladder's answer for panel A: a rounded mean, or None for silence.
+
+    What was silent under another version stays silent, and the bar stays that of the attempt that
+    was shown last under any: an upgrade must not begin the Ladder anew.
+    """
     from assistax_board.places.ladder import ladder_release
 
-    def means(submission: str) -> np.ndarray:
-        table = panel_table(service.artefacts, transaction, submission, job.version, "A")
-        return partner_means(table)
+    def means(submission: str, version: str) -> np.ndarray:
+        return partner_means(panel_table(service.artefacts, transaction, submission, version, "A"))
 
-    best = _shown_last(transaction, row, job.version)
-    new = means(row.id)
-    attempt = 1 + _scored_before(transaction, row, job.version)
-    value = ladder_release(None if best is None else means(best), new, attempt=attempt)
+    of_a = sa.select(SCORE.submission).where(SCORE.panel == "A")
+    silent = of_a.where(SCORE.submission == row.id, SCORE.released.is_(None))
+    if transaction.execute(silent.where(SCORE.version != job.version)).first():
+        return None
+    before = _answered_before(transaction, row, of_a)
+    shown = _answered_before(transaction, row, of_a.where(SCORE.released.is_not(None)))[:1]
+    best = [means(id, _version_of_bar(transaction, id, job.version)) for id in shown]
+    new = means(row.id, job.version)
+    value = ladder_release(best[0] if best else None, new, attempt=1 + len(before))
     return None if value is None else {"mean": value, "n": int(new.size)}
 
 
-def _scored_before(transaction: Transaction, row: Any, version: str) -> int:
-    """Return how many other submissions of this lab panel A has scored in this season."""
-    query = (
-        sa.select(sa.func.count())
-        .select_from(schema.scores)
-        .join(schema.submissions, SUBMISSION.id == SCORE.submission)
-        .where(
-            SUBMISSION.season == row.season,
-            SUBMISSION.submitter == row.submitter,
-            SUBMISSION.id != row.id,
-        )
-        .where(SCORE.panel == "A", SCORE.version == version)
+def _answered_before(transaction: Transaction, row: Any, among: sa.Select) -> Sequence[str]:
+    """Return this lab's other submissions in the season that were answered before, the last first.
+
+    `finished_at` is the time of the first answer, also of a submission that is played anew.
+    """
+    query = sa.select(SUBMISSION.id).where(
+        SUBMISSION.season == row.season,
+        SUBMISSION.submitter == row.submitter,
+        SUBMISSION.id != row.id,
+        SUBMISSION.id.in_(among),
     )
-    return transaction.execute(query).scalar_one()
+    if row.finished_at is not None:
+        order = sa.tuple_(SUBMISSION.finished_at, SUBMISSION.id)
+        query = query.where(order < sa.tuple_(row.finished_at, row.id))
+    query = query.order_by(SUBMISSION.finished_at.desc(), SUBMISSION.id.desc())
+    return transaction.execute(query).scalars().all()
 
 
-def _shown_last(transaction: Transaction, row: Any, version: str) -> str | None:
-    """Return the submission of this lab whose score on panel A was shown last in this season."""
-    query = (
-        sa.select(SCORE.submission)
-        .join(schema.submissions, SUBMISSION.id == SCORE.submission)
-        .where(
-            SUBMISSION.season == row.season,
-            SUBMISSION.submitter == row.submitter,
-            SUBMISSION.id != row.id,
-        )
-        .where(SCORE.panel == "A", SCORE.version == version, SCORE.released.is_not(None))
-        .order_by(SCORE.created_at.desc())
-    )
-    return transaction.execute(query.limit(1)).scalar()
+def _version_of_bar(transaction: Transaction, submission: str, version: str) -> str:
+    """Return the version of a submission's panel A to compare with: this one, else the newest."""
+    query = sa.select(SCORE.version).where(SCORE.submission == submission, SCORE.panel == "A")
+    query = query.order_by((SCORE.version == version).desc(), SCORE.created_at.desc())
+    return transaction.execute(query.limit(1)).scalar_one()
 
 
 def _sign(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 
 from assistax_base.digest import leaf_sha256, merkle_root
+from assistax_board.clock import date_of
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.closing import find_season
@@ -83,6 +84,7 @@ def create_season(service: "Service", plan: Plan, folder: Path, public: "Registr
             "invalid",
             f"panels of {sizes['A']} and {sizes['B']} partners; panel B needs {ENOUGH_IN_B} for a "
             "useful interval: train more, or plan a small season",
+            remedy="allow small",
         )
     row = {
         "id": new_id(),
@@ -111,15 +113,16 @@ def open_season(transaction: Transaction, name: str, closes_at: float | None = N
     Args:
         transaction: In which the opening is recorded.
         name: Name or id of the season.
-        closes_at: When it closes by itself; `OPEN_SECONDS` from now if not given.
+        closes_at: When it closes by itself; if not given the draft's date, or `OPEN_SECONDS` from
+            now.
 
     Raises:
         Problem: There is no such draft, or the date is not ahead.
     """
-    closes_at = transaction.now + OPEN_SECONDS if closes_at is None else closes_at
-    if not transaction.now < closes_at < transaction.now + MAX_OPEN_SECONDS:
-        raise Problem("invalid", "a season closes within three years from now")
     row = find_season(transaction, name, "draft")
+    planned = row.closes_at or transaction.now + OPEN_SECONDS
+    closes_at = planned if closes_at is None else closes_at
+    check_date(transaction, closes_at)
     _check_unseen(transaction, row.id, row.secret["leaves"])
     check_program(row.name, row.secret["leaves"])
     root = merkle_root(map(leaf_sha256, row.secret["leaves"]))
@@ -129,6 +132,22 @@ def open_season(transaction: Transaction, name: str, closes_at: float | None = N
     body |= {"panel_sizes": row.panel_sizes, "budget": row.budget, "closes_at": closes_at}
     transaction.record("season_open", body)
     return root
+
+
+def check_date(transaction: Transaction, closes_at: float) -> None:
+    """Refuse a closing date that is past, or too far ahead.
+
+    Raises:
+        Problem: It is.
+    """
+    now, last = transaction.now, transaction.now + MAX_OPEN_SECONDS
+    if not now < closes_at < last:
+        when = "past" if closes_at <= now else "more than three years ahead"
+        raise Problem(
+            "invalid",
+            f"the closing date {date_of(closes_at)} is {when}; give one from {date_of(now)} to "
+            f"{date_of(last)}",
+        )
 
 
 def revealed(database: Database, name: str) -> dict[str, Any]:

@@ -146,21 +146,22 @@ def plan_jobs(
     Panel A is held back until the public half is done: a robot that breaks down does so before it
     has met anybody hidden.
     """
-    identity = catalogue.identity(row["task"])
-    version = version_id(identity)
-    known = {
-        "id": version,
-        "task": row["task"],
-        "identity": identity,
-        "created_at": transaction.now,
-    }
-    transaction.insert_once(schema.versions, known)
+    version = record_version(transaction, catalogue, row["task"])
     public = len(cut(catalogue.public_panel(row["task"]), CHUNK))
     order: dict[str, Any] = {"turn": row["turn"]}
     jobs.add_jobs(transaction, row["id"], version, "public", public, **order)
     if season is not None:
         hidden = count_chunks(season.panel_sizes["A"])
         jobs.add_jobs(transaction, row["id"], version, "A", hidden, held=True, **order)
+
+
+def record_version(transaction: Transaction, catalogue: Catalogue, task: str) -> str:
+    """Note the version that a task is scored under now, once, and return its id."""
+    identity = catalogue.identity(task)
+    version = version_id(identity)
+    row = {"id": version, "task": task, "identity": identity, "created_at": transaction.now}
+    transaction.insert_once(schema.versions, row)
+    return version
 
 
 def count_chunks(partners: int) -> int:

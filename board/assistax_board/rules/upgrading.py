@@ -1,6 +1,8 @@
-"""After an upgrade, plan every submission at the new version, unless a season is closing."""
+"""After an upgrade or a rollback, plan every submission at the version that is now served."""
 
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
@@ -9,6 +11,7 @@ from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.catalogue import version_id
 from assistax_board.rules.release_pack import check_program
 from assistax_board.store import schema
+from assistax_board.store.database import Transaction
 from assistax_board.store.schema import (
     ERASED,
     JOB,
@@ -24,10 +27,10 @@ if TYPE_CHECKING:
 
 
 def adopt_version(service: "Service") -> int:
-    """Plan jobs of the current version for each submission that has none; return their number.
+    """Plan the jobs of the current version that submissions lack; return how many lacked some.
 
-    Unfinished jobs of older versions are dropped, since no worker of today can do them. Scores of
-    older versions stay.
+    Unfinished jobs of other versions are dropped, since no worker of today can do them. Scores of
+    other versions stay, and so does what was played: after a rollback it is not played again.
 
     Raises:
         Problem: A season is closing under another version, or has persons of another program;
@@ -38,26 +41,42 @@ def adopt_version(service: "Service") -> int:
     for task in service.catalogue.tasks:
         _check_closing(service, task)
     for task in service.catalogue.tasks:
-        version = version_id(service.catalogue.identity(task))
         with service.begin() as transaction:
-            planned = sa.select(JOB.submission).where(JOB.version == version)
-            stale = sa.select(schema.submissions).where(
-                SUBMISSION.task == task,
-                SUBMISSION.state.in_(("queued", "running", "scored")),
-                # A season's references play panel B alone.
-                (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
-                SUBMISSION.id.not_in(planned),
-                SUBMISSION.entry.is_(None) | SUBMISSION.entry.not_in(UNFROZEN),
-                # Nobody has the file of an erased lab.
-                SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
-            )
-            for row in transaction.execute(stale).mappings().all():
-                jobs.cancel_jobs(transaction, row["id"])
+            version = submissions.record_version(transaction, service.catalogue, task)
+            jobs.drop_other_versions(transaction, task, version)
+            turns: Counter[str] = Counter()
+            for row in _lacking(transaction, task, version):
                 season = closing.season_of(transaction, row["id"])
                 season = season if season is not None and season.state == "open" else None
-                submissions.plan_jobs(transaction, service.catalogue, row, season)
+                hidden = season is not None
+                if not jobs.queue_again(transaction, row["id"], version, hidden=hidden):
+                    turn = {"turn": row["turn"] + turns[row["submitter"]]}
+                    submissions.plan_jobs(transaction, service.catalogue, {**row, **turn}, season)
+                turns[row["submitter"]] += 1
                 changed += 1
     return changed
+
+
+def _lacking(transaction: Transaction, task: str, version: str) -> Sequence[Any]:
+    """Return the submissions of which jobs of a version are missing, or were dropped.
+
+    Those that were never answered come first, the others in the order of their first answers.
+    """
+    mine = sa.select(JOB.submission).where(JOB.version == version)
+    dropped = mine.where(JOB.state == "cancelled", JOB.panel != "B")
+    query = sa.select(schema.submissions).where(
+        SUBMISSION.task == task,
+        SUBMISSION.state.in_(("queued", "running", "scored")),
+        # A season's references play panel B alone.
+        (SUBMISSION.kind != "reference") | SUBMISSION.season.is_(None),
+        SUBMISSION.id.not_in(mine) | SUBMISSION.id.in_(dropped),
+        SUBMISSION.entry.is_(None) | SUBMISSION.entry.not_in(UNFROZEN),
+        # Nobody has the file of an erased lab.
+        SUBMISSION.artefact.is_(None) | SUBMISSION.artefact.not_in(ERASED),
+    )
+    order = SUBMISSION.finished_at.is_not(None), SUBMISSION.finished_at, SUBMISSION.created_at
+    query = query.order_by(*order, SUBMISSION.id)
+    return transaction.execute(query).mappings().all()
 
 
 def _check_programs(service: "Service") -> None:
@@ -79,7 +98,7 @@ def _check_closing(service: "Service", task: str) -> None:
         .where(SUBMISSION.task == task, SEASON.state == "closing")
         .where(JOB.version != version_id(identity))
         .where(
-            JOB.state.in_(("held", "waiting", "leased"))
+            JOB.state.in_(jobs.OPEN)
             | ((JOB.panel == "B") & (JOB.failures >= MAX_FAILURES))  # may be queued again
         )
     )

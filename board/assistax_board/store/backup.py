@@ -6,6 +6,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from assistax_board.store.addresses import addresses_of, own_addresses
 from assistax_board.store.artefacts import ARTEFACTS_FOLDER
 from assistax_board.store.database import DATABASE_FILE
 from assistax_board.store.receipts import KEY_FILE
@@ -21,6 +22,10 @@ def back_up(data: Path, target: Path) -> int:
     Raises:
         ValueError: The database is damaged, or names artefacts that are not in the folder.
     """
+    database = addresses_of(data).database
+    if database != own_addresses(data).database:
+        place = database.render_as_string()
+        raise ValueError(f"the board of {data} is at {place}; use that database's own backup")
     if not (data / DATABASE_FILE).is_file():
         raise ValueError(f"{data} holds no {DATABASE_FILE}; give the folder of a service")
     if target.exists():

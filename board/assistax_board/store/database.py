@@ -16,6 +16,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.dialects.postgresql import insert as postgresql_insert
 from sqlalchemy.dialects.sqlite import insert as sqlite_insert
+from sqlalchemy.exc import OperationalError
 
 from assistax_board.clock import Clock
 from assistax_board.store import ledger
@@ -94,15 +95,21 @@ class Database:
         """Bring the schema to the newest version; a new database gets every table.
 
         Raises:
-            ValueError: The database is of a version of the board that this one does not know.
+            ValueError: The database is of a version of the board that this one does not know, or
+                does not answer.
         """
         from alembic import command
         from alembic.util import CommandError
 
+        where = self.url.render_as_string()  # without a password
         try:
             command.upgrade(alembic_config(self.url), "head")
+        except OperationalError as error:
+            reason = str(error.orig).partition("\n")[0]
+            raise ValueError(
+                f"{where} does not answer ({reason}); correct its address, or let it run"
+            ) from None
         except CommandError:
-            where = self.url.render_as_string()  # without a password
             raise ValueError(
                 f"{where} was made by another version of the board, which this one cannot read; "
                 "use that version, or name a new folder and database"

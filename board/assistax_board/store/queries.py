@@ -5,7 +5,7 @@ Nothing here imports JAX or plays an episode.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -47,8 +47,16 @@ STATEMENT = (
 class Queries:
     """The questions that pages and the API may ask."""
 
-    def __init__(self, database: Database) -> None:
-        self.database = database
+    def __init__(
+        self, database: Database, served: Callable[[str], str | None] = lambda task: None
+    ) -> None:
+        """Prepare to ask.
+
+        Args:
+            database: Of the board.
+            served: Returns the id of the version that a task is scored under now.
+        """
+        self.database, self._served = database, served
 
     def submissions(
         self,
@@ -165,11 +173,14 @@ class Queries:
             return tuple(tuple(row) for row in connection.execute(query))
 
     def versions(self, task: str) -> list[tuple[str, dict[str, Any]]]:
-        """Return (id, identity) of the versions that scored this task, the newest first."""
+        """Return (id, identity) of this task's versions: the one that is served, then the newest.
+
+        After a rollback the newest one is not the one that is served.
+        """
         query = (
             sa.select(VERSION.id, VERSION.identity)
             .where(VERSION.task == task)
-            .order_by(VERSION.created_at.desc())
+            .order_by((VERSION.id == self._served(task)).desc(), VERSION.created_at.desc())
         )
         with self.database.read() as connection:
             return [(row.id, row.identity) for row in connection.execute(query)]

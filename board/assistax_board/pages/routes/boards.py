@@ -97,7 +97,7 @@ def newest_film(site: Site) -> dict[str, Any] | None:
 
 
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
-    """Return the values of a board's page; the default version is the newest."""
+    """Return the values of a board's page; the default version is the one served."""
     board = site.boards.of(task, version)
     safety = board.safety if board else {}
     rows = board.rows if board else ()

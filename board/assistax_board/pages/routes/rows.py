@@ -146,7 +146,7 @@ def board_csv(board: Board) -> str:
 
 
 def old_version(site: Site, task: str, version: str) -> str | None:
-    """Return the version named by a reader; None if it is the newest.
+    """Return the version named by a reader; None if it is the one that is served.
 
     Raises:
         NotFoundError: Nothing was scored under it.
@@ -158,7 +158,7 @@ def old_version(site: Site, task: str, version: str) -> str | None:
 
 
 def board_of(site: Site, task: str, version: str) -> Board:
-    """Return the board of a task under a version that a reader named, or the newest.
+    """Return the board of a task under a version that a reader named, or the one served.
 
     Raises:
         NotFoundError: Nothing was scored, or not under that version.
