@@ -9,12 +9,12 @@ import sqlalchemy as sa
 
 from assistax_board import folder
 from assistax_board.checking import check_service
-from assistax_board.rules import moving
 from assistax_board.rules.tokens import authenticate, list_tokens
 from assistax_board.serve import only_server, open_service
 from assistax_board.store import schema
 from assistax_board.store.addresses import ADDRESSES_FILE, addresses_of
 from assistax_board.store.backup import back_up
+from assistax_board.store.migrations import moving
 from assistax_board.store.schema import METADATA
 from assistax_zoo.shell.main import run
 from tests.board.fakes import close_spring, new_service, new_submitter, scored

@@ -103,8 +103,8 @@ def service_move(*, data: Path, to: str) -> None:
     Example:
         assistax-zoo service move --to postgresql://zoo@db.example.org/board --data my-board
     """
-    from assistax_board.rules.moving import move_board
     from assistax_board.serve import only_server
+    from assistax_board.store.migrations.moving import move_board
 
     service = open_folder(data)
     before = service.database.url.render_as_string()
