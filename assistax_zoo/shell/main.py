@@ -87,7 +87,7 @@ AUDIENCES = {
     "persons replay",
     "Train": "train train-ego sweep",
     "Publish, make releases and tasks": "publish audit gates",
-    "Boards": "submit serve worker token season receipt ledger service",
+    "Boards": "submit submission serve worker token season receipt ledger service",
     "This machine": "doctor cache config --help --version --install-completion",
 }
 
