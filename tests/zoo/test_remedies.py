@@ -13,7 +13,8 @@ def test_shell_adds_option_to_error_advice() -> None:
 
 
 def test_every_remedy_has_its_words() -> None:
-    keys = {"fetch before", "name a remote"}  # of single errors of `zoo.transport.fetch`
+    # Of single errors of `zoo.transport.fetch` and of the board's `rules.seasons`.
+    keys = {"fetch before", "name a remote", "allow small"}
     classes = [value for value in vars(assistax_base.errors).values() if isinstance(value, type)]
     keys |= {error.remedy for error in classes if issubclass(error, ZooError) and error.remedy}
     assert keys == set(REMEDIES)
