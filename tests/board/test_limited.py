@@ -121,21 +121,24 @@ def test_unlike_operators_are_compiled_at_once() -> None:
     assert time.process_time() - began < 5.0
 
 
-@pytest.mark.slow
-def test_long_chain_of_operators_is_compiled_fast(optimised: None) -> None:
-    """The chain of 1,990 that got no answer; a compiler that does its best takes much longer."""
-    names = [*(f"v{place}" for place in range(1990)), "action"]
+def test_a_long_chain_of_operators_is_compiled_fast_not_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A compiler that does its best took nine seconds for a chain of 1,990 operators."""
+    names = [*(f"v{place}" for place in range(200)), "action"]
     nodes = [helper.make_node("MatMul", ["obs", "w"], ["v0"])]
     nodes += [helper.make_node("Tanh", [old], [new]) for old, new in pairwise(names)]
     data = file_of(nodes, {"w": np.full((OBS, ACT), 0.01, np.float32)}, "action")
-    Admission(SIZES).read(many_shapes(1), TASK)
-    began = time.process_time()
-    robot = Admission(SIZES).read(data, TASK)
-    looked, policy = time.process_time() - began, robot.spec.player()
-    obs, carry = np.zeros((5, OBS), np.float32), policy.initial_carry((5,))
-    began = time.process_time()
-    jax.jit(policy.act)(robot.params, carry, obs, np.ones(5, bool))
-    assert looked < (time.process_time() - began) / 2
+    given, compiled = [], jax.stages.Lowered.compile
+
+    def recorded(lowered: Any, compiler_options: Any = None) -> Any:
+        given.append(compiler_options)
+        return compiled(lowered, compiler_options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", recorded)
+    assert Admission(SIZES).read(data, TASK).format == "onnx"
+    [options] = given
+    assert options["xla_backend_optimization_level"] == "0"
 
 
 def test_admission_names_the_exceeded_limit(monkeypatch: pytest.MonkeyPatch) -> None:
