@@ -20,7 +20,8 @@ class Preference:
     place: float  # m, how far across the waist its arm should lie
     wait: float = 0.08  # m, how far before the lips a spoon should wait
     depth: float = 0.02  # m, how far behind the lips its bowl should come
-    press: float = 1.0  # N, of a brush on its teeth
+    press: float = 2.0  # N, of a brush on its teeth
+    tolerance: float = 2.5  # force that hurts, in units of the task
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -34,7 +35,7 @@ DISTANCES = (0.1, 0.25, 0.6)  # m
 PLACES = (0.1, 0.2, 0.3)  # m
 WAITS = (0.04, 0.08, 0.16)  # m
 DEPTHS = (0.012, 0.02, 0.028)  # m
-PRESSES = (0.5, 1.0, 2.0)  # N
+PRESSES = (1.0, 2.0, 4.0)  # N
 # Secrets that a robot observes in rows to compare with: nothing, the human's preference, or all
 # numbers of a person.
 Told = bool | Literal["partner"]

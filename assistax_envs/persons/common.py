@@ -19,7 +19,14 @@ LAPSE = 1.0  # s
 REACTS = 0.2  # s, of a movement that needs no aim; Fitts' law adds to it
 RESUMES = 0.3  # share of the limit below which a person helps again
 CORRELATED = 0.8  # of a step's noise, what was there the step before
-LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}  # by family
+# By family. A stepper moves its intended posture in steps of STRIDE, and shows by nodding.
+LAWS = {
+    "spring": reaction.proportional,
+    "muscle": reaction.guarded,
+    "stepper": reaction.proportional,
+}
+STRIDE = 12  # steps: 240 ms
+NOD = 50  # steps of a nod and the pause after it: 1 s
 _ODD = np.uint32(0x9E3779B9)  # the golden ratio's bits
 _FIRST, _SECOND = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)  # of MurmurHash3's finaliser
 
@@ -87,6 +94,16 @@ def minimum_jerk(way: jax.Array, time: jax.Array) -> jax.Array:
     """Return the share of a movement that is done after `way` s: Flash and Hogan 1985."""
     t = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+def strides(age: jax.Array, held: jax.Array, intended: jax.Array) -> jax.Array:
+    """Return the posture [N, J] that a stepper holds: the intended one at its last stride."""
+    return jnp.where((age % STRIDE == 0)[:, None], intended, held)
+
+
+def nods(age: jax.Array) -> jax.Array:
+    """Return whether a stepper shows what it feels at this age [N]: half of the time."""
+    return (age % NOD < NOD // 2).astype(jnp.float32)
 
 
 def shaken(before: jax.Array, normal: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """A person at work: feels with a delay, reacts, intends, and pulls. A pure function of a carry.
 
-Shapes: N simulations; a row [N, 25] of numbers for each. One step is 20 ms.
+Shapes: N simulations; a row [N, 30] of numbers for each. One step is 20 ms.
 """
 
 import dataclasses
@@ -12,14 +12,15 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.persons import common, muscles, reaction
+from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.body import JOINTS, Arm
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED
-from assistax_envs.persons.parameters import FOREARM, index, person_kind
+from assistax_envs.persons.parameters import index, person_kind
 from assistax_envs.persons.postures import Postures
 from assistax_envs.persons.senses import Senses, sense
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
+from assistax_envs.tasks.person_numbers import FOREARM
 
 CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative above which it waits for nothing, or a touch
 LIMP = 0.1  # tone of an arm at rest
@@ -29,9 +30,12 @@ MOVED = 0.1  # rad, from where on another posture is worth a movement
 SUSTAINED = 0.2  # s, over which effort stiffens an arm
 REFLEX = 0.04  # s, over which stretching is felt by the reflex
 SEARCHED = 128  # persons whose postures are searched at a time
+SHOWN = 0.25  # rad, how far it leans at most to show that a touch is not as liked
 PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
 
-MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle}
+MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle, "stepper": muscles.spring}
+SPOKEN = 0x51ED270B  # changes the seed of chance that words take
+ELBOW = np.array([0.0, 0.0, 1.0], np.float32)
 
 
 @jax.tree_util.register_dataclass
@@ -45,6 +49,8 @@ class Mind:
     tool: jax.Array  # [N, 3] m, a step ago
     sliding: jax.Array  # m/s, smoothed
     reaction: reaction.Reaction
+    signs: signs.Signs
+    shown: jax.Array  # [N, 3] rad, how far it leans for what it likes
     touched: jax.Array  # bool, ever
     pushed: jax.Array  # bool, ever
     stopped: jax.Array  # bool: hurt, and not yet willing again
@@ -56,6 +62,7 @@ class Mind:
     way: jax.Array  # s since then
     time: jax.Array  # s that the movement takes
     intended: jax.Array  # [N, 3] rad
+    held: jax.Array  # [N, 3] rad, the posture that muscles hold, of the family that steps
     tone: jax.Array  # 0 to 1
     effort: jax.Array  # [N, 3] N m, smoothed torque
     activation: jax.Array  # [N, 3, 2] of muscles
@@ -82,6 +89,7 @@ class Controller:
         self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
         self._place, self._carried = index(task), "liked_distance" in index(task)
         self._spared = REGISTERED[task].spared
+        self._signing, self._steps = signs.Signing(task), family == "stepper"
         self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
 
     def initial(self, n: int) -> Mind:
@@ -95,6 +103,8 @@ class Controller:
             tool=none,
             sliding=zero,
             reaction=calm,
+            signs=signs.silent(n, self._signing.wishes),
+            shown=none,
             touched=no,
             pushed=no,
             stopped=no,
@@ -106,6 +116,7 @@ class Controller:
             way=zero,
             time=zero,
             intended=none,
+            held=none,
             tone=zero,
             effort=none,
             activation=jnp.zeros((n, JOINTS, 2), jnp.float32),
@@ -120,7 +131,7 @@ class Controller:
         """Return the new carry and the actions [N, 3]: shares of the seat's torques.
 
         Args:
-            row: [N, 25] numbers of `PARAMETERS`.
+            row: [N, 30] numbers of `PARAMETERS`.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
             first: [N] whether an episode begins: its carry is fresh.
@@ -133,6 +144,7 @@ class Controller:
         mind, felt, late = self._feel(mind, now, numbers)
         mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
         chance = common.uniform(mind.seed, mind.age, 2 * JOINTS)
+        mind = self._show(mind, felt, numbers)
         mind = self._intend(mind, felt, now, numbers, chance[:, JOINTS])
         return self._move(mind, now, late, numbers, strength, common.normal(chance[:, :JOINTS]))
 
@@ -155,6 +167,7 @@ class Controller:
             past=still,
             tool=now.tool,
             intended=now.position,
+            held=now.position,
             begin=now.position,
             tone=jnp.full_like(fresh.tone, LIMP),
         )
@@ -231,6 +244,28 @@ class Controller:
         away = _unit((jacobian * -outward[:, :, None]).sum(1))
         return away, jnp.linalg.norm(drift, axis=-1)
 
+    def _show(self, mind: Mind, felt: reaction.Felt, numbers: dict[str, jax.Array]) -> Mind:
+        """Lean and speak by how far the touch of a delay ago is from what is liked."""
+        touched = felt.force > FELT
+        if self._carried:
+            off, judged = [felt.near, felt.near], [felt.near != 1.0, jnp.zeros_like(touched)]
+        else:
+            off = [felt.force / jnp.maximum(felt.liked, 1e-3), felt.speed]
+            judged = [touched, touched]
+        made = self._signing
+        if not made.wishes:
+            return mind
+        shows = made.felt(mind.signs, jnp.stack(off, axis=-1), jnp.stack(judged, axis=-1))
+        stopped = mind.reaction.discomfort > numbers["limit"]
+        chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
+        shows = made.speak(shows, stopped, numbers, chance)
+        leans = made.leans(shows, numbers)
+        aside = _unit(jnp.cross(felt.away, jnp.asarray(ELBOW)[None]))
+        shown = SHOWN * (leans[:, :1] * felt.away + leans[:, 1:2] * aside)
+        if self._steps:
+            shown = shown * common.nods(mind.age)[:, None]
+        return dataclasses.replace(mind, signs=shows, shown=shown)
+
     def _intend(
         self,
         mind: Mind,
@@ -292,8 +327,11 @@ class Controller:
         """Return the carry and the actions [N, 3] that muscles, noise and tremor make."""
         most = (strength * (1.0 - mind.tired))[:, None] * jnp.asarray(self.arm.torque)[None]
         low, high = jnp.asarray(self.arm.range.T)[:, None]
+        intended = mind.intended + mind.reaction.shift + mind.shown
+        if self._steps:
+            intended = common.strides(mind.age, mind.held, intended)
         command = muscles.Command(
-            intended=jnp.clip(mind.intended + mind.reaction.shift, low, high),
+            intended=jnp.clip(intended, low, high),
             position=now.position,
             late=late,
             velocity=now.velocity,
@@ -315,6 +353,7 @@ class Controller:
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
+            held=intended,
             effort=mind.effort + STEP / SUSTAINED * (torque - mind.effort),
             activation=activation,
             shaken=shaken,

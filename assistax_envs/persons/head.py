@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, SEAT
-from assistax_envs.persons import common, muscles, reaction
+from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, Numbers
 from assistax_envs.persons.parameters import index, person_kind
 from assistax_envs.registered import REGISTERED, load
@@ -32,6 +32,8 @@ AIM, MOVED = 0.05, 0.03  # rad, of movements, as in `controller`
 REFLEX = 0.25  # s that a bite reflex lasts
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
 LATE = 0.3  # of that, the share that waits for the delay
+BACK, ASIDE = 0.08, 0.1  # rad, how far it leans at most for its first wish, and its second
+SPOKEN = 0x51ED270B  # changes the seed of chance that words take
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
 
 
@@ -46,6 +48,8 @@ class Mind:
     tool: jax.Array  # [N, 3] m, in the mouth's frame, a step ago
     moving: jax.Array  # m/s, of the tool there, smoothed
     reaction: reaction.Reaction
+    signs: signs.Signs
+    shown: jax.Array  # [N, 5] rad, how far it leans for what it likes
     stopped: jax.Array  # bool: hurt, and not yet willing again
     place: jax.Array  # int32: the stage, or the place on the teeth, that it knows of
     willing: jax.Array  # s, how ripe its wish to open or to turn is
@@ -55,6 +59,7 @@ class Mind:
     way: jax.Array  # s since then
     time: jax.Array  # s that the movement takes
     intended: jax.Array  # [N, 5] rad
+    held: jax.Array  # [N, 5] rad, the posture that muscles hold, of the family that steps
     activation: jax.Array  # [N, 5] N m, of muscles
     shaken: jax.Array  # [N, 5] correlated noise
     bitten: jax.Array  # s that a bite reflex still lasts
@@ -86,6 +91,9 @@ class Head:
         mujoco.mj_forward(model, data)
         # N m that hold head and jaw.
         self._weight = np.array(data.qfrc_bias[[j.dofadr[0] for j in joints]], np.float32)
+        self._signing, self._steps = signs.Signing(task), family == "stepper"
+        # The jaw shows a wish about the mouth's inside, and the roll of the neck one about speed.
+        self._aside = JAW if "liked_depth" in index(task) else ROLL
         self._place, self._spared = index(task), REGISTERED[task].spared
         person = person_kind(task)
         self._columns, self._touch_unit = person.columns, person.touch_unit
@@ -102,11 +110,14 @@ class Head:
             past=jnp.zeros((n, LATEST, JOINTS + 6), jnp.float32),
             tool=jnp.zeros((n, 3), jnp.float32),
             reaction=reaction.calm(n, JOINTS),
+            signs=signs.silent(n, self._signing.wishes),
             stopped=jnp.zeros(n, bool),
             place=jnp.full(n, -1, jnp.int32),
             bitten=zero - 1.0,
             **dict.fromkeys(("moving", "willing", "lapsed", "way", "time", "tired"), zero),
-            **dict.fromkeys(("aim", "begin", "intended", "activation", "shaken"), none),
+            **dict.fromkeys(
+                ("aim", "begin", "intended", "held", "shown", "activation", "shaken"), none
+            ),
         )
 
     def act(
@@ -115,7 +126,7 @@ class Head:
         """Return the new carry and the actions [N, 5]: shares of the seat's torques.
 
         Args:
-            row: [N, 25] numbers of `PARAMETERS`.
+            row: [N, 30] numbers of `PARAMETERS`.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
             first: [N] whether an episode begins: its carry is fresh.
@@ -135,8 +146,10 @@ class Head:
         chance = common.uniform(mind.seed, mind.age, JOINTS + 1)
         place = parts["progress"].argmax(axis=1).astype(jnp.int32)
         perceived = self._perceived(mind, late, place, numbers)
-        felt = self._felt(perceived)
+        comfort = self._judge(perceived)
+        felt = self._felt(perceived, comfort)
         mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
+        mind = self._show(mind, comfort, felt, numbers)
         mind = self._intend(mind, perceived, chance[:, JOINTS])
         return self._move(mind, now, late, numbers, common.normal(chance[:, :JOINTS]))
 
@@ -160,6 +173,7 @@ class Head:
             aim=now,
             begin=now,
             intended=now,
+            held=now,
         )
         return common.begun(first, fresh, mind)
 
@@ -180,9 +194,9 @@ class Head:
             numbers=numbers,
         )
 
-    def _felt(self, now: Perceived) -> reaction.Felt:
+    def _felt(self, now: Perceived, comfort: Comfort) -> reaction.Felt:
         """Return the touch of a delay ago, as the reaction takes it."""
-        comfort, one = self._judge(now), jnp.ones_like(now.force)
+        one = jnp.ones_like(now.force)
         # Away from the side from which the tool comes; a tool in front turns the head to the left,
         # since the robot stands at the right.
         side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
@@ -197,6 +211,21 @@ class Head:
             near=comfort.near,
             away=away,
         )
+
+    def _show(self, mind: Mind, comfort: Comfort, felt: reaction.Felt, numbers: Numbers) -> Mind:
+        """Lean and speak by how far the touch of a delay ago is from what is liked."""
+        made = self._signing
+        shows = made.felt(mind.signs, comfort.ratio, comfort.judged)
+        stopped = mind.reaction.discomfort > numbers["limit"]
+        chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
+        shows = made.speak(shows, stopped, numbers, chance)
+        leans = made.leans(shows, numbers)
+        sign = -1.0 if self._aside == JAW else 1.0  # a mouth closes a little on what is too deep
+        shown = BACK * leans[:, :1] * felt.away
+        shown = shown.at[:, self._aside].add(sign * ASIDE * leans[:, 1])
+        if self._steps:
+            shown = shown * common.nods(mind.age)[:, None]
+        return dataclasses.replace(mind, signs=shows, shown=shown)
 
     def _intend(self, mind: Mind, now: Perceived, chance: jax.Array) -> Mind:
         """Decide where head and jaw should be, and move on towards it by minimum jerk."""
@@ -243,7 +272,10 @@ class Head:
         for joint, hertz in zip((PITCH, YAW), WANDERS, strict=True):
             phase = 2.0 * np.pi * hertz * time + (mind.seed % 628).astype(jnp.float32) / 100.0
             wander = wander.at[:, joint].set(numbers["wander"] * jnp.sin(phase))
-        goal = jnp.clip(mind.intended + wander + mind.reaction.shift, low, high)
+        intended = mind.intended + mind.reaction.shift + mind.shown
+        if self._steps:
+            intended = common.strides(mind.age, mind.held, intended)
+        goal = jnp.clip(intended + wander, low, high)
         spring = jnp.asarray(self._spring)[None]
         loud = numbers["stiffness"] * (1.0 + mind.reaction.discomfort)
         share = 1.0 if self._muscle else LATE
@@ -271,6 +303,7 @@ class Head:
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
+            held=intended,
             activation=activation,
             shaken=shaken,
             bitten=bitten,

@@ -65,13 +65,17 @@ def _program(
         action = jnp.zeros_like(action) if human == "idle" else action
         memory, driven = command(memory, obs["robot"], time)
         stopped = state.terminated  # what comes after counts for nothing
-        state = env.step(state, {"robot": driven, "human": action})
+        word = player.word(carry) * (human != "idle")
+        state = env.step(state, {"robot": driven, "human": action, "word": word})
         seen = {
             "reward": jnp.where(stopped, 0.0, state.reward),
             "force": state.measures.force,
             "success": state.measures.success & ~stopped,
             "violated": state.measures.violated,
-            "discomfort": carry.reaction.discomfort,
+            "discomfort": state.measures.discomfort,
+            "done": state.measures.done,
+            "judged": state.measures.judged,
+            "word": word,
             # At the mouth a person shows its preference before the first touch.
             "met": (state.measures.force > FELT) | (REGISTERED[task].seat == "mouth"),
             "obs": obs["robot"],

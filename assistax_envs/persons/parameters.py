@@ -28,7 +28,6 @@ PARAMETERS: Mapping[str, tuple[Parameter, ...]] = ByTask(
     lambda kind: person_kind(kind.name).parameters, lambda kind: kind.person is not None
 )
 WIDTH = len(SKIN)  # numbers of a row
-FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
 
 
 def index(task: str) -> dict[str, int]:

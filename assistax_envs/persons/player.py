@@ -39,7 +39,7 @@ class PersonPlayer:
     ) -> tuple[Any, jax.Array]:
         """Return the carry and the actions [..., 3], at the mouth 5, for observations [..., O].
 
-        `params` holds "row", [25] of one person or [..., 25] of as many as there are observations:
+        `params` holds "row", [30] of one person or [..., 30] of as many as there are observations:
         thousands of persons need no map.
         """
         shape = obs.shape[:-1]
@@ -58,10 +58,14 @@ class PersonPlayer:
         mind, action = self.controller.act(*given)
         return jax.tree.map(lambda leaf: leaf[:n].reshape(*shape, *leaf.shape[1:]), (mind, action))
 
+    def word(self, carry: Any) -> jax.Array:
+        """Return the words [...] int32 that persons say in the step of `act`; 0 for silence."""
+        return carry.signs.word
+
     def act_stack(
         self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
-        """Act for stacked persons, "row" [P, 25] and obs [P, R, O]: at once, without a map."""
+        """Act for stacked persons, "row" [P, 30] and obs [P, R, O]: at once, without a map."""
         return self.act({"row": params["row"][:, None]}, carry, obs, first)
 
 
@@ -81,7 +85,7 @@ def draw_persons(keys: jax.Array, numbers: np.ndarray | jax.Array) -> jax.Array:
 
 @own_settings()
 def person_params(task: str, rows: np.ndarray | jax.Array) -> EnvParams:
-    """Return the humans [N] of persons with rows [N, 25]: their bodies and preferences.
+    """Return the humans [N] of persons with rows [N, 30]: their bodies and preferences.
 
     Strength and tremor are the person's own, and not taken twice.
     """

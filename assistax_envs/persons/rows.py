@@ -1,4 +1,4 @@
-"""Ten thousand persons a task: Sobol's points, dealt into sides, and their identity."""
+"""Ten thousand persons a task and family: Sobol's points, dealt into sides, and their identity."""
 
 import dataclasses
 import functools
@@ -18,14 +18,16 @@ from assistax_envs.persons.parameters import (
     person_kind,
 )
 
-PROGRAM_VERSION = 2  # goes up when the same row acts otherwise in the same situation
-COUNT = 10_000
-INNER = 8_000  # persons inside 80% of every axis: training, and each tenth of them validation
-CORNERS = 9_000  # from INNER to here: beyond it on several axes, of the same program
-BEYOND = 5  # axes at least; of 25 a point of the whole cube has that many on average
+PROGRAM_VERSION = 3  # goes up when the same row acts otherwise in the same situation
+FAMILIES = ("spring", "muscle", "stepper")  # forms of the controller; no robot trains with the last
+ROWS = 10_000  # rows of numbers, the same for each family
+COUNT = ROWS * len(FAMILIES)  # persons: those of a family follow each other
+INNER = 8_000  # rows inside 80% of every axis; from here to ROWS: corners
+BEYOND = 10  # of a corner's axes at least lie beyond it, or all of its wishes: of 30 a point of the
+# whole cube has 6 there on average
 BITS = 30  # of a coordinate
 SIDES = ("training", "validation", "test")
-FAMILIES = ("spring", "muscle")  # forms of the controller; see `spring` and `muscle`
+UNSEEN = "stepper"  # the family that no robot trains with
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Person:
     number: int
     side: str  # one of SIDES
     family: str  # one of FAMILIES
-    row: np.ndarray  # [25] float32
+    row: np.ndarray  # [30] float32
 
     @property
     def name(self) -> str:
@@ -59,13 +61,19 @@ def person(task: str, number: int) -> Person:
     person_kind(task)
     if not 0 <= number < COUNT:
         raise ValueError(f"person {number} is not there; allowed are 0 to {COUNT - 1}")
-    family = FAMILIES[number >= CORNERS]
-    return Person(task, number, side(number), family, persons(task)[number])
+    return Person(task, number, side(number), family(number), persons(task)[number % ROWS])
+
+
+def family(number: int) -> str:
+    """Return the family of a person."""
+    return FAMILIES[number // ROWS]
 
 
 @functools.cache
 def persons(task: str) -> np.ndarray:
-    """Return the rows of all persons of a task, [10000, 25] float32, read-only.
+    """Return the rows of a task's persons, [10000, 30] float32, read-only.
+
+    Person n has row n modulo 10,000: each family has a person with each row.
 
     Raises:
         ValueError: there is no such task.
@@ -79,9 +87,9 @@ def persons(task: str) -> np.ndarray:
 def side(number: int) -> str:
     """Return the side of a person.
 
-    Training: inside; validation: each tenth of those; test: corners, and the other family.
+    Training: inside; validation: each tenth of those; test: corners, and the unseen family.
     """
-    if number >= INNER:
+    if number % ROWS >= INNER or family(number) == UNSEEN:
         return "test"
     return "validation" if number % 10 == 9 else "training"
 
@@ -98,7 +106,7 @@ def numbers(of: str) -> np.ndarray:
 
 
 def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
-    """Return rows [count, 25] of persons from anywhere in the cube, from a secret.
+    """Return rows [count, 30] of persons from anywhere in the cube, from a secret.
 
     The same secret gives the same rows: a season's hidden persons need no storage.
     """
@@ -147,7 +155,7 @@ def grades(someone: Person) -> dict[str, str]:
 
 
 def _rows(task: str, points: np.ndarray) -> np.ndarray:
-    """Return the rows of points [P, 25] of the unit cube."""
+    """Return the rows of points [P, 30] of the unit cube."""
     rows = [
         [number.quantile(share) for number, share in zip(PARAMETERS[task], point, strict=True)]
         for point in points.tolist()
@@ -156,20 +164,21 @@ def _rows(task: str, points: np.ndarray) -> np.ndarray:
 
 
 def _points(task: str) -> np.ndarray:
-    """Return points [10000, 25] of the unit cube: first those inside, corners, the other family.
+    """Return points [10000, 30] of the unit cube: first those inside, then corners.
 
     Sobol's numbers by Joe and Kuo, shifted by bits of the task's name: a scrambling that no other
     version of a library draws otherwise.
     """
     from scipy.stats import qmc
 
-    size = 2**15
+    size = 2**16
     plain = qmc.Sobol(WIDTH, scramble=False, bits=BITS).random(size)
     digest = hashlib.shake_256(b"persons of " + task.encode()).digest(4 * WIDTH)
     shift = np.frombuffer(digest, "<u4") >> (32 - BITS)
     points = ((plain * 2.0**BITS).astype(np.uint32) ^ shift) / 2.0**BITS
-    begin, end = 2**14, size  # corners come from the second half, everybody else from the first
-    corners = points[begin:end]
-    corners = corners[(np.abs(corners - 0.5) > 0.4).sum(axis=1) >= BEYOND]
-    inner = 0.1 + 0.8 * points[: INNER + COUNT - CORNERS]
-    return np.concatenate([inner[:INNER], corners[: CORNERS - INNER], inner[INNER:]])
+    beyond = np.abs(points - 0.5) > 0.4
+    wishes = [place for name, place in index(task).items() if name.startswith("liked_")]
+    corner = (beyond.sum(axis=1) >= BEYOND) | beyond[:, wishes].all(axis=1)
+    begin = 2**14  # corners come from what follows, all others from before it
+    corners = points[begin:][corner[begin:]]
+    return np.concatenate([0.1 + 0.8 * points[:INNER], corners[: ROWS - INNER]])

@@ -8,6 +8,7 @@ from assistax_envs.tasks.person import Parameter
 
 _GOMI = "Gomi and Osu 1998, J Neurosci 18:8965, for its form; the scale is a design"
 _WISH = "King et al. 2010, IROS: below 3 N wipe skin clean; Proc IMechE H 2023, 237:829"
+FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
 RANGE = "design: the gentle tasks' own range"
 
 BODY = (
@@ -108,9 +109,25 @@ REACTION = (
     Parameter("lean", "rad", 0.02, 0.1, "design: about 0.05 rad", "way towards too light a touch"),
     Parameter("limit", "1", 0.6, 1.5, "design: about 1", "discomfort that ends the help"),
 )
+# Persons inside 80% of every axis have shares of 0.1 to 0.9: a tenth of them has less than 0.18.
+SIGNS = (
+    Parameter(
+        "expressive", "1", 0.3, 1.0, "design",
+        "how far it leans for a touch that is not as liked; of a person that never speaks a fifth",
+    ),
+    Parameter(
+        "talkative", "1", 0.5, 1.0, "design", "chance to say a word when one is due", none=0.18
+    ),
+    Parameter(
+        "word_delay", "s", 0.4, 0.8, "design: a spoken reaction takes 0.4 to 1.5 s",
+        "from a reason to speak to the word",
+    ),
+    Parameter("word_pause", "s", 0.8, 1.5, "design", "least time between two words"),
+    Parameter("word_error", "1", 0.0, 0.1, "design", "chance that a word is any word"),
+)  # fmt: skip
 
 # Numbers of a person whose skin is touched.
-SKIN = (*BODY, *CONTROL, *INTENTION, *TOUCH, *REACTION)
+SKIN = (*BODY, *CONTROL, *INTENTION, *TOUCH, *REACTION, *SIGNS)
 # Numbers of a head, by the numbers of an arm whose places they take.
 _OF_MOUTH = {
     "range": Parameter(
@@ -150,4 +167,4 @@ _OF_MOUTH = {
 def numbers_of_head(own: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the numbers of a person that moves its head; `own` are the task's three."""
     numbers = (*BODY, *CONTROL, *INTENTION)
-    return (*(_OF_MOUTH.get(number.name, number) for number in numbers), *own, *REACTION)
+    return (*(_OF_MOUTH.get(number.name, number) for number in numbers), *own, *REACTION, *SIGNS)

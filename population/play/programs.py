@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int, Key
 from population.environment import Environment, EnvState
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
-from population.play.seats import act_all, initial_carries, noise_keys, widths
+from population.play.seats import act_all, initial_carries, noise_keys, said, widths
 from population.play.tally import Column, Tally, accumulate, begin, begin_window
 
 
@@ -110,6 +110,9 @@ class Programs:
             self.humans, block.humans, loop.human, obs, loop.time == 0, noise[1]
         )
         actions = {"robot": robot_action, "human": layout.from_humans(acted)}
+        words = said(self.humans, block.humans, human_carry, obs.shape[1])
+        if words is not None:
+            actions["word"] = layout.from_humans(words[..., None])[:, 0]
         state = _step_alone(self.env, loop.state, actions, block.trips)
         before, after = map(self.env.joint_positions, (loop.state, state))
         travel = {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}

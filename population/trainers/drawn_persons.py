@@ -30,7 +30,7 @@ class FamiliesPlayer:
 
     @staticmethod
     def rows(tables: Sequence[np.ndarray | jax.Array]) -> jax.Array:
-        """Return the rows [P, 26] of the families' tables [P_f, 25]: the family comes last."""
+        """Return the rows [P, 31] of the families' tables [P_f, 30]: the family comes last."""
         marked = [
             jnp.concatenate([jnp.asarray(rows), jnp.full((len(rows), 1), float(family))], axis=1)
             for family, rows in enumerate(tables)
@@ -39,21 +39,28 @@ class FamiliesPlayer:
 
     def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
         """Return the carries of all families, of which a person uses its own."""
-        return tuple(player.initial_carry(batch_shape) for player in self._players)
+        minds = (player.initial_carry(batch_shape) for player in self._players)
+        return tuple(minds), jnp.zeros(batch_shape, jnp.int32)
+
+    def word(self, carry: Any) -> jax.Array:
+        """See `PersonPlayer.word`."""
+        return carry[1]
 
     def act(
         self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
-        """See `PersonPlayer.act`; "row" is [..., 26]."""
+        """See `PersonPlayer.act`; "row" is [..., 31]."""
         row, family = params["row"][..., :-1], params["row"][..., -1:]
         acted = [
             player.act({"row": row}, own, obs, first)
-            for player, own in zip(self._players, carry, strict=True)
+            for player, own in zip(self._players, carry[0], strict=True)
         ]
-        action = acted[0][1]
-        for place, (_, others) in enumerate(acted[1:], start=1):
+        action, word = acted[0][1], self._players[0].word(acted[0][0])
+        for place, (mind, others) in enumerate(acted[1:], start=1):
             action = jnp.where(family == place, others, action)
-        return tuple(mind for mind, _ in acted), action
+            own = self._players[place].word(mind)
+            word = jnp.where(family[..., 0] == place, own, word)
+        return (tuple(mind for mind, _ in acted), word), action
 
 
 class DrawnPersons(FrozenPartners):
@@ -63,7 +70,7 @@ class DrawnPersons(FrozenPartners):
 
     Args:
         player: Acts for them.
-        rows: All of them [P, 25]; of several families as `FamiliesPlayer.rows` has them.
+        rows: All of them [P, 30]; of several families as `FamiliesPlayer.rows` has them.
         name: What they are called together, such as the id of their split.
     """
 
@@ -122,7 +129,7 @@ class DrawnPersons(FrozenPartners):
 
     @property
     def numbers(self) -> np.ndarray:
-        """Their rows [P, 25]."""
+        """Their rows [P, 30]."""
         return np.asarray(self.rows)[:, :WIDTH]
 
     def who(self, humans: Any, num_envs: int) -> jax.Array:
@@ -145,6 +152,10 @@ class DrawnPersons(FrozenPartners):
         """Return new minds and actions [N, A] of obs [N, O]."""
         return self.player.act({"row": params[humans.person]}, carry, obs, first)
 
+    def words(self, carry: Any, members: int) -> jax.Array | None:
+        """Return the words [N] int32 that they said with their last actions."""
+        return self.player.word(carry)
+
     def _of(self, places: jax.Array) -> EnvParams:
         humans = person_params(self.player.controller.task, self.rows[places])
         return dataclasses.replace(humans, person=places)
@@ -164,6 +175,9 @@ class IdlePersons(DrawnPersons):
     ) -> tuple[Any, jax.Array]:
         """Return the carries and no torques [N, A]."""
         return carry, jnp.zeros((len(obs), SEAT_SIZES[self.player.controller.task][1]), obs.dtype)
+
+    def words(self, carry: Any, members: int) -> None:
+        """Return None: they say nothing."""
 
 
 class OnePersonEach(DrawnPersons):

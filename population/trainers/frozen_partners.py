@@ -171,6 +171,21 @@ class FrozenPartners:
         action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
         return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
 
+    def words(self, carry: Any, members: int) -> jax.Array | None:
+        """Return the words [N] int32 that they said with their last actions; None if none speaks."""
+        policies, rows = self._policies, jax.tree.leaves(carry)
+        if not rows or not any(hasattr(policy, "word") for policy in policies):
+            return None
+        share = rows[0].shape[1]
+        said = jnp.concatenate(
+            [
+                policy.word(own) if hasattr(policy, "word") else jnp.zeros((len(stack), share), int)
+                for (policy, stack), own in zip(self._pairs(), carry, strict=True)
+            ]
+        )
+        said = said.reshape(len(self), members, -1)
+        return jnp.moveaxis(said, 1, 0).reshape(-1).astype(jnp.int32)
+
     def _pairs(self) -> list[tuple[Player, PolicyStack]]:
         return list(zip(self._policies, self.stacks, strict=True))
 

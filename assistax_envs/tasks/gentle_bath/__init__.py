@@ -9,7 +9,7 @@ from assistax_envs.tasks.kind import TaskKind
 
 TASK = TaskKind(
     name="gentle_bath",
-    version=3,
+    version=4,
     make="assistax_envs.tasks.gentle_bath.task:GentleBath",
     script="assistax_envs.tasks.gentle_bath.script:SCRIPT",
     scene=dataclasses.replace(BASE.scene, human_share=0.5, softened=True),

@@ -4,11 +4,11 @@ from assistax_envs.tasks.person import HEAD_SEEN, HeadHelp, Parameter, PersonKin
 from assistax_envs.tasks.person_numbers import RANGE, numbers_of_head
 
 _BRUSHED = (
-    Parameter("liked_press", "N", 0.5, 2.0, RANGE, "of the brush on the teeth", 1.0, 0.5),
+    Parameter("liked_press", "N", 0.8, 4.0, RANGE, "of the brush on the teeth", 2.0, 0.5),
     Parameter("liked_speed", "m/s", 0.02, 0.08, RANGE, "of the brush over the teeth", 0.04, 0.5),
     Parameter(
-        "tolerance", "1", 2.0, 8.0, "design: 4 N on average", "force that hurts, in liked forces",
-        4.0, 0.3,
+        "tolerance", "1", 1.5, 5.0, "design: 5 N on average", "force that hurts, in liked forces",
+        2.5, 0.3,
     ),
 )  # fmt: skip
 

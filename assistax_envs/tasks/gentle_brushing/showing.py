@@ -8,7 +8,7 @@ from jax import Array
 
 from assistax_envs.models.care_scenes import SEAT
 from assistax_envs.models.teeth import INNER, PLACES, SHOWN_BY
-from assistax_envs.tasks.gentle_base import STEP
+from assistax_envs.tasks.gentle_base import FELT, STEP
 from assistax_envs.tasks.mouth import OPENED, TURNED, Comfort, Perceived
 
 YAW, JAW = SEAT.index("neck_yaw"), SEAT.index("jaw")
@@ -17,9 +17,15 @@ YAW, JAW = SEAT.index("neck_yaw"), SEAT.index("jaw")
 def feel(now: Perceived) -> Comfort:
     """Judge a brush by how hard it presses and how fast it rubs."""
     force = now.numbers["liked_press"]
-    one = jnp.ones_like(now.force)
+    one, speed = jnp.ones_like(now.force), now.moving / now.numbers["liked_speed"]
+    touched = now.force > FELT
     return Comfort(
-        unit=force, preferred=force, speed=now.moving / now.numbers["liked_speed"], near=one
+        unit=force,
+        preferred=force,
+        speed=speed,
+        near=one,
+        ratio=jnp.stack([now.force / force, speed], axis=-1),
+        judged=jnp.stack([touched, touched], axis=-1),
     )
 
 

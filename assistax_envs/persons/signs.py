@@ -1,0 +1,120 @@
+"""Signs by which a person shows how far a touch is from what it likes: a posture, and words.
+
+Both say the same: by how much there is too much or too little of each wish. A person leans by
+tanh(ln(done / liked) / 0.5), and says the word of the wish that is farthest off. Shapes: N
+simulations, W wishes of the task.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax_envs.preferences import PREFERRED
+from assistax_envs.tasks.gentle_base import STEP
+from assistax_envs.words import ASKS, WORDS, code
+
+SMOOTHED = 0.3  # s, over which a touch is judged
+HALFWAY = 0.5  # of the logarithm of done over liked, where leaning bends
+ANNOYS = 0.25  # of that logarithm, from where on a person asks for something else
+PLEASED = 1.0  # s that a touch has to be as liked before it is called good, beside the delay
+QUIET = 0.2  # share of its expression that a person has which never speaks
+# Wishes of which there is too much when the tool is far away: a person leans towards it then.
+FAR = ("distance", "wait")
+STOP, GOOD = code("stop"), code("good")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Signs:
+    """State of a person's signs."""
+
+    off: jax.Array  # [N, W] logarithm of done over liked, smoothed
+    judged: jax.Array  # [N, W] bool, of a step ago
+    cause: jax.Array  # [N] int32, the word that a person has a reason for; 0 for none
+    due: jax.Array  # [N] s for which it has had that reason
+    since: jax.Array  # [N] s since it last spoke or might have
+    word: jax.Array  # [N] int32, said at this step; 0 for nothing
+
+
+def silent(n: int, wishes: int) -> Signs:
+    """Return the signs of N persons before they feel anything."""
+    zero, none = jnp.zeros(n, jnp.float32), jnp.zeros(n, jnp.int32)
+    off = jnp.zeros((n, wishes), jnp.float32)
+    return Signs(off, jnp.zeros((n, wishes), bool), none, zero, zero + 10.0, none)
+
+
+class Signing:
+    """The signs of a task's persons."""
+
+    def __init__(self, task: str) -> None:
+        wishes = PREFERRED.get(task, ())
+        # Codes [W, 2] of the words for too much and too little; 0 for a wish without words.
+        words = [ASKS.get(wish, ("", "")) for wish in wishes]
+        self._words = np.array(
+            [[code(w) if w else 0 for w in pair] for pair in words], np.int32
+        ).reshape(-1, 2)
+        self.wishes = len(wishes)
+        self._way = np.array([-1.0 if wish in FAR else float(wish in ASKS) for wish in wishes])
+
+    def felt(self, signs: Signs, ratio: jax.Array, judged: jax.Array) -> Signs:
+        """Return the signs after feeling `ratio` [N, W], done over liked, where it is `judged`."""
+        off = jnp.log(jnp.clip(ratio, 1e-2, 1e2))
+        smooth = jnp.where(signs.judged, signs.off + STEP / SMOOTHED * (off - signs.off), off)
+        off = jnp.where(judged, smooth, signs.off)
+        return dataclasses.replace(signs, off=off, judged=judged)
+
+    def leans(self, signs: Signs, numbers: dict[str, jax.Array]) -> jax.Array:
+        """Return how far a person leans for each wish [N, W], -1 to 1; positive is away."""
+        speaks = numbers["talkative"] > 0.0
+        share = numbers["expressive"] * jnp.where(speaks, 1.0, QUIET)
+        way = jnp.asarray(self._way, jnp.float32)[None]
+        return signs.judged * way * jnp.tanh(signs.off / HALFWAY) * share[:, None]
+
+    def speak(
+        self, signs: Signs, stopped: jax.Array, numbers: dict[str, jax.Array], chance: jax.Array
+    ) -> Signs:
+        """Return the signs after speaking or not.
+
+        "stop" goes first, then the wish that is farthest off, and "good" if all are near.
+
+        Args:
+            signs: The signs.
+            stopped: [N] bool, whether the person is hurt.
+            numbers: The persons' numbers by name.
+            chance: [N, 3] uniform numbers of this step.
+        """
+        wanted = self._wanted(signs, stopped)
+        # A reason that is away for a moment is not forgotten.
+        same = (wanted == signs.cause) & (wanted > 0)
+        due = jnp.where(same, signs.due + STEP, jnp.maximum(signs.due - STEP, 0.0))
+        other = due <= 0.0
+        cause = jnp.where(other, wanted, signs.cause)
+        due = jnp.where(other, 0.0, jnp.minimum(due, 3.0))
+        since = signs.since + STEP
+        wait = numbers["word_delay"] + jnp.where(cause == GOOD, PLEASED, 0.0)
+        ready = (cause > 0) & same & (due > wait) & (since > numbers["word_pause"])
+        any_word = 1 + jnp.floor(chance[:, 2] * len(WORDS)).astype(jnp.int32)
+        word = jnp.where(chance[:, 1] < numbers["word_error"], any_word, cause)
+        speaks = ready & (chance[:, 0] < numbers["talkative"])
+        return dataclasses.replace(
+            signs,
+            cause=cause,
+            due=due,
+            since=jnp.where(ready, 0.0, since),
+            word=jnp.where(speaks, word, 0).astype(jnp.int32),
+        )
+
+    def _wanted(self, signs: Signs, stopped: jax.Array) -> jax.Array:
+        """Return the word [N] that a person has a reason for now; 0 for none."""
+        if not self.wishes:
+            return jnp.where(stopped, STOP, 0)
+        words = jnp.asarray(self._words)
+        counts = signs.judged & (words[:, 0] > 0)[None]
+        far = jnp.where(counts, jnp.abs(signs.off), 0.0)
+        row, worst = jnp.arange(far.shape[0]), far.argmax(axis=1)
+        asked = jnp.where(signs.off[row, worst] > 0.0, words[worst, 0], words[worst, 1])
+        good = jnp.where(counts.any(axis=1), GOOD, 0)
+        wanted = jnp.where(far[row, worst] > ANNOYS, asked, good)
+        return jnp.where(stopped, STOP, wanted).astype(jnp.int32)
