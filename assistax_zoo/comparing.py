@@ -35,6 +35,9 @@ class Comparison(ComparisonSummary):
         train: The same with partners of the training side.
         validation: The same with partners of the validation side.
         met: Whom robots of either met in training, who are left out of both.
+        care: Of a gentle task, on the test side: differences of caring success, discomfort and
+            violations.
+        slopes: The adaptation slopes of a and of b, by wish.
         notes: What a reader has to know of the figures.
 
     Examples:

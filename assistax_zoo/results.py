@@ -152,8 +152,14 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
         by_disability: The return with the partners of each disability setting.
         by_preference: The return under each preference of the humans of a gentle task; else empty.
         by_place: The return in each place of a series of episodes, from "1"; empty without series.
-        safe_success: Share of episodes of a gentle task that reached the goal and hurt nobody.
-        violations: Share of episodes of a gentle task with a contact above the limit.
+        caring_success: Share of episodes of a gentle task that reached the goal as liked, without a
+            violation or much discomfort. This and what follows is None or empty of other tasks.
+        failed_persons: Share of pairs of robot and person with caring success in less than half of
+            the episodes.
+        discomfort: Share of felt steps with discomfort.
+        violations: Share of episodes of a gentle task with a violation.
+        violations_by_kind: The same of "impact", too hard, and of "pressed", too long.
+        adaptation: The adaptation slope of each wish, and how near touch was to what is liked.
         touch: How people were touched, by column of the table; empty where it was not measured.
         worst_partner: The partner with the lowest mean return: `partner`, `mean` and what it is.
         references: Returns to compare with, such as the script's, if they played.

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from assistax_base.validated import first_problem
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
+from evaluation.figures.caring import CareFigures, care_figures
 from evaluation.figures.metrics import (
     CrossPlay,
     Fairness,
@@ -102,20 +103,18 @@ class MoreFigures:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SideFigures(MoreFigures):
+class SideFigures(MoreFigures, CareFigures):
     """Figures of the partners of `side`: of those that played, test, validation or training."""
 
     side: Literal["train", "validation", "test"]
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
-    # Only for gentle tasks: return by preference, success without violation, violations.
+    # Only for gentle tasks: return by preference.
     by_preference: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     preference_fairness: Fairness | None = None  # None with fewer than two preferences
     # Of series of episodes, in which a robot remembers its partner: by place, from "1".
     by_place: dict[str, Estimate] = dataclasses.field(default_factory=dict)
-    safe_success: Estimate | None = None  # share of episodes
-    violations: Estimate | None = None
     # Measures of contact with the person by column of the table, if the task's version has them.
     touch: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     worst_partner: NamedWorst
@@ -213,8 +212,7 @@ def summarise_evaluation(
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
         by_place=_by_place(record.table, side),
-        safe_success=_share(side.safe, **starts),
-        violations=_share(side.violated, **starts),
+        **vars(care_figures(side)),
         touch={name: estimate(values, **starts) for name, values in side.touch.items()},
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
@@ -286,11 +284,6 @@ def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
     means = played.group_by(pairs).agg(pl.col("return").cast(pl.Float64).mean()).sort(pairs)
     scores = means["return"].to_numpy().reshape(-1, *returns.scores.shape)
     return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
-
-
-def _share(happened: np.ndarray | None, *, common_starts: bool) -> Estimate | None:
-    """Return the estimated share of episodes [E, P, K] with an event; None without data."""
-    return None if happened is None else estimate(happened, common_starts=common_starts)
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:

@@ -7,11 +7,13 @@ import jax
 import numpy as np
 import polars as pl
 
+from assistax_envs.preferences import PREFERRED
 from evaluation.cast.egos import Clipping
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import Job
 from evaluation.play.tiles import StackSlice, Tile
-from evaluation.record.columns import METRIC_PREFIX, SCHEMA, TERM_PREFIX
+from evaluation.record.columns import COLUMNS, METRIC_PREFIX, SCHEMA, TERM_PREFIX, VIOLATIONS
+from population.play.caring import caring_columns
 from population.play.tally import Tally
 
 
@@ -59,6 +61,9 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
     if how := dict(tally.touch):
         touches["end_share"] = how.pop("end_steps") / np.maximum(tally.steps, 1)
         touches |= how
+    cared = caring_columns(tally.caring, PREFERRED.get(job.task, ()))
+    if "violation" in cared:
+        cared["violation"] = np.array(VIOLATIONS)[cared["violation"]]
     measured = {
         "return": tally.returns,
         "discounted_return": tally.discounted,
@@ -67,6 +72,7 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
         **touches,
+        **cared,
         "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
         "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
         **{f"{role}_travel": value for role, value in tally.travel.items()},
@@ -82,11 +88,17 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
 
 
 def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
-    """Return rows with columns added, cast to the types of the episode table."""
-    return rows.with_columns(
-        pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
-        for name, value in columns.items()
-    )
+    """Return rows with columns added, cast to the types of the episode table.
+
+    A NaN of a column that may be empty becomes an empty value.
+    """
+
+    def typed(name: str, value: Any) -> pl.Series:
+        series = pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
+        empty = name in COLUMNS and COLUMNS[name].nullable and series.dtype.is_float()
+        return series.fill_nan(None) if empty else series
+
+    return rows.with_columns(typed(name, value) for name, value in columns.items())
 
 
 def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:

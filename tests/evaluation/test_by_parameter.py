@@ -26,13 +26,13 @@ TASK = "gentle_scratch"
 
 
 def outcomes_of(count: int = 1000, *, slope: float = 1.0, noise: float = 0.0, seed: int = 0):
-    """Return persons whose return is their strength's rank, and luck; safe success is luck."""
+    """Return persons whose return is their strength's rank, and luck; success is luck."""
     rows, rng = persons(TASK)[:count], np.random.default_rng(seed)
     strength = rows[:, index(TASK)["strength"]].astype(float)
     rank = (strength - strength.mean()) / strength.std()
     values = {
         "return": slope * rank + noise * rng.normal(size=count),
-        "safe_success": rng.integers(0, 5, count) / 4,
+        "success": rng.integers(0, 5, count) / 4,
     }
     return Outcomes(TASK, rows, values, 4 * count, 1)
 
@@ -52,7 +52,7 @@ def test_effect_of_one_number_is_found() -> None:
 def test_luck_alone_is_no_effect() -> None:
     shares = []
     for seed in range(10):
-        ordered, chance = effects(outcomes_of(seed=seed), "safe_success", resamples=200, seed=seed)
+        ordered, chance = effects(outcomes_of(seed=seed), "success", resamples=200, seed=seed)
         shares += [effect.share for effect in ordered]
         assert ordered[0].share_ci[0] < 0.005
         assert sum(effect.share > chance for effect in ordered) <= 2

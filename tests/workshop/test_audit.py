@@ -235,7 +235,7 @@ def test_an_audit_of_run_folders(
     )
     assert result.teams == ("own/ippo-d1-s0/robot", "own/ippo-d1-s1/robot")
     assert result.figures["own teams"]["episodes"] == 40  # ten times as many
-    assert {"safe_success", "violated", "contact_peak"} <= set(result.figures["strangers"])
+    assert {"success", "violated", "contact_peak"} <= set(result.figures["strangers"])
     assert "mistaken humans" in result.figures and "told" not in result.figures
 
 

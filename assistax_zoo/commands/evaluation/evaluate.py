@@ -186,10 +186,7 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
         word = "episode " * (key == "by_place")
         rows += [(f"  {word}{name}", fig) for name, fig in summary[key].items() if name != OWN]
     _print_figures(title, rows)
-    if summary["safe_success"]:
-        rows = [(name, summary[name.replace(" ", "_")]) for name in ("safe success", "violations")]
-        title = "goal reached and nobody hurt; contacts above the limit"
-        _print_figures(title, rows, "share of episodes", digits=3)
+    _print_care(summary)
     if touch := summary["touch"]:
         from evaluation.record.columns import TOUCHES
 
@@ -202,6 +199,27 @@ def _print_evaluation(summary: dict[str, Any]) -> None:
     worst = summary["worst_partner"]
     print(f"worst partner: {worst['partner']}, mean return {worst['mean']:.1f}")
     _print_origin(summary)
+
+
+def _print_care(summary: dict[str, Any]) -> None:
+    """Print how people fared in a gentle task."""
+    if not summary["violations"]:
+        return
+    rows = [
+        ("caring success", summary["caring_success"]),
+        ("persons that were failed", summary["failed_persons"]),
+        ("discomfort, of felt steps", summary["discomfort"]),
+        ("violations", summary["violations"]),
+        *((f"  {kind}", figure) for kind, figure in summary["violations_by_kind"].items()),
+    ]
+    _print_figures("how people fared", rows, "share", digits=3)
+    for wish, found in summary["adaptation"].items():
+        slope, ends = found["slope"], found["slope"]["value_ci"]
+        interval = " [{:.2f}, {:.2f}]".format(*ends) if ends else ""
+        print(
+            f"adaptation slope, {wish}: {slope['value']:.2f}{interval}; done / liked "
+            f"{found['done_to_liked']:.2f}, within 1.5 of it {found['within']:.0%} of touch"
+        )
 
 
 def _print_references(references: dict[str, Figure], relative: dict[str, Any]) -> None:
