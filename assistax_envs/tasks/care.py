@@ -14,11 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import PREFERRED, WIDTH
 from assistax_envs.tasks.base import Measures
 from assistax_envs.tasks.gentle_base import FELT, STEP, Preferences, TouchReadings
 
-WIDTH = 0.35  # of liking, in the logarithm of done over liked
 WITHIN = 1.5  # factor from the liked value, up to which a touch counts as liked
 WHATEVER = 0.05  # share of a pay that no wish changes
 SMOOTHED = 0.3  # s, over which a touch is judged
