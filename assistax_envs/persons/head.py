@@ -202,6 +202,7 @@ class Head:
         side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
         forward = jnp.sign(self._gear[LEAN])
         away = jnp.stack([-0.3 * forward * one, -0.4 * one, 0.85 * side, 0 * one, 0 * one], -1)
+        away = away * comfort.way[:, None]
         return reaction.Felt(
             force=now.force,
             hurts=now.numbers["tolerance"] * comfort.unit,
