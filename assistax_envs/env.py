@@ -343,9 +343,7 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
     return jax.tree.map(choose, on_true, on_false)
 
 
-def _spoken(
-    state: EnvState, word: jax.Array | None
-) -> tuple[jax.Array | None, jax.Array | None]:
+def _spoken(state: EnvState, word: jax.Array | None) -> tuple[jax.Array | None, jax.Array | None]:
     """Return the word that the robot hears after a step, and for how long it still does."""
     if state.word is None or state.heard is None:
         return None, None

@@ -29,6 +29,7 @@ class Preference:
                 raise ValueError(f"preferred {name} is {value}; it must be above 0")
 
 
+WIDTH = 0.35  # of liking: the standard deviation in the logarithm of done over liked
 FORCES = (2.0, 4.0, 8.0)  # N
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
 DISTANCES = (0.1, 0.25, 0.6)  # m

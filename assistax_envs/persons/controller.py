@@ -255,11 +255,12 @@ class Controller:
         made = self._signing
         if not made.wishes:
             return mind
-        shows = made.felt(mind.signs, jnp.stack(off, axis=-1), jnp.stack(judged, axis=-1))
+        ratio, where = jnp.stack(off, axis=-1), jnp.stack(judged, axis=-1)
+        shows = made.felt(mind.signs, ratio, where, numbers)
         stopped = mind.reaction.discomfort > numbers["limit"]
         chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
         shows = made.speak(shows, stopped, numbers, chance)
-        leans = made.leans(shows, numbers)
+        leans = shows.leans
         aside = _unit(jnp.cross(felt.away, jnp.asarray(ELBOW)[None]))
         shown = SHOWN * (leans[:, :1] * felt.away + leans[:, 1:2] * aside)
         if self._steps:

@@ -202,6 +202,7 @@ class Head:
         side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
         forward = jnp.sign(self._gear[LEAN])
         away = jnp.stack([-0.3 * forward * one, -0.4 * one, 0.85 * side, 0 * one, 0 * one], -1)
+        away = away * comfort.way[:, None]
         return reaction.Felt(
             force=now.force,
             hurts=now.numbers["tolerance"] * comfort.unit,
@@ -215,11 +216,11 @@ class Head:
     def _show(self, mind: Mind, comfort: Comfort, felt: reaction.Felt, numbers: Numbers) -> Mind:
         """Lean and speak by how far the touch of a delay ago is from what is liked."""
         made = self._signing
-        shows = made.felt(mind.signs, comfort.ratio, comfort.judged)
+        shows = made.felt(mind.signs, comfort.ratio, comfort.judged, numbers)
         stopped = mind.reaction.discomfort > numbers["limit"]
         chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
         shows = made.speak(shows, stopped, numbers, chance)
-        leans = made.leans(shows, numbers)
+        leans = shows.leans
         sign = -1.0 if self._aside == JAW else 1.0  # a mouth closes a little on what is too deep
         shown = BACK * leans[:, :1] * felt.away
         shown = shown.at[:, self._aside].add(sign * ASIDE * leans[:, 1])

@@ -1,7 +1,8 @@
 """Signs by which a person shows how far a touch is from what it likes: a posture, and words.
 
 Both say the same: by how much there is too much or too little of each wish. A person leans by
-tanh(ln(done / liked) / 0.5), and says the word of the wish that is farthest off. Shapes: N
+tanh(ln(done / liked) / 0.5), and says the word of the wish that is farthest off, but no wish twice
+in a row while another one is off too. Shapes: N
 simulations, W wishes of the task.
 """
 
@@ -16,6 +17,9 @@ from assistax_envs.tasks.gentle_base import STEP
 from assistax_envs.words import ASKS, WORDS, code
 
 SMOOTHED = 0.3  # s, over which a touch is judged
+LINGERS = 0.2  # s, for which a touch is felt after it
+LONG = 10.0  # s
+LEANS = 0.3  # s, in which it leans
 HALFWAY = 0.5  # of the logarithm of done over liked, where leaning bends
 ANNOYS = 0.25  # of that logarithm, from where on a person asks for something else
 PLEASED = 1.0  # s that a touch has to be as liked before it is called good, beside the delay
@@ -31,10 +35,12 @@ class Signs:
     """State of a person's signs."""
 
     off: jax.Array  # [N, W] logarithm of done over liked, smoothed
-    judged: jax.Array  # [N, W] bool, of a step ago
+    gap: jax.Array  # [N, W] s since each wish was last judged
+    leans: jax.Array  # [N, W] -1 to 1: how far it leans for each wish; positive is away
     cause: jax.Array  # [N] int32, the word that a person has a reason for; 0 for none
     due: jax.Array  # [N] s for which it has had that reason
     since: jax.Array  # [N] s since it last spoke or might have
+    last: jax.Array  # [N, W] bool: the wish that it last spoke of
     word: jax.Array  # [N] int32, said at this step; 0 for nothing
 
 
@@ -42,7 +48,8 @@ def silent(n: int, wishes: int) -> Signs:
     """Return the signs of N persons before they feel anything."""
     zero, none = jnp.zeros(n, jnp.float32), jnp.zeros(n, jnp.int32)
     off = jnp.zeros((n, wishes), jnp.float32)
-    return Signs(off, jnp.zeros((n, wishes), bool), none, zero, zero + 10.0, none)
+    last = jnp.zeros((n, wishes), bool)
+    return Signs(off, off + LONG, off, none, zero, zero + LONG, last, none)
 
 
 class Signing:
@@ -58,19 +65,21 @@ class Signing:
         self.wishes = len(wishes)
         self._way = np.array([-1.0 if wish in FAR else float(wish in ASKS) for wish in wishes])
 
-    def felt(self, signs: Signs, ratio: jax.Array, judged: jax.Array) -> Signs:
+    def felt(
+        self, signs: Signs, ratio: jax.Array, judged: jax.Array, numbers: dict[str, jax.Array]
+    ) -> Signs:
         """Return the signs after feeling `ratio` [N, W], done over liked, where it is `judged`."""
         off = jnp.log(jnp.clip(ratio, 1e-2, 1e2))
-        smooth = jnp.where(signs.judged, signs.off + STEP / SMOOTHED * (off - signs.off), off)
+        known = signs.gap < LINGERS
+        smooth = jnp.where(known, signs.off + STEP / SMOOTHED * (off - signs.off), off)
         off = jnp.where(judged, smooth, signs.off)
-        return dataclasses.replace(signs, off=off, judged=judged)
-
-    def leans(self, signs: Signs, numbers: dict[str, jax.Array]) -> jax.Array:
-        """Return how far a person leans for each wish [N, W], -1 to 1; positive is away."""
-        speaks = numbers["talkative"] > 0.0
-        share = numbers["expressive"] * jnp.where(speaks, 1.0, QUIET)
+        gap = jnp.where(judged, 0.0, jnp.minimum(signs.gap + STEP, LONG))
+        share = numbers["expressive"] * jnp.where(numbers["talkative"] > 0.0, 1.0, QUIET)
         way = jnp.asarray(self._way, jnp.float32)[None]
-        return signs.judged * way * jnp.tanh(signs.off / HALFWAY) * share[:, None]
+        aim = (gap < LINGERS) * way * jnp.tanh(off / HALFWAY) * share[:, None]
+        # It leans slowly: a tool that touches now and then would shake it.
+        leans = signs.leans + STEP / LEANS * (aim - signs.leans)
+        return dataclasses.replace(signs, off=off, gap=gap, leans=leans)
 
     def speak(
         self, signs: Signs, stopped: jax.Array, numbers: dict[str, jax.Array], chance: jax.Array
@@ -98,8 +107,10 @@ class Signing:
         any_word = 1 + jnp.floor(chance[:, 2] * len(WORDS)).astype(jnp.int32)
         word = jnp.where(chance[:, 1] < numbers["word_error"], any_word, cause)
         speaks = ready & (chance[:, 0] < numbers["talkative"])
+        asks = (jnp.asarray(self._words)[None] == cause[:, None, None]).any(axis=-1)
         return dataclasses.replace(
             signs,
+            last=jnp.where((ready & (cause < STOP))[:, None], asks, signs.last),
             cause=cause,
             due=due,
             since=jnp.where(ready, 0.0, since),
@@ -111,8 +122,10 @@ class Signing:
         if not self.wishes:
             return jnp.where(stopped, STOP, 0)
         words = jnp.asarray(self._words)
-        counts = signs.judged & (words[:, 0] > 0)[None]
+        counts = (signs.gap < LINGERS) & (words[:, 0] > 0)[None]
         far = jnp.where(counts, jnp.abs(signs.off), 0.0)
+        others = jnp.where(signs.last, 0.0, far)
+        far = jnp.where((others > ANNOYS).any(axis=1, keepdims=True), others, far)
         row, worst = jnp.arange(far.shape[0]), far.argmax(axis=1)
         asked = jnp.where(signs.off[row, worst] > 0.0, words[worst, 0], words[worst, 1])
         good = jnp.where(counts.any(axis=1), GOOD, 0)

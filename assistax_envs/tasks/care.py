@@ -14,11 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import PREFERRED, WIDTH
 from assistax_envs.tasks.base import Measures
 from assistax_envs.tasks.gentle_base import FELT, STEP, Preferences, TouchReadings
 
-WIDTH = 0.35  # of liking, in the logarithm of done over liked
 WITHIN = 1.5  # factor from the liked value, up to which a touch counts as liked
 WHATEVER = 0.05  # share of a pay that no wish changes
 SMOOTHED = 0.3  # s, over which a touch is judged
@@ -45,6 +44,7 @@ class Care:
     width: jax.Array  # [N] of liking; training may begin with a larger one
     done: jax.Array  # [N, W] of each wish, smoothed over the time that it was judged
     judged: jax.Array  # [N, W] bool: the wish is judged at this step
+    gap: jax.Array  # [N, W] s since it was judged
     spread: jax.Array  # [N] squared logarithm of the first wish's sample over `done`, at most 1
     force: jax.Array  # [N] N, of all touches, smoothed
     felt: jax.Array  # [N] bool: something was felt at this step
@@ -74,6 +74,7 @@ def untouched(task: str, params: Any) -> Care:
         width=jnp.asarray(width, jnp.float32),
         done=jnp.zeros(wishes, jnp.float32),
         judged=jnp.zeros(wishes, bool),
+        gap=jnp.full(wishes, SMOOTHED, jnp.float32),
         spread=zero,
         force=zero,
         felt=jnp.zeros((), bool),
@@ -107,7 +108,8 @@ def after(
     """
     now, active = jnp.stack(sample, axis=-1), jnp.stack(judged, axis=-1)
     keep = STEP / SMOOTHED
-    smooth = jnp.where(care.judged, care.done + keep * (now - care.done), now)
+    # A tool that bounces touches anew many times: that is one touch.
+    smooth = jnp.where(care.gap < SMOOTHED, care.done + keep * (now - care.done), now)
     done = jnp.where(active, smooth, care.done)
     off = jnp.log(jnp.maximum(now[:, 0], 1e-3) / jnp.maximum(done[:, 0], 1e-3))
     force = care.force + keep * (r.force - care.force)
@@ -121,6 +123,7 @@ def after(
         width=care.width,
         done=done,
         judged=active,
+        gap=jnp.where(active, 0.0, jnp.minimum(care.gap + STEP, SMOOTHED)),
         spread=jnp.where(active[:, 0], jnp.minimum(off**2, 1.0), 0.0),
         force=force,
         felt=felt,

@@ -59,6 +59,7 @@ class Comfort:
     preferred: jax.Array  # N: below a share of it pressure is missed
     speed: jax.Array  # speed of the tool, as a share of the preferred one
     near: jax.Array  # distance of the tool, as a share of the preferred one
+    way: jax.Array  # 1, or -1 for a tool that presses from within: it is relieved by coming nearer
     ratio: jax.Array  # [N, 2] what is done of each wish, as a share of the liked
     judged: jax.Array  # [N, 2] bool: whether there is anything to judge
 

@@ -17,7 +17,7 @@ TASK = TaskKind(
     looks=BASE.looks,
     preferences=("force", "speed"),
     person=PERSON,
-    recipe={**RECIPE, "entropy_coef": 3e-3},
+    recipe={**RECIPE, "entropy_coef": 3e-3, "liking_width": 1.0},
     seed_sd=31.5,
     goal="The robot wipes points on the arm of a person in bed.",
 )

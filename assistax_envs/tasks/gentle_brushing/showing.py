@@ -24,6 +24,7 @@ def feel(now: Perceived) -> Comfort:
         preferred=force,
         speed=speed,
         near=one,
+        way=jnp.where(jnp.asarray(INNER)[jnp.minimum(now.place, PLACES - 1)], -1.0, 1.0),
         ratio=jnp.stack([now.force / force, speed], axis=-1),
         judged=jnp.stack([touched, touched], axis=-1),
     )

@@ -46,6 +46,7 @@ def feel(now: Perceived) -> Comfort:
         preferred=0.0 * one,
         speed=one,
         near=near,
+        way=one,
         ratio=jnp.stack([jnp.maximum(out, 1e-3) / numbers["liked_wait"], deep], axis=-1),
         judged=jnp.stack([(now.place == WAITING) & _waits(now), inside], axis=-1),
     )

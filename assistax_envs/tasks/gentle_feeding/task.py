@@ -232,8 +232,11 @@ class GentleFeeding(AtMouth):
             preference=s.preference,
         )
         obs = self._observed(state, r, speed)
-        return state, obs, terms, care.measures(
-            felt, r, jnp.abs(out) + aside, state.well >= ASKED, best
+        return (
+            state,
+            obs,
+            terms,
+            care.measures(felt, r, jnp.abs(out) + aside, state.well >= ASKED, best),
         )
 
     def _felt(
