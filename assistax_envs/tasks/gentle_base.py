@@ -43,7 +43,8 @@ class Preferences:
 
     def observed(self, task: str) -> jax.Array:
         """Return the logarithm [N, W] of each value over its middle, of a task's quantities."""
-        return jnp.log(self.of(task) / jnp.array([VALUES[name][1] for name in PREFERRED[task]]))
+        middle = jnp.array([[VALUES[name][1] for name in PREFERRED[task]]])
+        return jnp.log(self.of(task) / middle)
 
 
 def draw_preferences(code: jax.Array, key: jax.Array) -> Preferences:
