@@ -3,13 +3,15 @@
 import dataclasses
 import io
 import json
-from typing import Annotated, Any, Protocol
+from collections.abc import Collection
+from typing import Annotated, Any, Literal, Protocol
 
 import polars as pl
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from assistax_board.problems import Problem
 from assistax_board.vocabulary import Kind
+from evaluation.record.columns import CARE, SCHEMA, VIOLATIONS
 
 # Columns of a result, in this order: nothing else leaves a worker.
 COLUMNS = {
@@ -22,9 +24,17 @@ COLUMNS = {
     "nonfinite": pl.Boolean(),
 }
 OWN = "own"  # preference of a partner that brings its own
-# Of the gentle tasks: the human's preference, "own" of a person, and whether a contact was above
-# the hard limit.
-GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
+# Of the gentle tasks: the human's preference, "own" of a person; whether there was a violation, and
+# of which kind; the share of felt steps with discomfort.
+GENTLE_COLUMNS = {
+    "preference": pl.String(),
+    "violated": pl.Boolean(),
+    "violation": SCHEMA["violation"],
+    "discomfort_share": SCHEMA["discomfort_share"],
+}
+# Of each wish of the task: what was liked and done, and the share near it; see
+# `evaluation.record.columns`. The last two may be empty.
+WISH_COLUMNS = {name: SCHEMA[name] for name in CARE if name not in GENTLE_COLUMNS}
 MAX_TABLE_BYTES = 4 * 1024 * 1024
 
 
@@ -70,7 +80,11 @@ class Scorer(Protocol):
         ...
 
 
-class _Rows(BaseModel):
+_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_Amount = Annotated[float, Field(gt=0.0)]
+
+
+class _Some(BaseModel):
     """A result as it travels: JSON, since a reader of foreign Parquet can abort the process."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
@@ -84,6 +98,16 @@ class _Rows(BaseModel):
     nonfinite: list[bool]
     preference: list[str] | None = None
     violated: list[bool] | None = None
+    violation: list[Literal[VIOLATIONS]] | None = None
+    discomfort_share: list[_Share] | None = None
+
+
+_OF_WISH = {"liked": list[_Amount], "done": list[_Amount | None], "within": list[_Share | None]}
+_Rows = create_model(
+    "_Rows",
+    __base__=_Some,
+    **{name: (_OF_WISH[name.partition("_")[0]] | None, None) for name in WISH_COLUMNS},
+)
 
 
 def encode_table(table: pl.DataFrame) -> bytes:
@@ -101,13 +125,13 @@ def decode_table(
     """
     if len(data) > MAX_TABLE_BYTES:
         raise Problem("too_large", f"a result has at most {MAX_TABLE_BYTES} bytes")
-    columns = COLUMNS | (GENTLE_COLUMNS if preferences else {})
     try:
         rows = _Rows.model_validate_json(data).model_dump(by_alias=True, exclude_none=True)
+        columns = COLUMNS | (_of_gentle(rows) if preferences else {})
         if rows.keys() != columns.keys() or len(set(map(len, rows.values()))) != 1:
             raise ValueError
     except (ValidationError, ValueError):
-        names = ", ".join(columns)
+        names = ", ".join(COLUMNS | (GENTLE_COLUMNS if preferences else {}))
         raise Problem("invalid", f"a result is JSON with the columns {names}") from None
     table = pl.DataFrame(rows, schema=columns)
     expected = {(name, episode) for name in partners for episode in range(episodes)}
@@ -130,9 +154,16 @@ def table_bytes(table: pl.DataFrame) -> bytes:
 
 def _in_order(table: pl.DataFrame) -> pl.DataFrame:
     """Return the columns of a result in their types, sorted."""
-    columns = COLUMNS | (GENTLE_COLUMNS if "preference" in table.columns else {})
+    columns = COLUMNS | (_of_gentle(table.columns) if "preference" in table.columns else {})
     typed = table.select(pl.col(name).cast(kind) for name, kind in columns.items())
     return typed.sort("partner", "episode")
+
+
+def _of_gentle(names: Collection[str]) -> dict[str, pl.DataType]:
+    """Return the columns of a gentle task, with those of the wishes that are among the names."""
+    wishes = {name.partition("_")[2] for name in names if name in WISH_COLUMNS}
+    own = {f"{what}_{wish}" for what in _OF_WISH for wish in wishes}
+    return GENTLE_COLUMNS | {name: kind for name, kind in WISH_COLUMNS.items() if name in own}
 
 
 def cut(panel: tuple[str, ...], size: int) -> list[tuple[str, ...]]:
