@@ -41,7 +41,7 @@ def trajectories(
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
     `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. Of gentle tasks
     `word`, what the human says with its action, a code of `assistax_envs.words`. What players of
-    the episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME` and `speed`
+    the episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME`, `speed`
     (m/s). A row has what was before a step and what the step gave, an episode's last row what was
     in the end alone.
 
