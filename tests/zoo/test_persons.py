@@ -84,7 +84,9 @@ def test_a_release_has_thirty_thousand_persons_of_three_families(official: Regis
     assert len({entry.sha256 for entry in entries}) == 3
 
 
-def test_persons_of_an_older_program_are_read_and_not_played(published: Registry) -> None:
+def test_persons_of_an_older_program_are_read_and_not_played(
+    published: Registry, official: Registry
+) -> None:
     """A published registry loads, lists its teams, and says in one error who is gone."""
     release = published.data.releases["v3"]
     assert {table.program for table in release.persons.values()} == {2}
@@ -99,6 +101,8 @@ def test_persons_of_an_older_program_are_read_and_not_played(published: Registry
         with pytest.raises(RegistryVersionError, match=words):
             look()
     assert list(person_splits(published.data, TASK)) == []
+    with pytest.raises(RegistryVersionError, match=words):
+        official.split(TASK, "persons-s0-v3")
     assert Persons(published).offered(TASK, "v3") is None
     report = verify(published)
     assert report.ok and report.persons == 0
