@@ -38,7 +38,7 @@ def adaptation_panels(
     """Draw done against liked, a panel for each wish and a point for each person, on log axes.
 
     Args:
-        persons: A table of `evaluation.figures.caring.persons_done`.
+        persons: A table of `evaluation.figures.metrics.caring.persons_done`.
         found: The adaptation to each wish for which it is defined.
         title: The figure's title.
         caption: What is written below it, before the explanation.

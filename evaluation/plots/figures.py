@@ -8,9 +8,9 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from assistax_base.bounded_reading import parse_json
-from evaluation.figures.caring import adaptations, persons_done
 from evaluation.figures.comparable import method_figures
 from evaluation.figures.metrics import curves
+from evaluation.figures.metrics.caring import adaptations, persons_done
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots import charts
 from evaluation.plots.adaptation import adaptation_panels

@@ -355,12 +355,12 @@ def heard_in(obs: Any) -> list[int]:
 
 @pytest.mark.parametrize("form", ["gymnasium", "pettingzoo", "jaxmarl"])
 def test_partners_speak_through_every_adapter(form: str) -> None:
-    made = {
+    made: Any = {
         "gymnasium": AssistaxVectorEnv,
         "pettingzoo": AssistaxParallelVectorEnv,
         "jaxmarl": AssistaxMarlVectorEnv,
     }[form]
-    env, robot = made("gentle_scratch", 3, Talker(), backend="native"), actions(3)
+    robot, env = actions(3), made("gentle_scratch", 3, Talker(), backend="native")
     if form == "gymnasium":
         env.reset(seed=0)
         obs = env.step(robot)[0]

@@ -13,8 +13,8 @@ import pytest
 from assistax_envs.tasks import care
 from assistax_zoo.comparing import compare
 from assistax_zoo.shell.main import run
-from evaluation.figures.caring import care_figures, persons_done
 from evaluation.figures.league import league_table, read_league
+from evaluation.figures.metrics.caring import care_figures, persons_done
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import read_summary, summarise_evaluation
 from evaluation.play.evaluator import run_job

@@ -20,8 +20,8 @@ def care_of(table: pl.DataFrame) -> dict[str, Any]:
 
     Those that the table does not measure are left out.
     """
-    from evaluation.figures.caring import failed
     from evaluation.figures.metrics.adaptation import adaptation
+    from evaluation.figures.metrics.caring import failed
     from evaluation.record.columns import VIOLATIONS, measures_care, wishes_of
 
     ordered = table.sort("partner", "episode")

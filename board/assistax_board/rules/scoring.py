@@ -4,10 +4,10 @@ import dataclasses
 import io
 import json
 from collections.abc import Collection
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Protocol
 
 import polars as pl
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from assistax_board.problems import Problem
 from assistax_board.vocabulary import Kind
@@ -80,14 +80,12 @@ class Scorer(Protocol):
         ...
 
 
-_Share = Annotated[float, Field(ge=0.0, le=1.0)]
-_Amount = Annotated[float, Field(gt=0.0)]
-
-
-class _Some(BaseModel):
+class _Rows(BaseModel):
     """A result as it travels: JSON, since a reader of foreign Parquet can abort the process."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+    # Of `WISH_COLUMNS`, as pydantic types more fields.
+    __pydantic_extra__: dict[str, list[float | None]] = Field(init=False)  # ty: ignore[incompatible-mutable-override]
 
     partner: list[str]
     algorithm: list[str]
@@ -98,16 +96,8 @@ class _Some(BaseModel):
     nonfinite: list[bool]
     preference: list[str] | None = None
     violated: list[bool] | None = None
-    violation: list[Literal[VIOLATIONS]] | None = None
-    discomfort_share: list[_Share] | None = None
-
-
-_OF_WISH = {"liked": list[_Amount], "done": list[_Amount | None], "within": list[_Share | None]}
-_Rows = create_model(
-    "_Rows",
-    __base__=_Some,
-    **{name: (_OF_WISH[name.partition("_")[0]] | None, None) for name in WISH_COLUMNS},
-)
+    violation: list[str] | None = None
+    discomfort_share: list[Annotated[float, Field(ge=0.0, le=1.0)]] | None = None
 
 
 def encode_table(table: pl.DataFrame) -> bytes:
@@ -142,7 +132,23 @@ def decode_table(
         raise Problem("invalid", "the result has returns that are not finite")
     if preferences and not set(table["preference"]) <= {*preferences, OWN}:
         raise Problem("invalid", "the result has preferences that nobody asked for")
+    if preferences and not _is_care(table):
+        raise Problem("invalid", "the result has violations or wishes that no episode has")
     return table
+
+
+def _is_care(table: pl.DataFrame) -> bool:
+    """Return whether kinds of violations are known, and what was liked, done and near is possible.
+
+    Liked and done are above 0, the share near it is in [0, 1], and only the last two may be empty.
+    """
+    fits = set(table["violation"]) <= set(VIOLATIONS)
+    for name in set(WISH_COLUMNS) & set(table.columns):
+        values, what = table[name].drop_nulls(), name.partition("_")[0]
+        low, high = (0.0, 1.0) if what == "within" else (1e-6, 1e6)
+        fits &= bool(values.is_between(low, high).all())
+        fits &= what != "liked" or len(values) == table.height
+    return fits
 
 
 def table_bytes(table: pl.DataFrame) -> bytes:
@@ -162,7 +168,7 @@ def _in_order(table: pl.DataFrame) -> pl.DataFrame:
 def _of_gentle(names: Collection[str]) -> dict[str, pl.DataType]:
     """Return the columns of a gentle task, with those of the wishes that are among the names."""
     wishes = {name.partition("_")[2] for name in names if name in WISH_COLUMNS}
-    own = {f"{what}_{wish}" for what in _OF_WISH for wish in wishes}
+    own = {f"{what}_{wish}" for what in ("liked", "done", "within") for wish in wishes}
     return GENTLE_COLUMNS | {name: kind for name, kind in WISH_COLUMNS.items() if name in own}
 
 

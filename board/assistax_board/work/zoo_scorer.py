@@ -104,5 +104,5 @@ def _leaving(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
     )
     if "violated" in renamed.columns and "preference" not in renamed.columns:
         renamed = renamed.with_columns(preference=pl.lit(OWN))  # of persons
-    names = *COLUMNS, *GENTLE_COLUMNS, *WISH_COLUMNS
-    return renamed.select(name for name in names if name in renamed.columns)
+    leaving = *COLUMNS, *GENTLE_COLUMNS, *WISH_COLUMNS
+    return renamed.select(name for name in leaving if name in renamed.columns)

@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
-from evaluation.figures.metrics import Difference, paired_difference
 from evaluation.figures.metrics.adaptation import Adaptation, adaptation
+from evaluation.figures.metrics.comparison import Difference, paired_difference
 from evaluation.record.columns import VIOLATIONS, measures_care, wishes_of
 from evaluation.record.record import Returns
 
@@ -84,9 +84,10 @@ def compare_care(a: Returns, b: Returns, *, seed: int = 0) -> CareComparison:
     """Return the comparison of two methods with the same persons and episodes."""
     if not (measures_care(a.table) and measures_care(b.table)):
         return CareComparison()
-    starts = {"common_starts": a.common_starts, "seed": seed}
     care = {
-        share: paired_difference(a.column(column), b.column(column), **starts)
+        share: paired_difference(
+            a.column(column), b.column(column), common_starts=a.common_starts, seed=seed
+        )
         for share, column in SHARES.items()
     }
     first, second = (
