@@ -203,6 +203,9 @@ def test_figure_has_a_point_for_each_person_and_a_panel_for_each_wish(
     assert len(points) == PERSONS
     assert np.isclose(points, [one["liked_force"][0], done], rtol=1e-5).all(axis=1).any()
     assert axes.get_title(loc="left").startswith("force: slope 0.")
+    idle = table.with_columns(done_force=pl.lit(None, pl.Float32))
+    with pytest.raises(ValueError, match="no person was touched late in an episode"):
+        persons_done(lay_out(idle))
     older = table.drop(name for name in CARE if name in table.columns)
     with pytest.raises(ValueError, match="do not measure what was done of a wish"):
         persons_done(lay_out(older))

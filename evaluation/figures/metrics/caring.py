@@ -102,6 +102,9 @@ def persons_done(returns: Returns) -> pl.DataFrame:
 
     Columns: `wish`, `partner`, `family`, `liked`, `done`, the geometric mean over robots and
     episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked.
+
+    Raises:
+        ValueError: Wishes are not measured, or no person was touched.
     """
     names = returns.partners["partner"].to_list()
     kept = returns.table.filter(pl.col("partner").is_in(names))
@@ -121,4 +124,7 @@ def persons_done(returns: Returns) -> pl.DataFrame:
             "the episodes do not measure what was done of a wish; evaluate on a gentle task, in "
             "the version of today"
         )
-    return pl.concat(tables).sort("wish", "partner")
+    found = pl.concat(tables)
+    if found.is_empty():
+        raise ValueError("no person was touched late in an episode; evaluate a robot that helps")
+    return found.sort("wish", "partner")
