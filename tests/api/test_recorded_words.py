@@ -115,6 +115,7 @@ def test_player_shows_the_word_that_is_heard(
 ) -> None:
     about = {"task": TASK, "version": 4, "robot": "zero", "person": "zero"}
     about |= {"seed": 4, "setting": "d1"}
+    # The file has no metadata, which the command writes.
     monkeypatch.setattr("evaluation.player.episode._about", lambda path: about)
     few = table.with_columns(
         word=pl.when(pl.col("step").is_in([2])).then(3).otherwise(pl.col("word") * 0)
