@@ -90,7 +90,7 @@ class GentleBrushing(AtMouth):
 
     name = scene = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
-    terms: ClassVar = {"progress": 100.0, "stroke": 0.4, "place": 10.0}
+    terms: ClassVar = {"progress": 50.0, "stroke": 1.0, "place": 10.0}
     felt: ClassVar = TEETH
 
     def __init__(
