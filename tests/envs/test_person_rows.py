@@ -1,8 +1,6 @@
 """The numbers of persons: ranges, sources, sides, identity, and the bits of ten thousand rows."""
 
-import csv
 import hashlib
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -48,19 +46,6 @@ def test_numbers_of_persons_lie_in_range(task: str) -> None:
         assert inside.all(), parameter.name
         assert len(np.unique(column)) > 100, parameter.name
         assert parameter.source and parameter.meaning
-
-
-@pytest.mark.parametrize(
-    "task", ["gentle_scratch", "gentle_lift", "gentle_feeding", "gentle_brushing"]
-)
-def test_the_table_has_the_ranges_and_sources(task: str) -> None:
-    text = (Path(__file__).parents[2] / "docs/tables/persons_numbers.csv").read_text()
-    table = list(csv.DictReader(text.splitlines()))
-    for parameter in PARAMETERS[task]:
-        bounds = f"{parameter.low:g} to {parameter.high:g}"
-        rows = [row for row in table if row["number"] == parameter.name]
-        said = [bounds in row["range"] and parameter.source in row["source"] for row in rows]
-        assert any(said), parameter.name
 
 
 def test_parameter_knows_its_range_and_distribution() -> None:
