@@ -32,7 +32,7 @@ AIM, MOVED = 0.05, 0.03  # rad, of movements, as in `controller`
 REFLEX = 0.25  # s that a bite reflex lasts
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
 LATE = 0.3  # of that, the share that waits for the delay
-BACK, ASIDE = 0.08, 0.1  # rad, how far it leans at most for its first wish, and its second
+BACK, ASIDE = 0.05, 0.1  # rad, how far it leans at most for its first wish, and its second
 SPOKEN = 0x51ED270B  # changes the seed of chance that words take
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
 
