@@ -31,12 +31,13 @@ NOBODY = {  # numbers of somebody without impairment or chance, of the gentle ta
     "noise": 0.0, "gravity": 1.0, "pace": 0.1, "initiative": 0.0, "lapses": 0.0,
     "belief_shoulder1": 0.0, "belief_shoulder2": 0.0, "belief_elbow": 0.0, "liked_force": 4.0,
     "liked_speed": 0.05, "tolerance": 2.5, "liked_distance": 0.25, "liked_place": 0.2,
-    "settle": 0.3, "withdraw": 0.15, "lean": 0.05, "limit": 1.0,
+    "settle": 0.3, "withdraw": 0.15, "lean": 0.05, "limit": 1.0, "expressive": 0.0,
+    "talkative": 0.0, "word_delay": 0.6, "word_pause": 1.0, "word_error": 0.0,
 }  # fmt: skip
 
 
 def somebody(task: str = "gentle_scratch", count: int = 1, **numbers: float) -> np.ndarray:
-    """Return rows [count, 25] of a person without impairment, with the given numbers."""
+    """Return rows [count, 30] of a person without impairment, with the given numbers."""
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     return np.array([row] * count, np.float32)
 
