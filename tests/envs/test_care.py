@@ -50,7 +50,7 @@ class Felt:
         hurt: bool = False,
         struck: bool = False,
     ) -> Care:
-        """Feel equal steps of a force of all touches, N; a wish that is not `done` is not judged."""
+        """Feel equal steps of a force of all touches, N; wishes not in `done` are not judged."""
         done = done or {}
         read = TouchReadings(**dict.fromkeys(FIELDS, jnp.zeros(1)))
         read = dataclasses.replace(

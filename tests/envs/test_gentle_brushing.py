@@ -163,8 +163,8 @@ def test_place_counts_after_enough_liked_strokes(liked: int, counts: bool) -> No
     table = Table()
     for _ in range(STROKES - liked):
         table.stroke(2, force=7.0)
-    # The first stroke after hard ones: the press is smoothed over 0.3 s, and lifting resets it.
-    table.play(0.0, 0.0)
+    # Off the teeth for longer than the 0.3 s over which a touch is smoothed.
+    table.play(0.0, 0.0, steps=20, aside=0.03)
     for _ in range(liked):
         table.stroke(liked_steps(table))
     assert int(table.state.done[0]) == 1

@@ -158,7 +158,8 @@ class Table(LaidOut):
 
     def eat(self) -> None:
         """Take one bite as it is liked best."""
-        self.play(self.preference.wait, 0.0)
+        # For a second: what a spoon does is smoothed, and the one before came back farther.
+        self.play(self.preference.wait, 0.0, steps=50)
         self.play(self.preference.wait, 0.4)
         self.play(-self.preference.depth, 0.4, steps=SERVE)
         self.play(-self.preference.depth, 0.15, bite=2.0, steps=15)

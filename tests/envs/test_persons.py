@@ -66,12 +66,15 @@ def watched(
     rows: np.ndarray, touches: np.ndarray, task: str = "gentle_scratch", family: str = "spring"
 ) -> tuple[list[Mind], np.ndarray]:
     """Return carries and actions [T, N, 3] while forces [T] N act on an arm that is held still."""
-    count, where = len(rows), person_kind(task).columns["touch"]
+    count, columns = len(rows), person_kind(task).columns
+    # The paper's tasks have the force itself, in N.
+    felt, unit = ("touch", 10.0) if "touch" in columns else ("force", 1.0)
+    where = columns[felt].start
     row = jnp.asarray(np.resize(rows, (BATCH, WIDTH)))  # one size: compiled once
     mind, minds, actions = player(task, family).initial_carry((BATCH,)), [], []
     for time, touch in enumerate(touches):
         obs = np.tile(at_rest(task), (BATCH, 1))
-        obs[:, where] = touch / 10.0
+        obs[:, where] = touch / unit
         first = jnp.full(BATCH, time == 0)
         mind, action = acting(task, family)({"row": row}, mind, jnp.asarray(obs), first)
         minds.append(jax.tree.map(lambda leaf: leaf[:count], mind))
