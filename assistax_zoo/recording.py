@@ -39,8 +39,9 @@ def trajectories(
     """Play a pair by its most likely actions; return a row of each step for both seats.
 
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
-    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. What players of the
-    episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME` and `speed`
+    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. Of gentle tasks
+    `word`, what the human says with its action, a code of `assistax_envs.words`. What players of
+    the episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME`, `speed`
     (m/s). A row has what was before a step and what the step gave, an episode's last row what was
     in the end alone.
 
@@ -149,14 +150,23 @@ def _record(
 def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
     """Return functions that read a step's results from the state after it, by column."""
     speed = {} if first.measures.speed is None else {"speed": lambda state: state.measures.speed}
+    said = {} if first.word is None else {"word": _said}
     terms = {f"term_{name}": lambda state, name=name: state.terms[name] for name in env.term_names}
     return {
         "reward": lambda state: state.reward,
         **terms,
         "force": lambda state: state.measures.force,
         **speed,
+        **said,
         **{flag: operator.attrgetter(flag) for flag in ("terminated", "truncated", "nonfinite")},
     }
+
+
+def _said(state: Any) -> np.ndarray:
+    """Return the words [N] that were said with the actions that led to a state; 0 for silence."""
+    from assistax_envs.words import HEARD
+
+    return np.where(np.asarray(state.heard) == HEARD, np.asarray(state.word), 0).astype(np.int32)
 
 
 def _who(name: str, seat: "Seated") -> dict[str, Any]:

@@ -41,7 +41,7 @@ def vector_env(
         task: Task, such as "gentle_scratch".
         num_envs: N, simulations; 512 keep two cores busy.
         partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
-            them; default all. Or "persons": a new one of 7,200 each episode.
+            them; default all. Or "persons": a new one each episode.
         split: Split whose training side is meant; default the release's own.
         preferences: Preferences of a gentle task's humans, such as "p2,p3" or ("p2", "p3"), drawn
             for each episode; default those of the split's training side, or all. Persons have their

@@ -244,6 +244,10 @@ METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     ),
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
+    "osi": (
+        "population.methods.modelling:Identification",
+        {"critic": "central", "latent": 16},
+    ),
     "rl2": ("", {"torso": "gru", "series": 5}),
     "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }

@@ -31,7 +31,9 @@ class AssistaxEnv(gymnasium.Env):
     An episode is truncated at its 1000th step.
 
     The partner is any callable from the human's observation to its action. If it has a method
-    `reset`, this is called at episode starts. Without a partner the human exerts no torque.
+    `reset`, this is called at episode starts. If it has `word`, this is called after each action
+    and returns what the human says, a code of `assistax_envs.words`. If it has `humans`, these are
+    its own body and wishes. Without a partner the human exerts no torque.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own type
@@ -67,10 +69,13 @@ class AssistaxEnv(gymnasium.Env):
             )
         self.render_mode = render_mode
         self.partner = partner
+        humans = getattr(partner, "humans", None)
+        if humans is not None and disability:
+            raise ValueError("the partner is a person with its own body; leave disability out")
         impairment = disability or getattr(partner, "setting", None) or "d1"
         version = version or getattr(partner, "env_version", None)
         self._simulation = Simulation(
-            task, impairment, backend, weights, render_mode, camera, version
+            task, impairment, backend, weights, render_mode, camera, version, humans
         )
         env = self._simulation.env
         self.observation_space = gymnasium.spaces.Box(
@@ -100,7 +105,9 @@ class AssistaxEnv(gymnasium.Env):
             answer = np.zeros(self._simulation.env.action_size["human"], np.float32)
         else:
             answer = self.partner(self._simulation.observation("human"))
-        self._simulation.step({"robot": action, "human": answer})
+        said = getattr(self.partner, "word", None)
+        words = {"word": int(said())} if callable(said) else {}
+        self._simulation.step({"robot": action, "human": answer, **words})
         observation, info = self._simulation.observation("robot"), self._simulation.info()
         return observation, *self._simulation.outcome(), info
 

@@ -11,7 +11,7 @@ from assistax_envs.disability import Disability
 from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.own_settings import own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
-from assistax_envs.persons.rows import COUNT, side
+from assistax_envs.persons.rows import COUNT, FAMILIES, ROWS, side
 from assistax_envs.persons.rows import numbers as of_side
 
 
@@ -51,6 +51,9 @@ class Partners(Protocol):
         """Return the name of each simulation's partner."""
         ...
 
+    # Partners that speak also have `word(seated, n)`, which returns the words [N] int32 that they
+    # said with their last actions, codes of `assistax_envs.words`; or None.
+
 
 class Idle:
     """Idle humans; if there are several disability settings, each episode draws one."""
@@ -89,7 +92,7 @@ class Persons:
 
         Args:
             task: Task of the persons.
-            numbers: Numbers of persons; default all of the training side, 7,200.
+            numbers: Numbers of persons; default all of the training side, of both families.
 
         Raises:
             ValueError: There is no such task, or a number is unknown or of the test side.
@@ -100,14 +103,17 @@ class Persons:
             if not 0 <= number < COUNT or side(number) == "test":
                 raise ValueError(
                     f"person {number} cannot be trained with; allowed are persons of the training "
-                    "and validation sides, 0 to 7999, as the others are for testing"
+                    "and validation sides, 0 to 7999 and 10000 to 17999, as the others are for "
+                    "testing"
                 )
         if not len(numbers):
             raise ValueError("no person is named; give at least one number")
-        rows = persons(task)[np.asarray(numbers)]
-        self._count, self._player = len(rows), PersonPlayer(task)
-        # Numbers [P], rows [P, 25], and the persons' `EnvParams` [P].
-        self.params = jnp.asarray(numbers), jnp.asarray(rows), person_params(task, rows)
+        rows, which = persons(task)[np.asarray(numbers) % ROWS], np.asarray(numbers) // ROWS
+        self._count, used = len(rows), np.unique(which)
+        self._players = tuple(PersonPlayer(task, FAMILIES[family]) for family in used)
+        # Numbers [P], places of families [P], rows [P, 30], and the persons' `EnvParams` [P].
+        places = jnp.asarray(np.searchsorted(used, which))
+        self.params = jnp.asarray(numbers), places, jnp.asarray(rows), person_params(task, rows)
 
     def __len__(self) -> int:
         return self._count
@@ -116,16 +122,29 @@ class Persons:
         """Return N drawn persons, all different if N does not exceed their number."""
         del before
         drawn = jax.random.choice(key, len(self), (n,), replace=n > len(self))
-        number, row, humans = jax.tree.map(lambda leaf: leaf[drawn], params)
-        return (number, row, self._player.initial_carry((n,))), humans
+        number, place, row, humans = jax.tree.map(lambda leaf: leaf[drawn], params)
+        minds = tuple(player.initial_carry((n,)) for player in self._players)
+        return (number, place, row, minds, jnp.zeros(n, jnp.int32)), humans
 
     def act(
         self, params: Any, seated: Any, obs: jax.Array, first: jax.Array
     ) -> tuple[Any, jax.Array]:
         del params
-        number, row, mind = seated
-        mind, action = self._player.act({"row": row}, mind, obs, first)
-        return (number, row, mind), action
+        number, place, row, minds, word = seated
+        acted = [
+            player.act({"row": row}, mind, obs, first)
+            for player, mind in zip(self._players, minds, strict=True)
+        ]
+        action = acted[0][1]
+        for family, (player, (mind, own)) in enumerate(zip(self._players, acted, strict=True)):
+            action = jnp.where((place == family)[:, None], own, action)
+            word = jnp.where(place == family, player.word(mind), word)
+        return (number, place, row, tuple(mind for mind, _ in acted), word), action
+
+    def word(self, seated: Any, n: int) -> jax.Array:
+        """Return the words [N] int32 that they said with their last actions."""
+        del n
+        return seated[-1]
 
     def names(self, seated: Any, n: int) -> list[str]:
         del n

@@ -204,13 +204,16 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
     ]:
         """Advance by 20 ms; actions [N, A] of each agent are clipped to [-1, 1].
 
+        Beside them may stand "word" [N], what human agents say, codes of `assistax_envs.words`.
+
         Raises:
             ValueError: No episode was started yet, or an agent's actions are missing or of the
                 wrong shape.
         """
         if missing := [role for role in self.possible_agents if role not in actions]:
             raise ValueError(f"no actions of the {missing[0]}; give those of every agent")
-        taken = {role: actions[role] for role in self.possible_agents}
+        speaking = ["word"] if "human" in self.possible_agents and "word" in actions else []
+        taken = {name: actions[name] for name in (*self.possible_agents, *speaking)}
         step, ended = self._host.step(self._rng, taken)
         step = self._host.out(step)
         infos = {role: dict(step.info) for role in self.agents}

@@ -57,6 +57,7 @@ COMMANDS = {
     "plot.zsc": "assistax_zoo.commands.evaluation.plot:zsc",
     "plot.disability": "assistax_zoo.commands.evaluation.plot:disability",
     "plot.preference": "assistax_zoo.commands.evaluation.plot:preference",
+    "plot.adaptation": "assistax_zoo.commands.evaluation.plot:adaptation",
     "plot.profile": "assistax_zoo.commands.evaluation.plot:profile",
     "plot.curves": "assistax_zoo.commands.evaluation.plot:curves",
     "plot.speed": "assistax_zoo.commands.evaluation.plot:speed",

@@ -13,8 +13,8 @@ import polars as pl
 
 from assistax_base.errors import counted, listing
 from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
-from evaluation.figures.caring import CareComparison, compare_care
 from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.metrics.caring import CareComparison, compare_care
 from evaluation.figures.normalised import summarise_references
 from evaluation.figures.notes import episode_notes, seed_notes
 from evaluation.figures.saved_tables import profile_table

@@ -27,9 +27,9 @@ from assistax_base.bounded_reading import parse_json, read_text
 from assistax_base.digest import sha256
 from assistax_base.errors import FormatError
 from assistax_base.validated import first_problem
-from evaluation.figures.caring import SHARES
 from evaluation.figures.league import FIRST, LAST
 from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.metrics.caring import SHARES
 from evaluation.figures.metrics.inference import holm, mean_test
 from evaluation.record.columns import measures_care
 from evaluation.record.record import Record, Returns

@@ -13,9 +13,9 @@ import numpy as np
 import polars as pl
 
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
-from evaluation.figures.caring import CareFigures, care_figures
 from evaluation.figures.comparable import ADVICE, Evaluated, comparable
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
+from evaluation.figures.metrics.caring import CareFigures, care_figures
 from evaluation.figures.metrics.variance import variance_components
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.notes import ENOUGH

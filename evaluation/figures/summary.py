@@ -12,7 +12,6 @@ from pydantic import TypeAdapter, ValidationError
 from assistax_base.validated import first_problem
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
-from evaluation.figures.caring import CareFigures, care_figures
 from evaluation.figures.metrics import (
     CrossPlay,
     Fairness,
@@ -28,6 +27,7 @@ from evaluation.figures.metrics import (
     worst_partner,
     zero_shot,
 )
+from evaluation.figures.metrics.caring import CareFigures, care_figures
 from evaluation.figures.metrics.installed import InstalledMetric, MetricFigure, metric_figures
 from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative

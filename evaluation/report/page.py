@@ -25,6 +25,7 @@ from evaluation.figures.normalised import REFERENCE_ORDER
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.captions import provenance
 from evaluation.plots.charts import performance_profile, trait_points, zsc_dots
+from evaluation.plots.figures import adaptation_of
 from evaluation.plots.heatmap import crossplay_heatmap
 from evaluation.plots.league import league_chart
 from evaluation.plots.matrix import arrange, short_names
@@ -182,6 +183,8 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     images["performance profile"] = drawn
     if summary["by_preference"]:
         images["returns by the human's preference"] = trait_points(named, "preference")
+    if summary["adaptation"]:
+        images["done beside liked"] = adaptation_of(folder)
     if (folder / tables.BOUNDS_FILE).is_file():
         bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
         partners = partners.join(

@@ -172,7 +172,7 @@ class FrozenPartners:
         return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
 
     def words(self, carry: Any, members: int) -> jax.Array | None:
-        """Return the words [N] int32 that they said with their last actions; None if none speaks."""
+        """Return the words [N] int32 said with their last actions; None if none of them speaks."""
         policies, rows = self._policies, jax.tree.leaves(carry)
         if not rows or not any(hasattr(policy, "word") for policy in policies):
             return None

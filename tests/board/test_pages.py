@@ -502,12 +502,18 @@ def test_gentle_board_shows_violations(service: Service) -> None:
     with service.database.write() as connection:
         rows = connection.execute(sa.select(schema.scores).order_by(SCORE.submission)).all()
         for row, violations in zip(rows, (0.1, 0.3), strict=True):
-            gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
+            gentle = {"violations": violations, "caring_success": 0.55, "by_preference": {}}
+            gentle |= {"failed_persons": 0.4, "discomfort": 0.1}
+            gentle["slopes"] = {"force": {"slope": violations, "slope_ci": None, "within": 0.7}}
             update = sa.update(schema.scores).where(SCORE.submission == row.submission)
             connection.execute(update.values(released=row.released | gentle))
     page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     assert 'data-label="Violations">20%<' in page  # of two seeds
-    assert 'data-label="Safe success">55%<' in page
+    assert 'data-label="Caring success">55%<' in page
+    assert 'data-label="Persons failed">40%<' in page
+    assert 'data-label="Discomfort">10%<' in page and 'data-label="Slope force">0.20<' in page
+    table = TestClient(create_app(service)).get(f"/tasks/{TASK}.csv").text
+    assert "caring_success,failed_persons,discomfort,violations,slope_force," in table
 
 
 def test_submission_page_is_headed_by_its_mean(service: Service) -> None:

@@ -31,7 +31,15 @@ def rows(**changed: Any) -> dict[str, Any]:
 
 
 def gentle(**changed: Any) -> dict[str, Any]:
-    return rows(preference=["p1", "p5", "p5", "p1"], violated=[False] * 4) | changed
+    likes = ["p1", "p5", "p5", "p1"]
+    care = {
+        "violation": ["none", "impact", "none", "pressed"],
+        "discomfort_share": [0.0, 0.5, 1, 0],
+    }
+    wish = {"liked_force": [2.0] * 4, "done_force": [None, 1.5, 3.0, 4.0]}
+    within = {"within_force": [None, 0.25, 1.0, 0.0]}
+    violated = [False, True, False, True]
+    return rows(preference=likes, violated=violated) | care | wish | within | changed
 
 
 @pytest.mark.parametrize(("made", "likes"), [(rows, ()), (gentle, LIKES)])
@@ -59,6 +67,12 @@ def test_a_result_arrives_as_it_was_sent(made: Any, likes: tuple[str, ...]) -> N
         (rows(), LIKES),
         (gentle(), ()),
         (gentle(preference=["p1", "p5", "p9", "p1"]), LIKES),
+        (gentle(violation=["none", "hit", "none", "none"]), LIKES),
+        (gentle(discomfort_share=[0.0, 1.5, 0.0, 0.0]), LIKES),
+        (gentle(liked_force=[2.0, 0.0, 2.0, 2.0]), LIKES),
+        (gentle(liked_force=[2.0, None, 2.0, 2.0]), LIKES),
+        (gentle(done_press=[2.0] * 4), LIKES),
+        (gentle(done_force=None), LIKES),
         ([], ()),
         ("[" * 5000, ()),
     ],

@@ -13,12 +13,13 @@ import pytest
 from assistax_envs.tasks import care
 from assistax_zoo.comparing import compare
 from assistax_zoo.shell.main import run
-from evaluation.figures.caring import care_figures
 from evaluation.figures.league import league_table, read_league
+from evaluation.figures.metrics.caring import care_figures, persons_done
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import read_summary, summarise_evaluation
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
+from evaluation.plots.figures import adaptation_of
 from evaluation.record import tables
 from evaluation.record.columns import CARE, VIOLATIONS, validate_episodes, wishes_of
 from evaluation.record.record import Record, lay_out
@@ -186,6 +187,28 @@ def test_pages_leagues_and_comparisons_show_care(
     assert first and second and first.value > 0.5 and second.value == 0.0
     assert run(["compare", *map(str, folders.values())]) == 0
     assert "adaptation slope, force: 0." in capsys.readouterr().out
+
+
+def test_figure_has_a_point_for_each_person_and_a_panel_for_each_wish(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = saved(tmp_path / "gru", seed=5), tmp_path / "adaptation.png"
+    assert run(["plot", "adaptation", str(folder), "--out", str(out)]) == 0
+    assert out.stat().st_size > 10_000 and capsys.readouterr().out == f"{out}\n"
+    [axes] = adaptation_of(folder).axes
+    points = np.concatenate([c.get_offsets() for c in axes.collections if len(c.get_offsets()) > 1])
+    table = tables.read_episodes(folder / tables.EPISODES_FILE)
+    one = table.filter(partner=table["partner"][0])
+    done = np.exp(np.log(one["done_force"].to_numpy()).mean())
+    assert len(points) == PERSONS
+    assert np.isclose(points, [one["liked_force"][0], done], rtol=1e-5).all(axis=1).any()
+    assert axes.get_title(loc="left").startswith("force: slope 0.")
+    idle = table.with_columns(done_force=pl.lit(None, pl.Float32))
+    with pytest.raises(ValueError, match="no person was touched late in an episode"):
+        persons_done(lay_out(idle))
+    older = table.drop(name for name in CARE if name in table.columns)
+    with pytest.raises(ValueError, match="do not measure what was done of a wish"):
+        persons_done(lay_out(older))
 
 
 def test_summary_of_another_task_has_no_care() -> None:

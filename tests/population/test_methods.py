@@ -35,7 +35,7 @@ from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.test_train import Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
-NAMES = ("asymmetric", "asymmetric_gru", "liam", "palm", "rma", "rl2")
+NAMES = ("asymmetric", "asymmetric_gru", "liam", "osi", "palm", "rma", "rl2")
 PROBE: dict[str, Any] = {**SMALL, "learning_rate": 3e-3, "num_envs": 64, "gamma": 0.5}
 TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 5, "minibatches": 2, "hidden": (8, 8)}
 
@@ -84,6 +84,14 @@ def test_predicting_memory_remembers_the_partners_bit(name):
     metrics = learn(HiddenBit(), name, 60)[3]
     assert last(metrics, "return") > 0.6 * LENGTH  # without memory 1 at most: its only sight
     assert last(metrics, "model_loss_robot") < 0.3 < 0.8 < metrics["model_loss_robot"][0, 0]
+
+
+@pytest.mark.slow
+def test_identification_acts_by_what_it_read():
+    """Half of the setting pays, and is seen in the second step alone; the rest shows nowhere."""
+    metrics = learn(Settings(), "osi", 100)[3]
+    assert last(metrics, "return") > 0.6 * LENGTH
+    assert last(metrics, "model_loss_robot") < 0.5 < 0.8 < metrics["model_loss_robot"][0, 0]
 
 
 @pytest.mark.slow

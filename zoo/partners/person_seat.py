@@ -14,7 +14,7 @@ from population.networks.spec import Role
 
 @dataclasses.dataclass(frozen=True)
 class PersonSpec(SeatSpec):
-    """Persons of a task and a family: one program, whose parameters are "row", [25] each."""
+    """Persons of a task and a family: one program, whose parameters are "row", [30] each."""
 
     own_preferences: ClassVar[bool] = True
     episodes: ClassVar[int | None] = 4  # a person has one preference, and there are many persons
@@ -57,7 +57,7 @@ class PersonSpec(SeatSpec):
         return person_params(self.task, params["row"])
 
     def numbers(self, params: Any) -> Any:
-        """Return the rows [P, 25]."""
+        """Return the rows [P, 30]."""
         return params["row"]
 
 

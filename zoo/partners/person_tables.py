@@ -4,6 +4,9 @@ A release names for each task the program, how many persons there are, and the s
 of their rows. Nothing is stored of a person: the formula gives the same rows everywhere. A season's
 private release names a secret beside, from which other rows follow: its persons have the numbers
 after the public ones, so that no id is of two persons.
+
+A release may hold persons of another version of the program. It is read, but nobody makes these
+persons: they have no splits here, and an error says which program is installed.
 """
 
 import functools
@@ -47,6 +50,13 @@ def person_tables(data: RegistryFile) -> Iterator[tuple[str, str, Persons]]:
             yield release, task, table
 
 
+def made_tables(data: RegistryFile, task: str) -> Iterator[tuple[str, Persons]]:
+    """Yield release and table of a task's persons that the installed program makes."""
+    for release, of, table in person_tables(data):
+        if of == task and table.program == PROGRAM_VERSION:
+            yield release, table
+
+
 def person_glob(task: str, release: str) -> str:
     """Return the glob over all persons of a task in a release."""
     return _team(task, 0, release).replace("-00000-", "-*-") + "/human"
@@ -72,7 +82,7 @@ def registered_person(data: RegistryFile, entry: PolicyEntry) -> Person:
 def _person(task: str, number: int, table: Persons) -> Person:
     if table.secret is None:
         return person(task, number)
-    place = number - COUNT
+    place = number - COUNT  # families take turns, the one that nobody trains with too
     row = _rows(task, table.secret, table.count)[place]
     return Person(task, number, "test", FAMILIES[place % len(FAMILIES)], row)
 
@@ -88,7 +98,7 @@ def check_table(release: str, task: str, table: Persons) -> None:
     """Hold a release's persons of a task against those that the installed program makes.
 
     Raises:
-        RegistryVersionError: The program is another one.
+        RegistryVersionError: The program is another one; nobody can play with these persons.
         IntegrityError: The rows are others.
     """
     here = described(task, table.secret, table.count if table.secret else COUNT)
@@ -171,10 +181,10 @@ def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
     Of each release one is tested with the test side's, and one with the validation side's. All
     persons of a secret are on the test side of one.
     """
-    for release, of, table in person_tables(data):
-        if of == task and table.secret is None:
+    for release, table in made_tables(data, task):
+        if table.secret is None:
             yield from (_split(task, release, side) for side in DEALT)
-        elif of == task:
+        else:
             yield _hidden_split(task, release, table.count)
 
 
@@ -183,6 +193,7 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
 
     Raises:
         SplitError: The name is one of a split of persons, and there is no such split.
+        RegistryVersionError: It may be one of persons of another program.
     """
     namespace, plain = split_namespace(name)
     plain = plain.removeprefix(f"{task}/")
@@ -195,6 +206,9 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
         split for split in known if f"{split.id}-".startswith(f"{full}-") and split.held_out == side
     ]
     if not matching:
+        for release, of, table in person_tables(data):
+            if of == task and (not known or f"-{split_namespace(release)[1]}-" in f"{plain}-"):
+                check_table(release, of, table)
         raise SplitError(
             f"split {name} of task {task}",
             f"one of {', '.join(split.id for split in known) or 'none, for it has no persons'}",

@@ -94,9 +94,10 @@ class Persons(PartnerSource):
 
     def offered(self, task: str, release: str) -> str | None:
         """Return how to choose the persons of a release, if it has any of the task."""
-        return (
-            f"partners {PERSONS}" if task in self.registry.data.releases[release].persons else None
-        )
+        from zoo.partners.person_tables import made_tables
+
+        made = {name for name, _ in made_tables(self.registry.data, task)}
+        return f"partners {PERSONS}" if release in made else None
 
     def card(self, entry: PolicyEntry) -> dict[str, Any]:
         """Return all that is known of a person, each number beside its range, JSON-ready."""
@@ -120,16 +121,24 @@ class Persons(PartnerSource):
         return {f"{PERSONS} {entry.task}"}
 
     def table_sizes(self) -> list[int]:
-        """Return how many persons each table of the releases has."""
+        """Return how many persons each table has that the installed program makes."""
+        from assistax_envs.persons.rows import PROGRAM_VERSION
         from zoo.partners.person_tables import person_tables
 
-        return [table.count for *_, table in person_tables(self.registry.data)]
+        tables = (table for *_, table in person_tables(self.registry.data))
+        return [table.count for table in tables if table.program == PROGRAM_VERSION]
 
     def problems(self) -> Iterator[str]:
-        """Yield an error message for each table of persons that this program cannot make."""
+        """Yield an error message for each table of persons that this program makes otherwise.
+
+        Those of older programs cannot be made here, so nothing is said of them.
+        """
+        from assistax_envs.persons.rows import PROGRAM_VERSION
         from zoo.partners.person_tables import check_table, person_tables
 
         for named in person_tables(self.registry.data):
+            if named[2].program < PROGRAM_VERSION:
+                continue
             try:
                 check_table(*named)
             except ZooError as error:
@@ -141,12 +150,14 @@ class Persons(PartnerSource):
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":
-        """Return task, which of the names are persons [P], and the numbers of those [Q, 25].
+        """Return task, which of the names are persons [P], and the numbers of those [Q, 30].
 
         Raises:
             ValueError: No name is a person's, they are of several tasks, or of a season's secret.
         """
-        from assistax_envs.persons.rows import persons
+        import numpy as np
+
+        from assistax_envs.persons.rows import COUNT, ROWS, persons
 
         named = [parse_person(name) for name in names]
         tasks = {found[1] for found in named if found}
@@ -158,9 +169,9 @@ class Persons(PartnerSource):
             )
         [task] = tasks
         numbers = [found[2] for found in named if found]
-        if max(numbers) >= len(persons(task)):
+        if max(numbers) >= COUNT:
             raise ValueError(
                 f"persons of a season's secret, such as number {max(numbers)}, and holds no rows "
                 "of theirs; evaluate robots with the public persons, by partners 'persons'"
             )
-        return task, [found is not None for found in named], persons(task)[numbers]
+        return task, [found is not None for found in named], persons(task)[np.array(numbers) % ROWS]

@@ -83,11 +83,14 @@ class BrushState:
 
 
 class GentleBrushing(AtMouth):
-    """Progress to the stroke's end, pay for each stroke as it is liked, and for each place."""
+    """Progress to the stroke's end, pay for each stroke as it is liked, and for each place.
+
+    A stroke pays by the steps that it should take, as in gentle scratch: a fixed pay teaches haste.
+    """
 
     name = scene = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
-    terms: ClassVar = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
+    terms: ClassVar = {"progress": 50.0, "stroke": 1.0, "place": 10.0}
     felt: ClassVar = TEETH
 
     def __init__(
@@ -168,7 +171,7 @@ class GentleBrushing(AtMouth):
         moved = jnp.isnan(s.left) | full
         terms = {
             "progress": jnp.where(moved, 0.0, s.left - spot.left),
-            "stroke": arrived * pays,
+            "stroke": arrived * best * pays,
             "place": as_liked.astype(jnp.float32),
         }
         terms |= roughness(r, felt.violated) | care.costs(felt)

@@ -83,6 +83,26 @@ def preference(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) 
     _draw(folders, "preference", out, page)
 
 
+def adaptation(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
+    """Draw what robots did beside what each person likes, a point for each person.
+
+    There is a panel for each wish of the gentle task. A robot that listens follows the diagonal;
+    one that plays for the average person draws a flat line.
+
+    Args:
+        folder: Folder that `assistax-zoo evaluate --out` filled, with persons as partners.
+        out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
+
+    Example:
+        assistax-zoo plot adaptation results/gru --out adaptation.png
+    """
+    from evaluation.plots.figures import adaptation_figure
+
+    adaptation_figure(folder, out, **page.given())
+    print(out)
+
+
 def profile(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from assistax_base.errors import UnknownIdError, counted, listing, printable, shorten
+from assistax_envs.persons.rows import PROGRAM_VERSION
 from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import MOST_LINES, answer, first_lines, progress, stdout_is_data
 from population.networks.spec import Role
@@ -162,7 +163,9 @@ def _person_lines(registry: Registry, task: str | None, release: str | None) -> 
     for its_release, its_task, table in person_tables(registry.data):
         if task in (None, its_task) and release in (None, its_release):
             glob = person_glob(its_task, its_release)
-            yield f"{glob}: {counted(table.count, 'person')}, partners made of numbers"
+            older = ", of another program: cannot be played here"
+            older *= table.program != PROGRAM_VERSION
+            yield f"{glob}: {counted(table.count, 'person')}, partners made of numbers{older}"
 
 
 def _report_lines(report: "Report") -> list[str]:

@@ -1,7 +1,7 @@
 """The board of a closed season: every lab's entries and the references, on panel B."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import polars as pl
@@ -9,21 +9,20 @@ import polars as pl
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.boards import Played, bounds_of
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
+from assistax_board.rules.caring import care_of, mean_care
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
 from evaluation.figures.metrics import SEED_SDS
-from evaluation.record.columns import with_safety
 
 PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submissions' episodes
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry(Played):
-    """A method on panel B: its seeds, and how often they succeeded and hurt somebody."""
+    """A method on panel B: its seeds, how often they succeeded, and how people fared."""
 
     success: float
-    safe_success: float | None  # of gentle tasks
-    violations: float | None
+    care: Mapping[str, float]  # of gentle tasks, see `mean_care`; else empty
 
 
 class SeasonBoards:
@@ -77,8 +76,7 @@ def _entry(group: list[tuple[Submission, pl.DataFrame]]) -> Entry:
         submissions=tuple(submission for submission, _ in group),
         returns=np.stack([_returns(table) for _, table in group]),
         success=_share(tables["success"]),
-        safe_success=_share(with_safety(tables)["safe_success"]) if is_gentle else None,
-        violations=_share(tables["violated"]) if is_gentle else None,
+        care=mean_care(care_of(table) for _, table in group) if is_gentle else {},
     )
 
 

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
+from assistax_board.rules.caring import care_of
 from assistax_board.rules.scoring import decode_table, table_bytes
 from assistax_board.store import schema
 from assistax_board.store.artefacts import Artefacts, record_artefact
@@ -139,11 +140,10 @@ def panel_b(
 def figures(table: pl.DataFrame) -> dict[str, Any]:
     """Return mean and IQM over partners with intervals, successes, and broken episodes.
 
-    Of a gentle task also how often somebody was hurt, and the mean return under each preference.
+    Of a gentle task also how people fared, and the mean return under each preference.
     """
     from evaluation.figures.bootstrap import estimate
     from evaluation.record import tables
-    from evaluation.record.columns import with_safety
 
     values = {
         **tables.to_json(estimate(partner_means(table)[None, :])),
@@ -152,13 +152,9 @@ def figures(table: pl.DataFrame) -> dict[str, Any]:
     }
     if "preference" not in table.columns:
         return values
-    safe = with_safety(table)["safe_success"]
     by_preference = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
-    return values | {
-        "safe_success": float(safe.to_numpy().mean()),
-        "violations": float(table["violated"].to_numpy().mean()),
-        "by_preference": dict(by_preference.sort("preference").rows()),
-    }
+    preferences = {"by_preference": dict(by_preference.sort("preference").rows())}
+    return values | care_of(table) | preferences
 
 
 def partner_means(table: pl.DataFrame) -> np.ndarray:

@@ -98,7 +98,7 @@ class _Pairs:
         means = (
             np.where(known, values, 0.0).sum(axis=2) / episodes for values in (log_done, within)
         )
-        return cls(known.any(axis=2), *means)
+        return cls(np.asarray(known.any(axis=2)), *means)
 
     def slopes(self, x: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """Return the slope of each robot [B, S] for counts [B, P] of persons; NaN if undefined."""

@@ -13,14 +13,15 @@ from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.partners import pair_values
 from assistax_board.pages.routes.rows import (
     LONGEST,
-    SAFETY,
     SORTS,
     View,
     board_csv,
     board_of,
+    columns_of,
     old_version,
 )
 from assistax_board.pages.site import LIVE, NotFoundError, Site
+from assistax_board.rules.caring import mean_care
 from evaluation.figures.metrics import paired_difference
 
 
@@ -46,7 +47,7 @@ def board_router(site: Site) -> APIRouter:
     def table(request: Request, task: str, version: str = "") -> Response:
         def text() -> str:
             board = board_of(site, task, version)
-            return board_csv(board, safety_of(site, board))
+            return board_csv(board, care_of_rows(site, board))
 
         page = site.cache.page(f"board.csv {task} {version}", LIVE, text, "text/csv; charset=utf-8")
         response = respond(request, page)
@@ -96,7 +97,8 @@ def newest_film(site: Site) -> dict[str, Any] | None:
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
     """Return the values of a board's page; the default version is the newest."""
     board = site.boards.of(task, version)
-    safety = safety_of(site, board) if board else {}
+    fared = care_of_rows(site, board) if board else {}
+    care = columns_of(fared)
     rows = board.rows if board else ()
     # Rows to measure by are far away and would press the others into one point.
     drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
@@ -105,12 +107,13 @@ def board_values(site: Site, task: str, version: str | None, view: View) -> dict
     return {
         "task": task,
         "board": board,
-        "rows": view.of(board, safety) if board else (),
+        "rows": view.of(board, fared) if board else (),
         "view": view,
-        "sorts": {name: text for name, text in SORTS.items() if safety or name not in SAFETY},
+        "sorts": SORTS | care,
         "old_version": version,
         "versions": site.queries.versions(task),
-        "safety": safety,
+        "fared": fared,
+        "care": care,
         "is_behind": site.boards.is_behind(task, version),
         "axis": axis_over(ends),
         "waiting": sorted(waiting, key=lambda row: row.place or 0),
@@ -119,17 +122,16 @@ def board_values(site: Site, task: str, version: str | None, view: View) -> dict
     }
 
 
-def safety_of(site: Site, board: Board) -> dict[str, tuple[float, float]]:
-    """Return safe success and violations of each row of a gentle task; nothing of another task."""
+def care_of_rows(site: Site, board: Board) -> dict[str, dict[str, float]]:
+    """Return how people fared with each row of a gentle task; nothing of another task."""
     scores = site.queries.scores(task=board.task, panel="public", version=board.version)
     figures = {score.submission: score.figures for score in scores if "violations" in score.figures}
-    safety = {}
+    fared = {}
     for standing, played in board.rows:
         seeds = [figures[seed.id] for seed in played.submissions if seed.id in figures]
         if seeds:
-            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
-            safety[standing.name] = tuple(np.mean(shares, axis=0).tolist())
-    return safety
+            fared[standing.name] = mean_care(seeds)
+    return fared
 
 
 @functools.lru_cache(maxsize=64)  # a board is computed anew when a score is added, and only then

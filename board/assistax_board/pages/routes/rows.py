@@ -10,13 +10,13 @@ from assistax_board.pages.boards import Board, Played
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.places.boards import BoardRow
 from assistax_board.problems import Problem
+from assistax_board.rules.caring import CARE
 
 Row = tuple[BoardRow, Played]
-Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
+Care = Mapping[str, Mapping[str, float]]  # figures of `mean_care` by row's name; of gentle tasks
 AGAIN_SECONDS = 10  # after which who asked for a board that is being computed asks again
 LONGEST = 80  # characters of a search; a method's name has no more
-SAFETY = ("safe_success", "violations")  # columns of gentle tasks alone
-LOWER_IS_BETTER = ("violations", "gap")
+LOWER_IS_BETTER = ("failed_persons", "discomfort", "violations", "gap")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # how a text begins that spreadsheets compute
 
 
@@ -28,15 +28,17 @@ class View:
     search: str = ""
     show: str = ""  # "methods" leaves out the rows to measure by
 
-    def of(self, board: Board, safety: Safety) -> tuple[Row, ...]:
+    def of(self, board: Board, care: Care) -> tuple[Row, ...]:
         """Return the rows, the best first by `sort`, else as they stand on the board."""
         rows = board.methods if self.show == "methods" else board.rows
         text = self.search[:LONGEST].casefold()
         rows = tuple(row for row in rows if text in _names(row[1]).casefold())
-        return tuple(sorted(rows, key=lambda row: self._rank(cells(row, safety))))
+        if self.sort not in SORTS | columns_of(care):
+            return rows
+        return tuple(sorted(rows, key=lambda row: self._rank(cells(row, care))))
 
     def _rank(self, values: Mapping[str, object]) -> tuple[bool, float | str]:
-        value = values.get(self.sort) if self.sort in SORTS else None
+        value = values.get(self.sort)
         if isinstance(value, str):
             return False, value.casefold()
         if not isinstance(value, int | float) or not math.isfinite(value):
@@ -48,8 +50,6 @@ SORTS = {
     "m_test": "M_test",
     "iqm": "IQM",
     "normalised": "normalised return",
-    "safe_success": "safe success",
-    "violations": "violations",
     "cvar_10": "CVaR 10%",
     "worst_tenth": "worst tenth",
     "gap": "gap over disabilities",
@@ -59,10 +59,17 @@ SORTS = {
 }
 
 
-def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
+def columns_of(care: Care) -> dict[str, str]:
+    """Return the columns of care that some row has, and their names for readers."""
+    names = {name for figures in care.values() for name in figures}
+    slopes = {name: name.replace("_", " ") for name in sorted(names - {*CARE})}
+    return {name: text for name, text in CARE.items() if name in names} | slopes
+
+
+def cells(row: Row, care: Care) -> dict[str, str | float | None]:
     """Return a row as the CSV's columns name it."""
     standing, played = row
-    safe_success, violations = safety.get(standing.name, (None, None))
+    fared = care.get(standing.name, {})
     low, high = standing.m_test.mean_ci or (None, None)
     return {
         "place": standing.place,
@@ -76,8 +83,7 @@ def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
         "m_test_high": high,
         "iqm": standing.m_test.iqm,
         "normalised": standing.normalised.mean if standing.normalised else None,
-        "safe_success": safe_success,
-        "violations": violations,
+        **{name: fared.get(name) for name in columns_of(care)},
         "cvar_10": standing.cvar.value if standing.cvar else None,
         "worst_tenth": standing.worst_tenth.value,
         "gap": standing.fairness.gap.value if standing.fairness else None,
@@ -85,13 +91,13 @@ def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
     }
 
 
-def board_csv(board: Board, safety: Safety) -> str:
+def board_csv(board: Board, care: Care) -> str:
     """Return a board as CSV, each row with the version that scored it.
 
     Names are texts of strangers: one that a spreadsheet would compute begins with an apostrophe.
     """
     out = io.StringIO()
-    lines = [cells(row, safety) | {"version": board.version} for row in board.rows]
+    lines = [cells(row, care) | {"version": board.version} for row in board.rows]
     writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _plain(value) for name, value in line.items()} for line in lines)

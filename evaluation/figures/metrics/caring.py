@@ -3,10 +3,11 @@
 import dataclasses
 
 import numpy as np
+import polars as pl
 
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
-from evaluation.figures.metrics import Difference, paired_difference
 from evaluation.figures.metrics.adaptation import Adaptation, adaptation
+from evaluation.figures.metrics.comparison import Difference, paired_difference
 from evaluation.record.columns import VIOLATIONS, measures_care, wishes_of
 from evaluation.record.record import Returns
 
@@ -83,9 +84,10 @@ def compare_care(a: Returns, b: Returns, *, seed: int = 0) -> CareComparison:
     """Return the comparison of two methods with the same persons and episodes."""
     if not (measures_care(a.table) and measures_care(b.table)):
         return CareComparison()
-    starts = {"common_starts": a.common_starts, "seed": seed}
     care = {
-        share: paired_difference(a.column(column), b.column(column), **starts)
+        share: paired_difference(
+            a.column(column), b.column(column), common_starts=a.common_starts, seed=seed
+        )
         for share, column in SHARES.items()
     }
     first, second = (
@@ -93,3 +95,36 @@ def compare_care(a: Returns, b: Returns, *, seed: int = 0) -> CareComparison:
     )
     slopes = {wish: (first.get(wish), second.get(wish)) for wish in {**first, **second}}
     return CareComparison(care=care, slopes=slopes)
+
+
+def persons_done(returns: Returns) -> pl.DataFrame:
+    """Return what was done with each person, a row for each wish and person that was touched.
+
+    Columns: `wish`, `partner`, `family`, `liked`, `done`, the geometric mean over robots and
+    episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked.
+
+    Raises:
+        ValueError: Wishes are not measured, or no person was touched.
+    """
+    names = returns.partners["partner"].to_list()
+    kept = returns.table.filter(pl.col("partner").is_in(names))
+    tables = [
+        kept.filter(pl.col(f"done_{wish}").is_not_null())
+        .group_by("partner", pl.col("partner_algorithm").alias("family"))
+        .agg(
+            pl.col(f"liked_{wish}").cast(pl.Float64).log().mean().exp().alias("liked"),
+            pl.col(f"done_{wish}").cast(pl.Float64).log().mean().exp().alias("done"),
+            pl.col(f"within_{wish}").cast(pl.Float64).mean().alias("within"),
+        )
+        .select(pl.lit(wish).alias("wish"), pl.all())
+        for wish in wishes_of(returns.table)
+    ]
+    if not tables:
+        raise ValueError(
+            "the episodes do not measure what was done of a wish; evaluate on a gentle task, in "
+            "the version of today"
+        )
+    found = pl.concat(tables)
+    if found.is_empty():
+        raise ValueError("no person was touched late in an episode; evaluate a robot that helps")
+    return found.sort("wish", "partner")
