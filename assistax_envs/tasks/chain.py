@@ -15,8 +15,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.preferences import PREFERRED, VALUES
 from assistax_envs.registered import ByTask, load
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
+from assistax_envs.words import WORDS
 
 DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
 Numbers = Mapping[str, Any]
@@ -35,6 +37,7 @@ class Chain:
         self._axis = np.array(data.xaxis[ids], np.float32)  # [7, 3]
         addresses = [joint.dofadr[0] for joint in joints]
         gear = [model.actuator(name).gear[0] for name in ROBOT_JOINTS]
+        self._damping = np.array(model.dof_damping[addresses], np.float32)  # N m s/rad
         # Damping balances nearly all of a torque: this share of the limit turns a joint at 1 rad/s.
         self._share = np.array(model.dof_damping[addresses] / gear, np.float32)
 
@@ -62,6 +65,15 @@ class Chain:
         """Return the tool's velocity [N, 3], m/s."""
         linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
         return jnp.einsum("nij,nj->ni", linear, obs[:, 7:14])
+
+    def yields(self, obs: jax.Array, normal: jax.Array) -> jax.Array:
+        """Return the speed [N, 1] at which 1 N along `normal` [N, 3] moves the tool, m/s.
+
+        A tool that is driven at a speed and does not move presses by the speed over this.
+        """
+        linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
+        turns = jnp.einsum("ni,nij->nj", normal, linear)
+        return (turns**2 / self._damping[None]).sum(axis=1, keepdims=True)
 
     def drive(
         self,
@@ -102,14 +114,16 @@ class Script:
         numbers: Numbers that it plays by; the best of a search with persons
             (`assistax-zoo gates persons TASK --only search`).
         ranges: Least and largest value that a search tries of each number.
-        force: Column of the robot's observation with the force that the script keeps to; None if
-            it keeps to no force.
+        told: From the numbers of a script that is told the wishes, and the wishes [N, 1] by name,
+            to the numbers that keep to them; None if it cannot be told.
+        careful: Numbers of a script that is told, in place of its own.
     """
 
     play: Callable[[Chain, Numbers, jax.Array], jax.Array]
     numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
     ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    force: int | None = None
+    told: Callable[[Numbers, Mapping[str, jax.Array]], Numbers] | None = None
+    careful: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 SCRIPTS: Mapping[str, Script] = ByTask(lambda kind: load(kind.script))
@@ -128,6 +142,43 @@ def script_of(
     script = SCRIPTS[task]
     chosen = {**script.numbers, **(numbers or {})}
     return jax.tree_util.Partial(script.play, Chain(model), chosen)
+
+
+def told_script_of(
+    task: str, model: mujoco.MjModel, numbers: Numbers | None = None
+) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """Return a task's script that keeps to wishes.
+
+    Its arguments are observations [N, O] of the robot and the wishes [N, W], in the order of the
+    task's preferences. Other wishes than the human's make a robot that is wrong on purpose.
+
+    Args:
+        task: The task.
+        model: Model of its scene.
+        numbers: Numbers that replace some of the script's own.
+
+    Raises:
+        ValueError: The task's script cannot be told.
+    """
+    script, chain = SCRIPTS[task], Chain(model)
+    if script.told is None:
+        able = ", ".join(name for name, other in SCRIPTS.items() if other.told)
+        raise ValueError(f"the script of {task} cannot be told wishes; those of {able} can")
+    told, chosen = script.told, {**script.numbers, **script.careful, **(numbers or {})}
+
+    def act(obs: jax.Array, wishes: jax.Array) -> jax.Array:
+        named = dict(zip(PREFERRED[task], jnp.split(wishes, wishes.shape[1], axis=1), strict=True))
+        return script.play(chain, {**chosen, **told(chosen, named)}, obs)
+
+    return act
+
+
+def observed_wishes(task: str, obs: jax.Array) -> jax.Array:
+    """Return the wishes [N, W] in observations of a robot that is told them."""
+    names = PREFERRED[task]
+    last = obs.shape[-1] - len(WORDS)
+    middle = jnp.array([[VALUES[name][1] for name in names]])
+    return middle * jnp.exp(obs[:, last - len(names) : last])
 
 
 def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:

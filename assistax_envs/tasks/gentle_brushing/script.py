@@ -1,10 +1,12 @@
 """Script of gentle brushing, and its numbers."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
 from assistax_envs.tasks.chain import Chain, Numbers, Script, capped
-from assistax_envs.tasks.skin_script import pressing
+from assistax_envs.tasks.skin_script import pressing, rubbing
 
 NUMBERS: dict[str, float] = {
     "approach": 6.05,
@@ -22,7 +24,11 @@ NUMBERS: dict[str, float] = {
     "gate": 0.0341,
     "turn": 0.1,
     "damping": 0.0015,
+    "ahead": 0.0,
+    "drag": 0.0,
 }
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {"heed": 1.0, "pace": 1.0, "ahead": 1.0, "drag": 0.5}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = {
     "approach": (1.0, 8.0),
@@ -40,6 +46,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "gate": (0.02, 0.06),  # before the lips, on the way in
     "turn": (0.02, 0.3),
     "damping": (1e-4, 5e-3),
+    "ahead": (0.0, 1.2),  # share of the force that is kept, which the motors press with anyway
+    "drag": (0.0, 1.5),  # friction that is made up for, as a share of the force
 }
 
 
@@ -61,7 +69,8 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     rubs = (at < n["over"]) & (jnp.abs(aside).max(axis=1, keepdims=True) < 0.03)
     at_place = jnp.where(
         rubs & (height > -0.002) & shown,
-        capped(n["rub"] * aside, n["slide"]) + pressing(n, force) * normal,
+        rubbing(chain, n, obs, force, capped(n["rub"] * aside, n["slide"]))
+        + pressing(chain, n, obs, normal, force) * normal,
         capped(n["approach"] * way, n["fast"]),
     )
     # Between the lips, and before them until it may go in there.
@@ -71,4 +80,9 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 
-SCRIPT = Script(brush, NUMBERS, RANGES)
+def keep_to(n: Numbers, wishes: Mapping[str, jax.Array]) -> Numbers:
+    """Return the numbers of a script that keeps to the liked press and speed."""
+    return {"force": n["heed"] * wishes["press"], "slide": n["pace"] * wishes["speed"]}
+
+
+SCRIPT = Script(brush, NUMBERS, RANGES, told=keep_to, careful=CAREFUL)

@@ -4,7 +4,14 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs.tasks.chain import Chain, Numbers, Script, capped
-from assistax_envs.tasks.skin_script import SKIN_RANGES, above_point, drive_on_skin, pressing
+from assistax_envs.tasks.skin_script import (
+    SKIN_RANGES,
+    above_point,
+    drive_on_skin,
+    pressing,
+    rub_as_liked,
+    rubbing,
+)
 
 NUMBERS: dict[str, float] = {
     "approach": 2.03,
@@ -25,7 +32,11 @@ NUMBERS: dict[str, float] = {
     "descend": 0.0453,
     "rub": 10.3,
     "slide": 0.0799,
+    "ahead": 0.0,
+    "drag": 0.0,
 }
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {"heed": 1.0, "pace": 1.0, "ahead": 1.0, "drag": 0.5}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = SKIN_RANGES | {
     "over": (0.01, 0.06),  # aside of the itch, up to which the tool goes down
@@ -40,10 +51,13 @@ def stroke(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     towards, normal, force = obs[:, 30:33], obs[:, 37:40], 10.0 * obs[:, 43:44]
     aside, off, above = above_point(n, obs, towards, normal)
     descend = 2.0 * aside - n["descend"] * normal
-    rub = capped(n["rub"] * aside, n["slide"]) + pressing(n, force) * normal
+    rub = (
+        rubbing(chain, n, obs, force, capped(n["rub"] * aside, n["slide"]))
+        + pressing(chain, n, obs, normal, force) * normal
+    )
     on = (off < n["over"]) & (normal[:, 2:] > n["facing"])
     velocity = jnp.where(on, jnp.where(force > n["touch"], rub, descend), above)
     return drive_on_skin(chain, n, obs, normal, force, velocity)
 
 
-SCRIPT = Script(stroke, NUMBERS, RANGES, force=43)
+SCRIPT = Script(stroke, NUMBERS, RANGES, told=rub_as_liked, careful=CAREFUL)

@@ -26,7 +26,7 @@ from assistax_workshop.gates.persons_play import (
     play_single,
     play_strangers,
 )
-from assistax_workshop.gates.persons_reading import read_preferences
+from assistax_workshop.gates.persons_reading import read_wishes
 from assistax_workshop.gates.script_search import search_script
 from assistax_workshop.gates.training import CHANGES, KNOWING
 from assistax_zoo.shell.console import TrainingLine
@@ -111,7 +111,7 @@ def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, 
     if name == SEARCH:
         return search_script(plan, progress)
     if name == READ:
-        return read_preferences(plan, progress)
+        return read_wishes(plan, progress)
     return play_robots(plan, name)
 
 

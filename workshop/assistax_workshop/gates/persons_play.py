@@ -20,6 +20,7 @@ STRANGERS = {
     "corners": (8000, 1, "spring"),
     "muscle": (9000, 1, "muscle"),
 }
+FAMILIES = ("spring", "muscle")  # that robots train with
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
 SPRINGS = 9_000  # persons of the family `spring`, for which best responses are trained

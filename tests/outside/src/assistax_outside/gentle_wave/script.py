@@ -42,4 +42,4 @@ def wave(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     return drive_on_skin(chain, n, obs, normal, force, velocity)
 
 
-SCRIPT = Script(wave, NUMBERS, RANGES, force=37)
+SCRIPT = Script(wave, NUMBERS, RANGES)
