@@ -34,6 +34,7 @@ HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against 
 LATE = 0.3  # of that, the share that waits for the delay
 BACK, ASIDE = 0.05, 0.1  # rad, how far it leans at most for its first wish, and its second
 SPOKEN = 0x51ED270B  # changes the seed of chance that words take
+STEADY = np.array([1.0, 1.0, 1.0, 1.0, 0.5], np.float32)  # share of noise: a jaw is light
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
 
 
@@ -287,7 +288,7 @@ class Head:
         if self._muscle:  # a muscle follows its command late
             torque = activation = muscles.followed(activation, torque, numbers)
         shaken = common.shaken(mind.shaken, normal)
-        torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
+        torque = torque * (1.0 + numbers["noise"][:, None] * shaken * jnp.asarray(STEADY)[None])
         turn = 2.0 * np.pi * numbers["tremor_frequency"] * time
         trembles = np.array([0.0, 1.0, 1.0, 1.0, 0.5], np.float32)
         phases = np.array([0.0, 0.0, 0.7, 2.1, 1.4], np.float32)

@@ -114,8 +114,13 @@ class Table(LaidOut):
         return {name: begin[name] + end[name] for name in begin}
 
 
+def best_pay(table: Table) -> float:
+    """Return the pay of a stroke as it is liked best: the steps that it should take."""
+    return STROKE / table.preference.speed / 0.02
+
+
 def liked_steps(table: Table) -> int:
-    return round(STROKE / table.preference.speed / 0.02)
+    return round(best_pay(table))
 
 
 @pytest.mark.slow
@@ -125,7 +130,7 @@ def test_four_strokes_finish_a_place() -> None:
     for count in range(STROKES):
         assert int(table.state.strokes[0]) == count
         paid = table.stroke(steps)
-        assert paid["stroke"] == pytest.approx(5.0, rel=0.02)
+        assert paid["stroke"] == pytest.approx(best_pay(table), rel=0.02)
         assert paid["place"] == (10.0 if count == STROKES - 1 else 0.0)
     assert int(table.state.place[0]) == 2 and int(table.state.done[0]) == 1
 
@@ -155,7 +160,7 @@ def test_unpreferred_strokes_finish_a_place_that_pays_nothing() -> None:
     paid = [table.stroke(2, force=7.0) for _ in range(STROKES)]
     assert int(table.state.done[0]) == 1 and int(table.state.liked_places[0]) == 0
     assert sum(terms["place"] for terms in paid) == 0.0
-    assert sum(terms["stroke"] for terms in paid) < 0.06 * STROKES * 5.0
+    assert sum(terms["stroke"] for terms in paid) < 0.06 * STROKES * best_pay(table)
 
 
 @pytest.mark.parametrize(("liked", "counts"), [(WELL - 1, False), (WELL, True)])
@@ -175,7 +180,8 @@ def test_stroke_takes_time_at_its_place_alone() -> None:
     """Who waits for a head that turns does not spoil the first stroke."""
     table = Table()
     table.play(0.0, 0.0, steps=60, aside=0.03)
-    assert table.stroke(liked_steps(table))["stroke"] == pytest.approx(5.0, rel=0.02)
+    pay = table.stroke(liked_steps(table))["stroke"]
+    assert pay == pytest.approx(best_pay(table), rel=0.02)
 
 
 def test_standing_still_or_half_a_stroke_earns_nothing() -> None:
@@ -199,14 +205,15 @@ def test_force_and_speed_pay_by_preference(name: str) -> None:
     assert max(by_force, key=lambda force: by_force[force]) == likes.press
     assert max(by_steps, key=lambda speed: by_steps[speed]) == likes.speed
     least, best = min(*by_force.values(), *by_steps.values()), by_force[likes.press]
-    assert least >= 5.0 * WHATEVER and best == pytest.approx(5.0, rel=0.02)
+    pay = best_pay(Table(name))
+    assert least >= pay * WHATEVER and best == pytest.approx(pay, rel=0.02)
     # Twice or half of the wish earns a fifth: who does not listen earns little.
     assert sorted(by_force.values())[1] < 0.25 * best
     assert sorted(by_steps.values())[1] < 0.25 * best
 
 
 def test_a_perfect_episode_earns_the_bound() -> None:
-    """360 for strokes and places, and 100 a metre of ways.
+    """For strokes the steps that they should take, for places 10, and for ways 50 a metre.
 
     Of a stroke at most a quarter of its length; between two places what is left after the first.
     """
@@ -217,8 +224,9 @@ def test_a_perfect_episode_earns_the_bound() -> None:
             ways += table.stroke(steps)["progress"]
         between += float(table.state.left[0])
     assert int(table.state.done[0]) == PLACES
-    assert table.total - ways == pytest.approx(PLACES * (STROKES * 5.0 + 10.0), rel=0.02)
-    assert ways <= 100.0 * (0.5 * HALF * PLACES * STROKES + between)
+    bound = PLACES * (STROKES * best_pay(table) + 10.0)
+    assert table.total - ways == pytest.approx(bound, rel=0.02)
+    assert ways <= table.task.weights["progress"] * (0.5 * HALF * PLACES * STROKES + between)
     before = table.total
     for _ in range(4):
         table.stroke(steps)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from assistax_envs.models.care_scenes import OPEN
 from assistax_envs.models.teeth import ORDER
 from assistax_envs.persons.head import JAW, LEAN, YAW, Mind
 from assistax_envs.persons.measure import earned, episodes
@@ -15,6 +16,7 @@ from assistax_envs.persons.player import PersonPlayer
 from assistax_envs.persons.rows import INNER, persons
 from assistax_envs.tasks.gentle_feeding.eating import WIDE
 from assistax_envs.tasks.mouth import ENTERING, TAKING, TURNED, WAITING
+from tests.envs import mouth
 from tests.envs.conftest import start
 
 NOBODY = {  # numbers of somebody without impairment or chance
@@ -133,3 +135,28 @@ def test_head_persons_repeat_and_help(task: str) -> None:
     alone = earned(episodes(task, rows, "script", "idle"))
     assert helped["return"] > alone["return"] + 40.0
     assert alone["success"] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_jaws_do_not_chatter_at_a_still_robot(family: str) -> None:
+    """In 9 s nobody's jaw turns more than five times after 0.1 rad; 13 of 128 did before."""
+    rows = persons("gentle_feeding")[:128]
+    seen = episodes("gentle_feeding", rows, "idle", family=family, steps=500)
+    jaws = OPEN * seen["obs"][50:, :, mouth.JAW]
+    assert np.ptp(jaws, axis=0).max() > 0.1  # they do open
+    turns = np.array([_turns(jaw) for jaw in jaws.T])
+    assert turns.max() <= 5 and (turns > 4).sum() <= 1
+
+
+def _turns(angle: np.ndarray, by: float = 0.1) -> int:
+    """Return how often an angle [T] turns back by more than `by`."""
+    high = low = angle[0]
+    way = count = 0
+    for now in angle:
+        high, low = max(high, now), min(low, now)
+        if (way >= 0 and high - now > by) or (way <= 0 and now - low > by):
+            count += way != 0
+            way = -1 if high - now > by else 1
+            high = low = now
+    return count

@@ -195,7 +195,7 @@ def test_hidden_observation_of_networks_and_persons():
     np.testing.assert_array_equal(state.obs[HIDDEN][:, 0], humans.strength)
     after = env.step(state, {"robot": jnp.zeros((8, 1)), "human": jnp.zeros((8, 2))})
     np.testing.assert_array_equal(after.obs[HIDDEN], state.obs[HIDDEN])
-    rows = persons("gentle_scratch")[numbers("training")][:50]
+    rows = persons("gentle_scratch")[numbers("training")[:50]]
     people = DrawnPersons(PersonPlayer("gentle_scratch"), jnp.asarray(rows), "some")
     env = WithHidden(Settings(), people, 8)
     met = people.renewed(people.humans(8), jax.random.split(jax.random.key(1), 8))
