@@ -61,37 +61,42 @@ def persons(
     /,
     *,
     only: str = "",
-    seeds: str = "16",
+    seeds: str = "8",
     steps: str = "",
     single: int = 50,
-    tries: int = 200,
-    models: int = 64,
+    tries: int = 400,
+    models: int = 32,
+    programs: int = 256,
     set_: Changes = (),
     backend: str = "auto",
     json: bool = False,
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Stages are ppo, told, gru, told-gru (robots that are told the preference, or have a memory),
-    idle (trained with idle persons), best (one robot for each of some persons), script, search (the
-    best numbers for the script, which stays unchanged) and read (are preferences read?). Each has a
-    run and a file in FOLDER, and resumes where it stopped. The table covers all files.
+    Stages of robots are ppo, gru, asymmetric_gru, rma, osi, told-gru (told the wishes), masked (a
+    gru whose persons show and say nothing), learned (a gru that learns with the test side), idle
+    (trained with idle persons) and best (one robot for each of some persons). The others are
+    script, told (the script told multiples of the wishes), search and search-told (the best numbers
+    for the scripts, which stay unchanged), read (are wishes read?), swapped (what follows if a wish
+    alone changes) and steals (what is earned without care). Each has a file in FOLDER; robots have
+    a run, which resumes where it stopped. The table covers all files.
 
     Args:
         task: Gentle task.
         folder: Folder of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind.
-        steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
+        steps: Environment steps of each robot; 50M, of best responses 20M, if not given.
         single: Persons with a best response.
-        tries: Tries of the search over the script's numbers.
+        tries: Tries of each search over a script's numbers.
         models: Persons of each try.
+        programs: Open-loop programs that are tried.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         json: Print the gates as JSON.
 
     Example:
-        assistax-zoo gates persons gentle_bath runs/persons-bath --only ppo,told --seeds 8
+        assistax-zoo gates persons gentle_bath runs/persons-bath --only read,told
     """
     from assistax_workshop.commands.audit import print_gates
     from assistax_workshop.gates.persons import STAGES, run_stages
@@ -108,6 +113,7 @@ def persons(
         single=single,
         tries=tries,
         models=models,
+        programs=programs,
         changes=parse_changes(set_),
         backend=backend,
     )

@@ -1,4 +1,4 @@
-"""Stages of the gates of persons: robots that train with persons, and their returns with them.
+"""Stages of the gates of persons: robots that train with persons, and their results with them.
 
 Each kind of robot is a stage: a run in FOLDER/NAME, which can be resumed, and FOLDER/NAME.json with
 the results of its robots with persons. `persons_table` reads these files, so that stages may run on
@@ -17,66 +17,117 @@ import numpy as np
 
 from assistax_base.files import write_json
 from assistax_envs import Env, make
-from assistax_envs.persons import PersonPlayer, numbers, persons
+from assistax_envs.persons import PersonPlayer
+from assistax_envs.persons.rows import FAMILIES as ALL
+from assistax_envs.persons.rows import INNER, ROWS, UNSEEN
 from assistax_workshop.gates.persons_play import (
+    FAMILIES,
     SINGLE,
-    STRANGERS,
+    SINGLE_EPISODES,
     Plan,
     about,
-    play_single,
+    play_persons,
     play_strangers,
+    rollout_with_persons,
+    rows_of,
+    training_persons,
 )
 from assistax_workshop.gates.persons_reading import read_wishes
+from assistax_workshop.gates.persons_scripts import play_script, play_told
+from assistax_workshop.gates.persons_steals import play_steals
+from assistax_workshop.gates.persons_swapped import play_swapped
 from assistax_workshop.gates.script_search import search_script
-from assistax_workshop.gates.training import CHANGES, KNOWING
+from assistax_workshop.gates.training import CHANGES
 from assistax_zoo.shell.console import TrainingLine
-from evaluation.play.baselines import script_roster
 from population.config import MIXED, Member, make_run
-from population.hyperparameters import preset
-from population.networks.policy import Policy
-from population.networks.stack import PolicyStack
+from population.hyperparameters import robot_preset
 from population.networks.tensors import row_sha256
 from population.runs.train import train
 from population.runs.trained import read_trained_run
-from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
+from population.trainers.drawn_persons import (
+    DrawnPersons,
+    FamiliesPlayer,
+    IdlePersons,
+    OnePersonEach,
+)
+
+
+def _training_side(plan: Plan) -> np.ndarray:
+    """Return the persons that robots train with: inner rows of the training families."""
+    return training_persons(len(FAMILIES) * INNER)
+
+
+def _test_side(plan: Plan) -> np.ndarray:
+    """Return the corners of the training families, and inner persons of the unseen one."""
+    corners = np.arange(INNER, ROWS)
+    known = [ALL.index(family) * ROWS + corners for family in FAMILIES]
+    return np.concatenate([*known, ALL.index(UNSEEN) * ROWS + np.arange(INNER)])
+
+
+def _sample(plan: Plan) -> np.ndarray:
+    """Return the persons who have a robot each."""
+    return np.array(plan.sample)
 
 
 @dataclasses.dataclass(frozen=True)
 class Robots:
-    """Kind of robot: its partners, its observations and its hyperparameters.
+    """Kind of robot: its method, its partners and its observations.
 
     Attributes:
+        method: Of `population.hyperparameters`: "ppo", or one of its `METHODS`.
         told: Roles that observe the person's preference.
+        masked: Whether its persons neither speak nor lean for what they like.
         changes: Changes of the task's hyperparameters.
-        partners: The training side's persons, a new one each episode; the same but idle; or one
-            person of a sample for each robot.
+        partners: A person for each episode; the same but idle; or one for each robot.
+        met: Function of the plan that returns the numbers of the persons.
         steps: Environment steps of each robot, unless the plan has others.
     """
 
+    method: str = "gru"
     told: tuple[str, ...] = ("human",)
+    masked: bool = False
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     partners: type[DrawnPersons] = DrawnPersons
+    met: Callable[[Plan], np.ndarray] = _training_side
     steps: int = 50_000_000
 
 
-BOTH, MEMORY = ("human", "robot"), {"torso": "gru"}
+BOTH = ("human", "robot")
 # A critic without a memory does not see whether its person still wants to go on. With a lambda
-# below .99, or short rollouts, that error likely gets into the advantages: PPO unlearns feeding
+# below .99 that error likely gets into the advantages: PPO unlearns feeding
 # (docs/log/ppo_with_persons.md).
-WITH_PERSONS = {"num_envs": 512, "rollout_steps": 256, "gae_lambda": 0.99}
-# Few simulations learn more from the same number of steps, but less gently. Best responses have
-# 10 M steps, and the rollouts with which they were measured.
-FEW = {"num_envs": 256, "rollout_steps": 64, "gae_lambda": 0.95, "learning_rate": 1e-3}
-ROBOTS: Mapping[str, Robots] = {
-    "ppo": Robots(),
-    KNOWING: Robots(told=BOTH),
-    "gru": Robots(changes=MEMORY),
-    "told-gru": Robots(told=BOTH, changes=MEMORY),
-    "idle": Robots(partners=IdlePersons),
-    "best": Robots(changes=FEW, partners=OnePersonEach, steps=10_000_000),
+WITH_PERSONS = {
+    "num_envs": 512,
+    "rollout_steps": 128,
+    "minibatches": 8,
+    "gae_lambda": 0.99,
 }
-SCRIPT, SEARCH, READ = "script", "search", "read"
-STAGES = (*ROBOTS, SCRIPT, SEARCH, READ)
+# Few simulations learn more from the same number of steps, but less gently.
+FEW = {"num_envs": 256, "rollout_steps": 64, "learning_rate": 1e-3}
+ROBOTS: Mapping[str, Robots] = {
+    "ppo": Robots("ppo"),
+    "gru": Robots(),
+    "told-gru": Robots(told=BOTH),
+    "masked": Robots(masked=True),
+    "asymmetric_gru": Robots("asymmetric_gru"),
+    "rma": Robots("rma"),
+    "osi": Robots("osi"),
+    "learned": Robots(met=_test_side),
+    "idle": Robots(partners=IdlePersons),
+    "best": Robots(told=BOTH, changes=FEW, partners=OnePersonEach, met=_sample, steps=20_000_000),
+}
+Stage = Callable[[Plan, Callable[[str], None]], dict[str, Any]]
+# Stages beside the robots, by name.
+OTHERS: Mapping[str, Stage] = {
+    "script": play_script,
+    "told": play_told,
+    "search": search_script,
+    "search-told": lambda plan, progress: search_script(plan, progress, told=True),
+    "read": read_wishes,
+    "swapped": play_swapped,
+    "steals": play_steals,
+}
+STAGES = (*ROBOTS, *OTHERS)
 
 
 def recipe_with_persons(task: str) -> dict[str, Any]:
@@ -97,65 +148,45 @@ def run_stages(
     plan.folder.mkdir(parents=True, exist_ok=True)
     for number, name in enumerate(stages, 1):
         progress(f"stage {number} of {len(stages)}, {name}")
-        earned = _stage(plan, name, progress)
-        write_json(plan.folder / f"{name}.json", earned)
-        for side, figures in earned.get("sides", {}).items():
-            mean, safe = (np.mean(figures[what]) for what in ("return", "safe_success"))
-            progress(f"{name} with {side}: return {mean:.1f}, safe success {safe:.0%}")
-
-
-def _stage(plan: Plan, name: str, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Return the results of one stage."""
-    if name == SCRIPT:
-        return play_script(plan)
-    if name == SEARCH:
-        return search_script(plan, progress)
-    if name == READ:
-        return read_wishes(plan, progress)
-    return play_robots(plan, name)
+        found = play_robots(plan, name) if name in ROBOTS else OTHERS[name](plan, progress)
+        write_json(plan.folder / f"{name}.json", found)
+        for side, figures in found.get("sides", {}).items():
+            mean, caring = (np.mean(figures[what]) for what in ("return", "success"))
+            progress(f"{name} with {side}: return {mean:.1f}, caring success {caring:.0%}")
 
 
 def play_robots(plan: Plan, name: str) -> dict[str, Any]:
-    """Train the robots of a kind; return their returns and safe successes with persons, by side."""
+    """Train the robots of a kind; return their results with persons, by side."""
     kind = ROBOTS[name]
     env = make(plan.task, plan.backend, told=kind.told)
     run = read_trained_run(_train(plan, name, kind, env))
-    robots, sides = run.policies["robot"], {}
-    policy, params = Policy(robots.spec), jax.tree.map(jnp.asarray, robots.params)
-    if kind.partners is OnePersonEach:
-        sides[SINGLE] = play_single(plan, env, policy, params)
-    else:
-        for side in STRANGERS:
-            sides[side] = play_strangers(plan, env, policy, params, side)
+    robots, paired = run.policies["robot"], kind.partners is OnePersonEach
+    policy, params = robots.spec.player(), jax.tree.map(jnp.asarray, robots.params)
+    rollout = rollout_with_persons(plan, env, policy, paired=paired)
+    single = play_persons(
+        rollout, plan.task, params, _sample(plan), SINGLE_EPISODES, masked=kind.masked
+    )
+    sides = {SINGLE: single}
+    if not paired:
+        sides |= play_strangers(rollout, plan, params, kind.masked)
     return {"about": about(plan, env, run.config.steps, run.config.trainer), "sides": sides}
-
-
-def play_script(plan: Plan) -> dict[str, Any]:
-    """Return the script's results with strangers, and with the persons of best responses."""
-    env = make(plan.task, plan.backend)
-    sizes = env.observation_size["robot"], env.action_size["robot"]
-    [stack] = script_roster(plan.task, *sizes).stacks
-    assert isinstance(stack, PolicyStack)
-    policy, params = stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
-    sides = {SINGLE: play_single(plan, env, policy, params, alone=True)}
-    for side in STRANGERS:
-        sides[side] = play_strangers(plan, env, policy, params, side)
-    return {"about": about(plan, env), "sides": sides}
 
 
 def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
     """Train the robots of a kind; return the folder of the run."""
-    rows, seeds = persons(plan.task), plan.seeds
-    met = rows[numbers("training")]
-    if kind.partners is OnePersonEach:
-        met, seeds = rows[list(plan.sample)], plan.sample
-    partners = kind.partners(PersonPlayer(plan.task), jnp.asarray(met), f"persons-{name}")
+    met = kind.met(plan)
+    rows = jnp.asarray(rows_of(plan.task, met, kind.masked))
+    # The families that are met, without the programs of those that are not.
+    player = FamiliesPlayer([PersonPlayer(plan.task, one) for one in ALL[: met.max() // ROWS + 1]])
+    seeds = plan.sample if kind.partners is OnePersonEach else plan.seeds
+    partners = kind.partners(player, rows, f"persons-{name}")
+    changes = {**recipe_with_persons(plan.task), **kind.changes, **plan.changes}
     config = make_run(
         plan.task,
-        "ippo",
+        kind.method,
         [Member(seed, MIXED) for seed in seeds],
         plan.steps or kind.steps,
-        preset("ippo", **{**recipe_with_persons(plan.task), **kind.changes, **plan.changes}),
+        robot_preset(kind.method, **changes),
         self_play_episodes=0,
         partners=partners.ids,
     )

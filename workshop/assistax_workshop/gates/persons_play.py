@@ -12,20 +12,27 @@ import numpy as np
 from assistax_envs import Env
 from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
+from assistax_envs.persons.parameters import index
+from assistax_envs.persons.rows import FAMILIES as ALL
+from assistax_envs.persons.rows import INNER, ROWS, UNSEEN
+from assistax_envs.persons.senses import SEAT_SIZES
+from assistax_envs.preferences import PREFERRED
+from population.play.caring import caring_columns
 from population.play.rollout import Rollout
+from population.trainers.drawn_persons import FamiliesPlayer
 
-# Sides of persons that no robot met, by name: the first number, the step, and the family.
-STRANGERS = {
-    "validation": (9, 10, "spring"),
-    "corners": (8000, 1, "spring"),
-    "muscle": (9000, 1, "muscle"),
+FAMILIES = tuple(family for family in ALL if family != UNSEEN)  # that robots train with
+# Sides of persons that no robot met, by name: families, and the rows that persons are taken from.
+STRANGERS: Mapping[str, tuple[Sequence[str], range]] = {
+    "validation": (FAMILIES, range(9, INNER, 10)),
+    "corners": (FAMILIES, range(INNER, ROWS)),
+    "unseen": ((UNSEEN,), range(INNER)),
 }
-FAMILIES = ("spring", "muscle")  # that robots train with
 SIDE = 200  # persons of each
 EPISODES = 2  # with each of them
-SPRINGS = 9_000  # persons of the family `spring`, for which best responses are trained
-SINGLE = "single"  # name of a sample of them, which plays more episodes
+SINGLE = "single"  # name of a sample of the first family, which plays more episodes
 SINGLE_EPISODES = 20
+SIGNS = ("expressive", "talkative")  # numbers that masked persons have not
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,8 +45,9 @@ class Plan:
         seeds: Seeds of the robots; a best response has its person's number.
         steps: Environment steps of each robot; the kind's own if not given.
         single: Number of persons with a best response.
-        tries: Tries of the search over the script's numbers.
+        tries: Tries of a search over the script's numbers.
         models: Persons of each try.
+        programs: Open-loop programs that are tried.
         changes: Changes of hyperparameters, for all kinds.
         backend: Physics.
         horizon: Steps of an evaluated episode; the environment's if not given.
@@ -47,11 +55,12 @@ class Plan:
 
     task: str
     folder: Path
-    seeds: Sequence[int] = range(16)
+    seeds: Sequence[int] = range(8)
     steps: int | None = None
     single: int = 50
-    tries: int = 200
-    models: int = 64
+    tries: int = 400
+    models: int = 32
+    programs: int = 256
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     backend: str = "auto"
     horizon: int | None = None
@@ -59,51 +68,96 @@ class Plan:
     @property
     def sample(self) -> range:
         """Numbers of the persons with a best response, spread evenly over the first family."""
-        return range(0, SPRINGS, SPRINGS // self.single)[: self.single]
+        return range(0, ROWS, ROWS // self.single)[: self.single]
 
 
-def play_strangers(plan: Plan, env: Env, policy: Any, params: Any, side: str) -> dict[str, Any]:
-    """Return the results of robots with strangers of a side; see `play_persons`."""
-    first, apart, family = STRANGERS[side]
-    met = np.arange(first, len(persons(plan.task)), apart)[:SIDE]
-    rollout = rollout_with_persons(plan, env, policy, family)
-    return play_persons(rollout, plan.task, params, met, EPISODES)
+class AnyPerson(FamiliesPlayer):
+    """Persons of all families, stacked; if `idle`, they do and say nothing."""
+
+    def __init__(self, task: str, idle: bool = False) -> None:
+        super().__init__([PersonPlayer(task, family) for family in ALL])
+        self._torques = SEAT_SIZES[task][1] if idle else 0
+
+    def act_stack(
+        self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
+    ) -> tuple[Any, jax.Array]:
+        """Act for stacked persons, "row" [P, 31] and obs [P, R, O], at once."""
+        if self._torques:
+            return carry, jnp.zeros((*obs.shape[:-1], self._torques), obs.dtype)
+        return self.act({"row": params["row"][:, None]}, carry, obs, first)
 
 
-def play_single(
-    plan: Plan, env: Env, policy: Any, params: Any, alone: bool = False
-) -> dict[str, Any]:
-    """Return the results of robot i with person i of the sample, or of one robot with them all."""
-    rollout = rollout_with_persons(plan, env, policy, paired=not alone)
-    return play_persons(rollout, plan.task, params, np.array(plan.sample), SINGLE_EPISODES)
+def rows_of(task: str, met: np.ndarray, masked: bool = False) -> np.ndarray:
+    """Return the rows [P, 31] of persons by number, as `FamiliesPlayer` has them.
+
+    `masked` persons neither speak nor lean for what they like.
+    """
+    rows = np.array(persons(task)[met % ROWS])
+    if masked:
+        rows[:, [index(task)[name] for name in SIGNS]] = 0.0
+    return np.concatenate([rows, (met // ROWS)[:, None]], axis=1).astype(np.float32)
+
+
+def strangers(side: str) -> np.ndarray:
+    """Return the numbers of the persons of a side, or of any of `STRANGERS`' families."""
+    families, rows = STRANGERS[side]
+    share = SIDE // len(families)
+    chosen = np.array(rows)[:: max(len(rows) // share, 1)][:share]
+    return np.concatenate([ALL.index(family) * ROWS + chosen for family in families])
+
+
+def training_persons(count: int, rows: range = range(INNER)) -> np.ndarray:
+    """Return about `count` numbers of the training side, spread over both families."""
+    inner = np.array([row for row in rows if row % 10 != 9])
+    chosen = inner[:: max(len(inner) * len(FAMILIES) // count, 1)][: -(-count // len(FAMILIES))]
+    return np.concatenate([ALL.index(family) * ROWS + chosen for family in FAMILIES])[:count]
+
+
+def play_strangers(rollout: Rollout, plan: Plan, params: Any, masked: bool = False) -> Any:
+    """Return the results of robots with strangers, by side; see `play_persons`."""
+    return {
+        side: play_persons(rollout, plan.task, params, strangers(side), EPISODES, masked)
+        for side in STRANGERS
+    }
 
 
 def rollout_with_persons(
-    plan: Plan, env: Env, policy: Any, family: str = "spring", paired: bool = False
+    plan: Plan, env: Env, policy: Any, idle: bool = False, paired: bool = False
 ) -> Rollout:
-    """Return the rollout of robots of one form with persons of a family."""
-    human = PersonPlayer(plan.task, family)
+    """Return the rollout of robots of one form with persons of all families."""
+    human = AnyPerson(plan.task, idle)
     return Rollout(env, [policy], [human], paired=paired, length=plan.horizon)
 
 
-@own_settings()
 def play_persons(
-    rollout: Rollout, task: str, params: Any, met: np.ndarray, episodes: int
+    rollout: Rollout,
+    task: str,
+    params: Any,
+    met: np.ndarray,
+    episodes: int,
+    masked: bool = False,
 ) -> dict[str, Any]:
     """Return the results of robots [M] in each episode with the persons [P] numbered `met`.
 
-    "return" and "safe_success" are [M, P, K]; M is 1 if robot i is paired with person i.
+    "return", "success" (caring success), "discomfort_share", "violation", and for each wish
+    "liked_", "done_" and "within_" are [M, P, K]; M is 1 if robot i is paired with person i. What
+    was never done is None.
     """
-    keys = jax.random.split(key_of(99), (len(met), episodes))
-    rows = persons(task)[met]
+    played = play_rows(rollout, task, params, rows_of(task, met, masked), episodes)
+    return {"persons": met.tolist()} | {name: _listed(values) for name, values in played.items()}
+
+
+@own_settings()
+def play_rows(
+    rollout: Rollout, task: str, params: Any, rows: np.ndarray, episodes: int
+) -> dict[str, np.ndarray]:
+    """Return the results [M, P, K] by name of robots with persons of rows [P, 31]."""
+    keys = jax.random.split(key_of(99), (len(rows), episodes))
     body, stack = person_params(task, rows), {"row": jnp.asarray(rows)}
     tally = rollout.run([params], [stack], body, keys)
-    safe = tally.success & ~tally.violated
-    return {
-        "persons": met.tolist(),
-        "return": np.round(np.asarray(tally.returns, np.float64), 3).tolist(),
-        "safe_success": np.asarray(safe, int).tolist(),
-    }
+    with np.errstate(invalid="ignore"):
+        cared = caring_columns(tally.caring, PREFERRED[task])
+    return {"return": tally.returns, "success": tally.success} | cared
 
 
 def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
@@ -115,3 +169,9 @@ def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str
         "steps": steps,
         "trainer": trainer and {**dataclasses.asdict(trainer), "hidden": list(trainer.hidden)},
     }
+
+
+def _listed(values: np.ndarray) -> list[Any]:
+    """Return values as lists, rounded; those that are not finite are None."""
+    rounded = np.round(np.asarray(values, np.float64), 4)
+    return np.where(np.isfinite(rounded), rounded.astype(object), None).tolist()
