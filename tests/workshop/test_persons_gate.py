@@ -9,9 +9,8 @@ import pytest
 
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import INNER, ROWS, family, side
-from assistax_workshop.gates import persons, persons_play, persons_reading
-from assistax_workshop.gates.persons import ROBOTS, run_stages
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons import play, reading, robots, scripts, stages
+from assistax_workshop.gates.persons.play import (
     SIGNS,
     SINGLE,
     STRANGERS,
@@ -19,9 +18,11 @@ from assistax_workshop.gates.persons_play import (
     rows_of,
     strangers,
 )
-from assistax_workshop.gates.persons_swapped import swapped
-from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
-from assistax_workshop.gates.script_search import ranges
+from assistax_workshop.gates.persons.robots import ROBOTS
+from assistax_workshop.gates.persons.search import ranges
+from assistax_workshop.gates.persons.stages import run_stages
+from assistax_workshop.gates.persons.swapped import swapped
+from assistax_workshop.gates.persons.table import gates_of_persons, read_stages
 
 TASK = "gentle_scratch"
 
@@ -30,26 +31,27 @@ TASK = "gentle_scratch"
 def test_stages_write_returns_by_robot_and_person(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(persons_play, "SIDE", 4)
-    monkeypatch.setattr(persons, "SINGLE_EPISODES", 2)
+    monkeypatch.setattr(play, "SIDE", 4)
+    for module in (robots, scripts):
+        monkeypatch.setattr(module, "SINGLE_EPISODES", 2)
     lines: list[str] = []
-    monkeypatch.setattr(persons_reading, "TESTED", 3)
-    monkeypatch.setattr(persons_reading, "LEARNED", 3)
+    monkeypatch.setattr(reading, "TESTED", 3)
+    monkeypatch.setattr(reading, "LEARNED", 3)
     changes = {"num_envs": 4, "minibatches": 1}
     plan = Plan(TASK, tmp_path, (0, 1), 600, 2, 25, 2, 8, changes, horizon=30)
-    stages = ("masked", "best", "told", "search", "read", "swapped", "steals")
-    run_stages(plan, stages, lines.append)
+    names = ("masked", "best", "told-script", "search", "read", "swapped", "steals")
+    run_stages(plan, names, lines.append)
     files = read_stages(tmp_path)
-    assert set(files) == set(stages)
+    assert set(files) == set(names)
     found = files["search"]
     assert len(found["scores"]) == 25 and set(found["numbers"]) == set(ranges(TASK))
     assert np.shape(found["sides"]["corners"]["return"]) == (2, 4, 2)
     assert np.shape(files["masked"]["sides"]["unseen"]["return"]) == (2, 4, 2)
-    assert np.shape(files["told"]["sides"]["unseen"]["done_force"]) == (4, 4, 2)
+    assert np.shape(files["told-script"]["sides"]["unseen"]["done_force"]) == (4, 4, 2)
     single = files["best"]["sides"][SINGLE]
     assert single["persons"] == [0, 5000] and set(files["best"]["sides"]) == {SINGLE}
     assert np.shape(single["return"]) == np.shape(single["success"]) == (1, 2, 2)
-    assert set(files["swapped"]["slopes"]) == {"script", "told", "masked"}
+    assert set(files["swapped"]["slopes"]) == {"script", "told-script", "masked"}
     assert "programs" in files["steals"]["earned"]
     before = json.loads((tmp_path / "masked.json").read_text())
     run_stages(plan, ("masked",), lines.append)  # trained already: only played again
@@ -58,9 +60,9 @@ def test_stages_write_returns_by_robot_and_person(
 
 def test_each_stage_is_told_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[str] = []
-    monkeypatch.setattr(persons, "OTHERS", dict.fromkeys(("told", "read"), lambda *_: {}))
-    run_stages(Plan(TASK, tmp_path), ("told", "read"), lines.append)
-    assert lines == ["stage 1 of 2, told", "stage 2 of 2, read"]
+    monkeypatch.setattr(stages, "OTHERS", dict.fromkeys(("told-script", "read"), lambda *_: {}))
+    run_stages(Plan(TASK, tmp_path), ("told-script", "read"), lines.append)
+    assert lines == ["stage 1 of 2, told-script", "stage 2 of 2, read"]
     with pytest.raises(ValueError, match="stage is 'pp'; allowed are ppo, gru"):
         run_stages(Plan(TASK, tmp_path), ("pp",))
 
@@ -119,15 +121,15 @@ def _figures(returns: np.ndarray, met: list[int], slope: float = 0.0, success: f
     return {name: np.asarray(values).tolist() for name, values in figures.items()}
 
 
-def _stage(mean: float, robots: int, seed: int, slope: float = 0.0, success: float = 1.0) -> Any:
+def _stage(mean: float, count: int, seed: int, slope: float = 0.0, success: float = 1.0) -> Any:
     rng, sides = np.random.default_rng(seed), {}
     for name, met in {one: strangers(one).tolist() for one in STRANGERS}.items():
-        shapes = {(robots, 1, 1): 5.0, (1, len(met), 1): 5.0, (robots, len(met), 1): 10.0}
+        shapes = {(count, 1, 1): 5.0, (1, len(met), 1): 5.0, (count, len(met), 1): 10.0}
         noise = sum(rng.normal(0.0, spread, shape) for shape, spread in shapes.items())
-        returns = mean + noise + rng.normal(0.0, 5.0, (robots, len(met), 4))
+        returns = mean + noise + rng.normal(0.0, 5.0, (count, len(met), 4))
         sides[name] = _figures(returns, met, slope, success)
     single = list(range(0, ROWS, 200))
-    sides[SINGLE] = _figures(mean + rng.normal(0.0, 5.0, (robots, 50, 4)), single, slope, success)
+    sides[SINGLE] = _figures(mean + rng.normal(0.0, 5.0, (count, 50, 4)), single, slope, success)
     return {"about": {"steps": 50_000_000, "tries": 400}, "sides": sides}
 
 
@@ -147,7 +149,7 @@ def _good() -> dict[str, Any]:
     found = {"both": 0.7, "body": 0.5, "words": 0.6, "shuffled": 0.33, "of": 300, "talking": {}}
     read = {"read": {"probe": {"force": found, "speed": found | {"both": 0.4}}}}
     steals = {"programs": {"return": [10.0], "success": [0.0]}}
-    return files | {"told": told, "read": read, "steals": {"earned": steals}}
+    return files | {"told-script": told, "read": read, "steals": {"earned": steals}}
 
 
 def test_gates_are_read_from_what_was_earned() -> None:
@@ -183,7 +185,7 @@ def test_gates_that_are_missed_say_so() -> None:
     files["ppo"] = _stage(90.0, 8, 0, slope=0.09)
     for figures in files["gru"]["sides"].values():
         figures["discomfort_share"] = np.full(np.shape(figures["return"]), 0.5).tolist()
-    for figures in files["told"]["sides"].values():  # as much at the double as at 1.5
+    for figures in files["told-script"]["sides"].values():  # as much at the double as at 1.5
         figures["return"][2] = figures["return"][1]
     files["learned"] = _stage(122.0, 8, 4)
     files["steals"]["earned"]["programs"] = {"return": [60.0], "success": [0.0]}

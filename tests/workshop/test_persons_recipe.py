@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
+from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from population.trainers.gae import advantages
 
 PUSHES, STAY = 0.1, 60  # share of pushes among the robot's acts, steps in the mouth

@@ -73,22 +73,18 @@ def persons(
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Stages of robots are ppo, gru, asymmetric_gru, rma, osi, told-gru (told the wishes), masked (a
-    gru whose persons show and say nothing), learned (a gru that learns with the test side), idle
-    (trained with idle persons) and best (one robot for each of some persons). The others are
-    script, told (the script told multiples of the wishes), search and search-told (the best numbers
-    for the scripts, which stay unchanged), read (are wishes read?), swapped (what follows if a wish
-    alone changes) and steals (what is earned without care). Each has a file in FOLDER; robots have
-    a run, which resumes where it stopped. The table covers all files.
+    Robots are ppo, gru, asymmetric_gru, rma, osi, told-gru, masked (persons show nothing), learned
+    (with the test side), idle and best (one a person). Others are script, told-script, search and
+    search-told, read, swapped (one wish changes) and steals. The table covers all files in FOLDER.
 
     Args:
         task: Gentle task.
         folder: Folder of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind.
-        steps: Environment steps of each robot; 50M, of best responses 20M, if not given.
+        steps: Environment steps of each robot; if not given, 50M, of best responses 20M.
         single: Persons with a best response.
-        tries: Tries of each search over a script's numbers.
+        tries: Tries of each search.
         models: Persons of each try.
         programs: Open-loop programs that are tried.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
@@ -96,12 +92,12 @@ def persons(
         json: Print the gates as JSON.
 
     Example:
-        assistax-zoo gates persons gentle_bath runs/persons-bath --only read,told
+        assistax-zoo gates persons gentle_bath runs/persons-bath --only read
     """
     from assistax_workshop.commands.audit import print_gates
-    from assistax_workshop.gates.persons import STAGES, run_stages
-    from assistax_workshop.gates.persons_play import Plan
-    from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+    from assistax_workshop.gates.persons.play import Plan
+    from assistax_workshop.gates.persons.stages import STAGES, run_stages
+    from assistax_workshop.gates.persons.table import gates_of_persons, read_stages
     from assistax_zoo.shell.console import print_json, stdout_is_data
     from evaluation.record.tables import to_json
 
@@ -110,10 +106,7 @@ def persons(
         folder,
         parse_seeds(seeds),
         parse_steps(steps) if steps else None,
-        single=single,
-        tries=tries,
-        models=models,
-        programs=programs,
+        *(single, tries, models, programs),
         changes=parse_changes(set_),
         backend=backend,
     )

@@ -10,7 +10,7 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons_care import (
+from assistax_workshop.gates.persons.care import (
     SCRIPT,
     Files,
     gates_of_care,
@@ -18,7 +18,7 @@ from assistax_workshop.gates.persons_care import (
     scores,
     steps_of,
 )
-from assistax_workshop.gates.persons_play import SINGLE, STRANGERS
+from assistax_workshop.gates.persons.play import SINGLE, STRANGERS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from assistax_envs.preferences import PREFERRED
 from assistax_envs.tasks.chain import SCRIPTS
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons.play import (
     Plan,
     about,
     play_persons,
@@ -21,7 +21,7 @@ from assistax_workshop.gates.persons_play import (
     rollout_with_persons,
     training_persons,
 )
-from assistax_workshop.gates.persons_scripts import TriedScript, own_numbers, script_env
+from assistax_workshop.gates.persons.scripts import TriedScript, own_numbers, script_env
 
 ROUNDS = 5
 ELITE = 5  # one try in this many is a model of the next round

@@ -14,8 +14,8 @@ from assistax_envs.persons import measure, persons
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import INNER
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons_play import FAMILIES, Plan
-from assistax_workshop.gates.reader import SEEN, Windows, moments, read_thirds, share_found
+from assistax_workshop.gates.persons.play import FAMILIES, Plan
+from assistax_workshop.gates.persons.reader import SEEN, Windows, moments, read_thirds, share_found
 from population.runs.trained import read_trained_run
 
 LEARNED, TESTED = 2_000, 200  # persons of each family

@@ -8,22 +8,22 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from evaluation.figures.metrics.caring import failed
 
 from assistax_envs.persons.rows import FAMILIES as ALL
 from assistax_envs.persons.rows import ROWS
 from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons_play import SINGLE, STRANGERS
-from assistax_workshop.gates.persons_scripts import FACTORS
+from assistax_workshop.gates.persons.play import SINGLE, STRANGERS
+from assistax_workshop.gates.persons.scripts import CAREFUL, FACTORS
 from evaluation.figures.metrics.adaptation import Adaptation, adaptation
+from evaluation.figures.metrics.caring import failed
 
 Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
 
-SCRIPT, TOLD, READ, SWAPPED, STEALS = "script", "told", "read", "swapped", "steals"
+SCRIPT, READ, SWAPPED, STEALS = "script", "read", "swapped", "steals"
 UNTOLD = ("gru", "asymmetric_gru", "rma", "osi", "ppo")  # kinds of which the best is the best robot
 PLAIN = "ppo"  # the kind without a memory
-BOUNDS = (TOLD, "told-gru", "best")  # kinds whose best bounds what a person can be worth
+BOUNDS = (CAREFUL, "told-gru", "best")  # kinds whose best bounds what a person can be worth
 SIDE, TESTED = "validation", ("corners", "unseen")
 SLOPE, HALF, FOUND = 0.4, 0.5, 0.6
 UNEASY, FAILED = 0.25, 0.2
@@ -68,7 +68,7 @@ def bound_of(files: Files) -> tuple[np.ndarray, np.ndarray] | None:
     for kind in BOUNDS:
         if kind in files:
             returns = scores(files[kind], SINGLE, "return")
-            played += list(returns[:1] if kind == TOLD else returns)  # a told script at once
+            played += list(returns[:1] if kind == CAREFUL else returns)  # a told script at once
     if not played:
         return None
     returns = np.stack(played)
@@ -152,10 +152,10 @@ def _reading(files: Files) -> Iterator[Gate]:
 
 def _falling(files: Files) -> Iterator[Gate]:
     """Yield the gates of told scripts: what is lost with each larger multiple of the wishes."""
-    if TOLD not in files:
-        yield missing("told script at more than is liked", "less at each step", TOLD)
+    if CAREFUL not in files:
+        yield missing("told script at more than is liked", "less at each step", CAREFUL)
         return
-    for family, returns in _by_family(files[TOLD], "return").items():
+    for family, returns in _by_family(files[CAREFUL], "return").items():
         means = returns.mean(axis=(1, 2))
         steps = -np.diff(means)
         least = int(steps.argmin())

@@ -157,7 +157,8 @@ def play_rows(
     tally = rollout.run([params], [stack], body, keys)
     with np.errstate(invalid="ignore"):
         cared = caring_columns(tally.caring, PREFERRED[task])
-    return {"return": tally.returns, "success": tally.success} | cared
+    played = {"return": tally.returns, "success": tally.success} | cared
+    return {name: np.asarray(values) for name, values in played.items()}
 
 
 def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str, Any]:
@@ -174,4 +175,6 @@ def about(plan: Plan, env: Env, steps: int = 0, trainer: Any = None) -> dict[str
 def _listed(values: np.ndarray) -> list[Any]:
     """Return values as lists, rounded; those that are not finite are None."""
     rounded = np.round(np.asarray(values, np.float64), 4)
-    return np.where(np.isfinite(rounded), rounded.astype(object), None).tolist()
+    listed = rounded.astype(object)
+    listed[~np.isfinite(rounded)] = None
+    return listed.tolist()

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import Env, make
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons.play import (
     EPISODES,
     STRANGERS,
     Plan,
@@ -17,8 +17,8 @@ from assistax_workshop.gates.persons_play import (
     strangers,
     training_persons,
 )
-from assistax_workshop.gates.persons_swapped import players
-from assistax_workshop.gates.script_search import search_script
+from assistax_workshop.gates.persons.search import search_script
+from assistax_workshop.gates.persons.swapped import players
 
 EVERY = 50  # steps from one knot of a program to the next; actions are linear in between
 ROUNDS = 4

@@ -1,13 +1,8 @@
-"""Stages of the gates of persons: robots that train with persons, and their results with them.
-
-Each kind of robot is a stage: a run in FOLDER/NAME, which can be resumed, and FOLDER/NAME.json with
-the results of its robots with persons. `persons_table` reads these files, so that stages may run on
-several machines.
-"""
+"""Kinds of robots that train with persons, for the gates of persons."""
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_base.files import write_json
 from assistax_envs import Env, make
 from assistax_envs.persons import PersonPlayer
 from assistax_envs.persons.rows import FAMILIES as ALL
 from assistax_envs.persons.rows import INNER, ROWS, UNSEEN
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons.play import (
     FAMILIES,
     SINGLE,
     SINGLE_EPISODES,
@@ -32,11 +26,6 @@ from assistax_workshop.gates.persons_play import (
     rows_of,
     training_persons,
 )
-from assistax_workshop.gates.persons_reading import read_wishes
-from assistax_workshop.gates.persons_scripts import play_script, play_told
-from assistax_workshop.gates.persons_steals import play_steals
-from assistax_workshop.gates.persons_swapped import play_swapped
-from assistax_workshop.gates.script_search import search_script
 from assistax_workshop.gates.training import CHANGES
 from assistax_zoo.shell.console import TrainingLine
 from population.config import MIXED, Member, make_run
@@ -116,43 +105,11 @@ ROBOTS: Mapping[str, Robots] = {
     "idle": Robots(partners=IdlePersons),
     "best": Robots(told=BOTH, changes=FEW, partners=OnePersonEach, met=_sample, steps=20_000_000),
 }
-Stage = Callable[[Plan, Callable[[str], None]], dict[str, Any]]
-# Stages beside the robots, by name.
-OTHERS: Mapping[str, Stage] = {
-    "script": play_script,
-    "told": play_told,
-    "search": search_script,
-    "search-told": lambda plan, progress: search_script(plan, progress, told=True),
-    "read": read_wishes,
-    "swapped": play_swapped,
-    "steals": play_steals,
-}
-STAGES = (*ROBOTS, *OTHERS)
 
 
 def recipe_with_persons(task: str) -> dict[str, Any]:
     """Return the changes of PPO's preset for robots of a gentle task that train with persons."""
     return {**CHANGES[task], "learning_rate": 5e-4, **WITH_PERSONS}
-
-
-def run_stages(
-    plan: Plan, stages: Sequence[str] = STAGES, progress: Callable[[str], None] = print
-) -> None:
-    """Train and play stages; results that the folder holds are not made again.
-
-    Raises:
-        ValueError: There is no such stage.
-    """
-    if unknown := [name for name in stages if name not in STAGES]:
-        raise ValueError(f"stage is {unknown[0]!r}; allowed are {', '.join(STAGES)}")
-    plan.folder.mkdir(parents=True, exist_ok=True)
-    for number, name in enumerate(stages, 1):
-        progress(f"stage {number} of {len(stages)}, {name}")
-        found = play_robots(plan, name) if name in ROBOTS else OTHERS[name](plan, progress)
-        write_json(plan.folder / f"{name}.json", found)
-        for side, figures in found.get("sides", {}).items():
-            mean, caring = (np.mean(figures[what]) for what in ("return", "success"))
-            progress(f"{name} with {side}: return {mean:.1f}, caring success {caring:.0%}")
 
 
 def play_robots(plan: Plan, name: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from assistax_envs import make
 from assistax_envs.persons import persons
 from assistax_envs.persons.parameters import index
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons.play import (
     EPISODES,
     Plan,
     play_rows,
@@ -23,7 +23,8 @@ from assistax_workshop.gates.persons_play import (
     rows_of,
     strangers,
 )
-from assistax_workshop.gates.persons_scripts import TriedScript, script_env
+from assistax_workshop.gates.persons.robots import ROBOTS
+from assistax_workshop.gates.persons.scripts import CAREFUL, TriedScript, script_env
 from population.play.rollout import Rollout
 from population.runs.trained import read_trained_run
 
@@ -42,11 +43,9 @@ def play_swapped(plan: Plan, progress: Callable[[str], None] = print) -> dict[st
 
 def players(plan: Plan, idle: bool = False) -> Iterator[tuple[str, Rollout, Any]]:
     """Yield name, rollout with persons and parameters of scripts and of the folder's robots."""
-    from assistax_workshop.gates.persons import ROBOTS
-
-    for name in ("script", "told"):
-        env = script_env(plan, name == "told")
-        policy = TriedScript(env, name == "told")
+    for name in ("script", CAREFUL):
+        env = script_env(plan, name == CAREFUL)
+        policy = TriedScript(env, name == CAREFUL)
         yield name, rollout_with_persons(plan, env, policy, idle), {"factor": jnp.ones(1)}
     for name, kind in ROBOTS.items():
         if name != "best" and (plan.folder / name / "teams.json").exists():

@@ -9,7 +9,7 @@ import numpy as np
 
 from assistax_envs import Env, make
 from assistax_envs.tasks.chain import SCRIPTS, observed_wishes, script_of, told_script_of
-from assistax_workshop.gates.persons_play import (
+from assistax_workshop.gates.persons.play import (
     SINGLE,
     SINGLE_EPISODES,
     Plan,
@@ -19,6 +19,7 @@ from assistax_workshop.gates.persons_play import (
     rollout_with_persons,
 )
 
+CAREFUL = "told-script"  # stage of the script that is told the wishes, and its name
 FACTORS = (1.0, 1.5, 2.0, 3.0)  # multiples of the liked values that a told script keeps to
 
 
@@ -74,7 +75,7 @@ def play_told(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, 
     for side, figures in found["sides"].items():
         means = np.mean(figures["return"], axis=(1, 2))
         progress(
-            f"told with {side}: return "
+            f"{CAREFUL} with {side}: return "
             + ", ".join(f"{mean:.1f} at {f:g}" for f, mean in zip(FACTORS, means, strict=True))
         )
     return found
