@@ -98,11 +98,13 @@ class Signing:
         # A reason that is away for a moment is not forgotten.
         same = (wanted == signs.cause) & (wanted > 0)
         due = jnp.where(same, signs.due + STEP, jnp.maximum(signs.due - STEP, 0.0))
-        other = due <= 0.0
+        # Who is hurt forgets all other reasons.
+        other = (due <= 0.0) | ((wanted == STOP) & ~same)
         cause = jnp.where(other, wanted, signs.cause)
-        due = jnp.where(other, 0.0, jnp.minimum(due, 3.0))
         since = signs.since + STEP
         wait = numbers["word_delay"] + jnp.where(cause == GOOD, PLEASED, 0.0)
+        # Nor is it remembered for longer than it takes to say it.
+        due = jnp.where(other, 0.0, jnp.minimum(due, wait + 2.0 * STEP))
         ready = (cause > 0) & same & (due > wait) & (since > numbers["word_pause"])
         any_word = 1 + jnp.floor(chance[:, 2] * len(WORDS)).astype(jnp.int32)
         word = jnp.where(chance[:, 1] < numbers["word_error"], any_word, cause)

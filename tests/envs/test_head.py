@@ -23,7 +23,8 @@ NOBODY = {  # numbers of somebody without impairment or chance
     "noise": 0.0, "wander": 0.0, "pace": 0.1, "initiative": 1.0, "lapses": 0.0,
     "belief_pitch": 0.0, "belief_yaw": 0.0, "belief_jaw": 0.0, "liked_wait": 0.08,
     "liked_depth": 0.02, "liked_press": 1.0, "liked_speed": 0.04, "tolerance": 2.5, "settle": 0.3,
-    "withdraw": 0.15, "lean": 0.05, "limit": 1.0,
+    "withdraw": 0.15, "lean": 0.05, "limit": 1.0, "expressive": 0.0, "talkative": 0.0,
+    "word_delay": 0.6, "word_pause": 1.0, "word_error": 0.0,
 }  # fmt: skip
 BATCH = 16
 FAMILIES = ("spring", "muscle")

@@ -31,12 +31,13 @@ NOBODY = {  # numbers of somebody without impairment or chance, of the gentle ta
     "noise": 0.0, "gravity": 1.0, "pace": 0.1, "initiative": 0.0, "lapses": 0.0,
     "belief_shoulder1": 0.0, "belief_shoulder2": 0.0, "belief_elbow": 0.0, "liked_force": 4.0,
     "liked_speed": 0.05, "tolerance": 2.5, "liked_distance": 0.25, "liked_place": 0.2,
-    "settle": 0.3, "withdraw": 0.15, "lean": 0.05, "limit": 1.0,
+    "settle": 0.3, "withdraw": 0.15, "lean": 0.05, "limit": 1.0, "expressive": 0.0,
+    "talkative": 0.0, "word_delay": 0.6, "word_pause": 1.0, "word_error": 0.0,
 }  # fmt: skip
 
 
 def somebody(task: str = "gentle_scratch", count: int = 1, **numbers: float) -> np.ndarray:
-    """Return rows [count, 25] of a person without impairment, with the given numbers."""
+    """Return rows [count, 30] of a person without impairment, with the given numbers."""
     row = [(NOBODY | numbers)[parameter.name] for parameter in PARAMETERS[task]]
     return np.array([row] * count, np.float32)
 
@@ -65,12 +66,15 @@ def watched(
     rows: np.ndarray, touches: np.ndarray, task: str = "gentle_scratch", family: str = "spring"
 ) -> tuple[list[Mind], np.ndarray]:
     """Return carries and actions [T, N, 3] while forces [T] N act on an arm that is held still."""
-    count, where = len(rows), person_kind(task).columns["touch"]
+    count, columns = len(rows), person_kind(task).columns
+    # The paper's tasks have the force itself, in N.
+    felt, unit = ("touch", 10.0) if "touch" in columns else ("force", 1.0)
+    where = columns[felt].start
     row = jnp.asarray(np.resize(rows, (BATCH, WIDTH)))  # one size: compiled once
     mind, minds, actions = player(task, family).initial_carry((BATCH,)), [], []
     for time, touch in enumerate(touches):
         obs = np.tile(at_rest(task), (BATCH, 1))
-        obs[:, where] = touch / 10.0
+        obs[:, where] = touch / unit
         first = jnp.full(BATCH, time == 0)
         mind, action = acting(task, family)({"row": row}, mind, jnp.asarray(obs), first)
         minds.append(jax.tree.map(lambda leaf: leaf[:count], mind))

@@ -9,6 +9,8 @@ import pytest
 
 import assistax_envs
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
+from assistax_envs.persons.parameters import WIDTH
+from assistax_envs.persons.rows import INNER
 from population.config import MIXED, Member, TrainConfig
 from population.environment import ToldNumbers
 from population.hyperparameters import PPOConfig
@@ -21,7 +23,8 @@ from population.trainers.drawn_persons import (
 )
 
 TASK = "gentle_scratch"
-ROWS = persons(TASK)[numbers("training")]
+TRAINING = numbers("training")
+ROWS = persons(TASK)[TRAINING[TRAINING < INNER]]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +73,7 @@ def test_persons_act_as_their_family_does() -> None:
     _, actions = both.act(both.params, carry, obs, first, 2, humans)
     apart = [
         player.act({"row": jnp.asarray(ROWS)[humans.person]}, own, obs, first)[1]
-        for player, own in zip(players, carry, strict=True)
+        for player, own in zip(players, carry[0], strict=True)
     ]
     np.testing.assert_array_equal(actions, jnp.concatenate([apart[0][:2], apart[1][2:]]))
     assert not np.array_equal(apart[0][2:], apart[1][2:])
@@ -84,7 +87,7 @@ def test_told_robot_observes_its_persons_numbers(partners: DrawnPersons) -> None
     humans = partners.renewed(partners.humans(3), keys)
     state = jax.jit(telling.reset)(keys, humans)
     own = env.observation_size["robot"]
-    assert telling.observation_size["robot"] == own + 25 == state.obs["robot"].shape[1]
+    assert telling.observation_size["robot"] == own + WIDTH == state.obs["robot"].shape[1]
     np.testing.assert_array_equal(state.obs["robot"][:, own:], ROWS[np.asarray(humans.person)])
     action = {role: jnp.zeros((3, size)) for role, size in env.action_size.items()}
     after = jax.jit(telling.step)(state, action)

@@ -43,7 +43,7 @@ from assistax_envs.tasks.person_numbers import FOREARM
 EDGE = (-0.338, -0.382, 0.765)
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
 # anywhere between, as if it had slipped so far. Teams that always start with the whole way find its
-# first half, and stay there: docs/tasks.md.
+# first half, and stay there: docs/log/gentle_tasks.md.
 WAY = (
     (-0.92, -0.97, -1.57),
     (-0.74, -1.02, -1.57),
