@@ -191,7 +191,7 @@ def test_outside_persons_have_gates(shell: Shell) -> None:
     assert gates[-1]["gate"] == "numbers inside their ranges" and gates[-1]["holds"]
     played = json.loads((folder / "script.json").read_text())
     assert played["about"]["task"] == TASK
-    assert len(played["sides"]["muscle"]["return"][0]) == 200
+    assert len(played["sides"]["unseen"]["return"][0]) == 200
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ def test_every_task_with_wishes_has_a_told_script() -> None:
 def test_each_wish_is_a_number_of_the_script(task: str) -> None:
     script, names = SCRIPTS[task], PREFERRED[task]
     numbers = {**script.numbers, **script.careful}
+    assert script.told is not None
     wishes = {name: jnp.full((2, 1), VALUES[name][1]) for name in names}
     usual = script.told(numbers, wishes)
     assert set(usual) <= set(script.numbers)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from assistax_envs.words import WORDS
-from assistax_workshop.gates.reader import POOLED, Windows, moments, read_thirds, share_found
+from assistax_workshop.gates.persons.reader import (
+    POOLED,
+    Windows,
+    moments,
+    read_thirds,
+    share_found,
+)
 
 PERSONS, STEPS = 240, 3 * POOLED
 

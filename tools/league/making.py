@@ -14,7 +14,7 @@ from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
+from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import TrainingLine, study_progress
 from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, load_partners, prepare, train_egos

@@ -36,7 +36,26 @@ NUMBERS: dict[str, float] = {
     "drag": 0.0,
 }
 # Of the script that is told the wishes, in place of those above.
-CAREFUL: dict[str, float] = {"heed": 1.0, "pace": 1.0, "ahead": 1.0, "drag": 0.5}
+CAREFUL: dict[str, float] = {
+    "heed": 0.775,
+    "pace": 1.91,
+    "ahead": 0.835,
+    "drag": 0.63,
+    "soften": 0.00591,
+    "press": 0.113,
+    "lift": 0.0521,
+    "lean": 1.35,
+    "turn": 0.0604,
+    "damping": 0.00257,
+    "approach": 2.0,
+    "fast": 0.155,
+    "hover": 0.0227,
+    "yield": -0.00815,
+    "touch": 0.584,
+    "over": 0.0292,
+    "descend": 0.0448,
+    "rub": 22.7,
+}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = SKIN_RANGES | {
     "over": (0.01, 0.06),  # aside of the itch, up to which the tool goes down

@@ -1,7 +1,7 @@
 """Gates of persons: results of the stages against their bars, with 95% intervals."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +10,27 @@ import polars as pl
 
 from assistax_envs.persons import PARAMETERS, persons
 from assistax_workshop.gates.audit_gates import Gate, of_means
-from assistax_workshop.gates.persons import READ, SCRIPT, SEARCH
-from assistax_workshop.gates.persons_play import SINGLE, STRANGERS
-from assistax_workshop.gates.training import KNOWING
+from assistax_workshop.gates.persons.care import (
+    SCRIPT,
+    Files,
+    gates_of_care,
+    missing,
+    scores,
+    steps_of,
+)
+from assistax_workshop.gates.persons.play import SINGLE, STRANGERS
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.planning import measure_spread
 
 SIDE = "validation"  # side of the strangers of gates that name no side
-SAFE, OFTEN = 0.8, 0.9  # safe success with one person, and the share of persons that have it
+TESTED = ("corners", "unseen")  # sides of gates of care
+CARING, OFTEN = 0.8, 0.9  # caring success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
-PLAYED = {"return": "return", "safe_success": "safe success"}  # columns of stages, and words
+PLAYED = {"return": "return", "success": "caring success"}  # columns of stages, and words
 CONVERGED = 0.5  # share of the best robot's return below which a robot has not learned
-FEW = "hardly anybody was touched for so long"
 TUNED = 0.9
-CHANCE = 1 / 3  # share of preferences read by chance: they are binned in thirds
+SEARCH, SEARCH_TOLD = "search", "search-told"
 RESAMPLED = 200  # bootstrap samples of a share of variance
-
-Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
 
 
 def read_stages(folder: Path) -> dict[str, dict[str, Any]]:
@@ -37,36 +41,41 @@ def read_stages(folder: Path) -> dict[str, dict[str, Any]]:
 def gates_of_persons(task: str, files: Files) -> list[Gate]:
     """Return every gate of persons, from the results that `run_stages` wrote."""
     return [
+        *(_worth(f"told, beside no signs, {side}: more", files, ("masked", "told-gru"), side, MORE)
+          for side in TESTED),
+        *(_won_back(files, side) for side in TESTED),
+        *gates_of_care(task, files),
+        *(_worth(f"learned with the test side, {side}: more", files, ("gru", "learned"), side, MORE)
+          for side in TESTED),
         *_with_one(files),
-        _as_searched(files),
+        _as_searched("script", files, SEARCH),
+        _as_searched("told script", files, SEARCH_TOLD),
         _lost(files),
-        *(_worth(f"told the preference, {side}: more", files, ("ppo", KNOWING), side, MORE)
-          for side in STRANGERS),
-        _worth(f"told, of those that remember, {SIDE}: more", files, ("gru", "told-gru"), SIDE),
         *(_worth(f"with a memory, {side}: more", files, ("ppo", "gru"), side)
           for side in STRANGERS),
-        _won_back(files),
         _who_meets_whom(files),
-        *_read(files),
         _in_range(task),
     ]  # fmt: skip
 
 
 def _with_one(files: Files) -> list[Gate]:
     """Return the gates of best responses to single persons, and of the script with them."""
-    name, bar = "best response to one person", f"safe success {SAFE:.0%} with {OFTEN:.0%} of them"
+    name, bar = (
+        "best response to one person",
+        f"caring success {CARING:.0%} with {OFTEN:.0%} of them",
+    )
     beside, half = "script with the same persons", "below half of the best response's"
     if "best" not in files:
-        return [_missing(name, bar, "best"), _missing(beside, half, "best")]
-    best = {what: _scores(files["best"], SINGLE, what).mean(axis=(0, 2)) for what in PLAYED}
-    often = (best["safe_success"] >= SAFE).astype(float)
+        return [missing(name, bar, "best"), missing(beside, half, "best")]
+    best = {what: scores(files["best"], SINGLE, what).mean(axis=(0, 2)) for what in PLAYED}
+    often = (best["success"] >= CARING).astype(float)
     value, ci = of_means(lambda share: share, often)
-    detail = f"{len(often)} persons, safe success {best['safe_success'].mean():.0%}"
-    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{detail}, {_steps(files['best'])}")]
+    detail = f"{len(often)} persons, caring success {best['success'].mean():.0%}"
+    gates = [Gate(name, bar, value, ci, value >= OFTEN, f"{detail}, {steps_of(files['best'])}")]
     if SCRIPT not in files:
-        return [*gates, _missing(beside, half, SCRIPT)]
+        return [*gates, missing(beside, half, SCRIPT)]
     for what, word in PLAYED.items():
-        script, theirs = _scores(files[SCRIPT], SINGLE, what).mean(axis=(0, 2)), best[what]
+        script, theirs = scores(files[SCRIPT], SINGLE, what).mean(axis=(0, 2)), best[what]
         if len(script) != len(theirs):
             raise ValueError(
                 f"stage best has {len(theirs)} persons and {SCRIPT} {len(script)}; run both with "
@@ -82,15 +91,13 @@ def _with_one(files: Files) -> list[Gate]:
     return gates
 
 
-def _as_searched(files: Files) -> Gate:
-    """Return the gate of the script's return, as a share of the best searched script's."""
-    name, bar = "script beside the best of a search", f">= {TUNED:.0%} of its return"
-    if SEARCH not in files:
-        return _missing(name, bar, SEARCH)
-    best, own = _scores(files[SEARCH], SIDE, "return").mean(axis=2)
-    detail = (
-        f"return {own.mean():.1f} of {best.mean():.1f}, {files[SEARCH]['about']['tries']} tries"
-    )
+def _as_searched(what: str, files: Files, stage: str) -> Gate:
+    """Return the gate of a script's return, as a share of the best searched script's."""
+    name, bar = f"{what} beside the best of a search", f">= {TUNED:.0%} of its return"
+    if stage not in files:
+        return missing(name, bar, stage)
+    best, own = scores(files[stage], SIDE, "return").mean(axis=2)
+    detail = f"return {own.mean():.1f} of {best.mean():.1f}, {files[stage]['about']['tries']} tries"
     if best.mean() <= 0.0:
         return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     value, ci = of_means(lambda a, b: a / b, own, best, paired=True)
@@ -119,14 +126,14 @@ def _worth(
     return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
-def _won_back(files: Files) -> Gate:
-    """Return the gate of the share of telling's worth that a memory recovers."""
-    name, bar = "a memory wins back, of that", f">= {BACK:.0%}"
-    kinds = ("ppo", KNOWING, "gru")
+def _won_back(files: Files, side: str) -> Gate:
+    """Return the gate of the share of telling's worth that signs win back."""
+    name, bar = f"signs win back, of that, {side}", f">= {BACK:.0%}"
+    kinds = ("masked", "told-gru", "gru")
     if absent := [kind for kind in kinds if kind not in files]:
-        return _missing(name, bar, *absent)
-    plain, told, _ = (_scores(files[kind], SIDE, "return").mean() for kind in kinds)
-    if told <= plain:
+        return missing(name, bar, *absent)
+    masked, told, _ = (scores(files[kind], side, "return").mean() for kind in kinds)
+    if told <= masked:
         return Gate(name, bar, None, None, None, "telling is worth nothing: none to win back")
     return _compared(
         name,
@@ -135,6 +142,7 @@ def _won_back(files: Files) -> Gate:
         kinds,
         lambda a, b, c: (c - a) / np.where(b > a, b - a, np.nan),
         lambda value, low: value >= BACK,
+        side,
     )
 
 
@@ -142,8 +150,8 @@ def _who_meets_whom(files: Files) -> Gate:
     """Return the gate of the share of variance that belongs to pairs of robot and person."""
     name, bar = "who meets whom, share of variance", f">= {WHO:.0%}"
     if "ppo" not in files:
-        return _missing(name, bar, "ppo")
-    returns = _scores(files["ppo"], SIDE, "return")
+        return missing(name, bar, "ppo")
+    returns = scores(files["ppo"], SIDE, "return")
     means = returns.mean(axis=(1, 2))
     returns = returns[means >= CONVERGED * means.max()]
     if len(returns) < 2:
@@ -164,29 +172,6 @@ def _share_of_pairs(returns: np.ndarray) -> float:
     spread = measure_spread(pl.DataFrame({**columns, "return": returns.ravel()}))
     seeds, partners, pairs = spread.seeds**2, spread.partners**2, spread.pairs**2
     return pairs / (seeds + partners + pairs) if pairs else 0.0
-
-
-def _read(files: Files) -> list[Gate]:
-    """Return the gates of each preference's reading, by the first robot of the stage."""
-    name = "a preference is read from the robot's observations"
-    if READ not in files:
-        return [_missing(name, "above chance at 5 s, the interval above it", READ)]
-    robot, preferences = next(iter(files[READ]["read"].items()))
-    gates = []
-    for preference, shares in preferences.items():
-        for seconds, found in shares.items():
-            share, count = found["share"], found["of"]
-            if not count:
-                gates.append(Gate(f"{preference}, read in {seconds} s", "", None, None, None, FEW))
-                continue
-            half = 1.96 * np.sqrt(share * (1.0 - share) / max(count, 1))
-            told = f"by {robot}, {count} persons; labels shuffled {found['shuffled']:.0%}"
-            late = seconds == max(shares, key=float)
-            bar = f"{'> ' if late else 'beside '}{CHANCE:.0%}"
-            holds = bool(share - half > CHANCE) if late else None
-            ends = float(share - half), float(share + half)
-            gates.append(Gate(f"{preference}, read in {seconds} s", bar, share, ends, holds, told))
-    return gates
 
 
 def _in_range(task: str) -> Gate:
@@ -216,35 +201,21 @@ def _compared(
 ) -> Gate:
     """Return the gate of a figure of returns with strangers; seeds and persons are resampled."""
     if absent := [kind for kind in kinds if kind not in files]:
-        return _missing(name, bar, *absent)
-    scores = [_scores(files[kind], side, "return").mean(axis=2) for kind in kinds]
+        return missing(name, bar, *absent)
+    earned = [scores(files[kind], side, "return").mean(axis=2) for kind in kinds]
     detail = ", ".join(
-        f"{kind} {s.mean():.1f} ({len(s)} seeds, {_steps(files[kind])})"
-        for kind, s in zip(kinds, scores, strict=True)
+        f"{kind} {s.mean():.1f} ({len(s)} seeds, {steps_of(files[kind])})"
+        for kind, s in zip(kinds, earned, strict=True)
     )
-    if scores[0].mean() <= 0.0:
+    if earned[0].mean() <= 0.0:
         return Gate(name, bar, None, None, None, f"{detail}: no share of it")
     rng = np.random.default_rng(0)
-    people = draw_counts(scores[0].shape[1], RESAMPLES, rng)
+    people = draw_counts(earned[0].shape[1], RESAMPLES, rng)
     means = [
         np.einsum("bs,sp,bp->b", draw_counts(len(s), RESAMPLES, rng), s, people) / s.size
-        for s in scores
+        for s in earned
     ]
     low, high = map(float, np.nanquantile(figure(*means), (0.025, 0.975)))
-    value = float(figure(*(s.mean() for s in scores)))
+    value = float(figure(*(s.mean() for s in earned)))
     met = None if holds is None else holds(value, low)
     return Gate(name, bar, value, (low, high), met, detail)
-
-
-def _scores(file: Mapping[str, Any], side: str, what: str) -> np.ndarray:
-    """Return a stage's results with a side [robots, persons, episodes]."""
-    return np.array(file["sides"][side][what], float)
-
-
-def _steps(file: Mapping[str, Any]) -> str:
-    return f"{file['about']['steps'] / 1e6:g} M steps"
-
-
-def _missing(name: str, bar: str, *stages: str) -> Gate:
-    """Return a gate that was not measured, with the stages that it needs."""
-    return Gate(name, bar, None, None, None, f"not measured: needs {', '.join(stages)}")

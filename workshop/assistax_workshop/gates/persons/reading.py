@@ -14,9 +14,8 @@ from assistax_envs.persons import measure, persons
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import INNER
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons_play import FAMILIES, Plan
-from assistax_workshop.gates.reader import SEEN, Windows, moments, read_thirds, share_found
-from population.networks.policy import Policy
+from assistax_workshop.gates.persons.play import FAMILIES, Plan
+from assistax_workshop.gates.persons.reader import SEEN, Windows, moments, read_thirds, share_found
 from population.runs.trained import read_trained_run
 
 LEARNED, TESTED = 2_000, 200  # persons of each family
@@ -108,10 +107,8 @@ def _trained(plan: Plan, kind: str) -> measure.Robot | None:
     if not (folder / "teams.json").exists():
         return None
     stack = read_trained_run(folder).policies["robot"]
-    policy, params = (
-        Policy(stack.spec),
-        jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), stack.params),
-    )
+    policy = stack.spec.player()
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), stack.params)
 
     def act(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
         return policy.act(params, memory, obs, jnp.broadcast_to(time == 0, obs.shape[:1]))

@@ -5,6 +5,7 @@ some persons and is tested with others. Shapes: P persons, T moments, F features
 """
 
 import dataclasses
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -59,7 +60,8 @@ def read_thirds(learn: Windows, test: Windows, updates: int = UPDATES) -> dict[s
 
     @jax.jit
     def guess(params: dict, mask: jax.Array) -> jax.Array:
-        return network.apply(params, seen * mask).argmax(axis=-1)
+        logits: Any = network.apply(params, seen * mask)
+        return logits.argmax(axis=-1)
 
     found = [guess(jax.tree.map(lambda leaf, i=i: leaf[i], params), masks[i]) for i in range(4)]
     return dict(zip(SEEN, map(np.asarray, found), strict=True))
@@ -84,7 +86,7 @@ class _Reader(nn.Module):
     def __call__(self, x: jax.Array) -> jax.Array:
         """Return the logits [P, W, 3] for features [P, T, F]."""
         x = nn.relu(nn.Dense(self.width)(x))
-        states = nn.RNN(nn.GRUCell(self.width))(x)
+        states: Any = nn.RNN(nn.GRUCell(self.width))(x)
         last = jnp.concatenate([states[:, -1], states.mean(axis=1)], axis=-1)
         return nn.Dense(3 * self.wishes)(last).reshape(-1, self.wishes, 3)
 
@@ -106,7 +108,7 @@ def _learned(
         draw, shake = jax.random.split(key)
         who = jax.random.randint(draw, (BATCH,), 0, len(x))
         some = x[who] + NOISE * jax.random.normal(shake, (BATCH, *x.shape[1:]))
-        logits = network.apply(params, some * mask)
+        logits: Any = network.apply(params, some * mask)
         return optax.softmax_cross_entropy_with_integer_labels(logits, labels[who]).mean()
 
     def update(now: tuple, key: jax.Array) -> tuple[tuple, None]:
