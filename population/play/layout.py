@@ -4,7 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Layout:
         e, p, k = self.block
         return flat.reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
 
-    def from_humans(self, rows: Float[Array, "G R A"]) -> Float[Array, "N A"]:
+    def from_humans(self, rows: Shaped[Array, "G R A"]) -> Shaped[Array, "N A"]:
         """Return the flat rows of rows grouped by human, the inverse of `to_humans`."""
         e, p, k = self.block
         return rows.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)

@@ -28,7 +28,25 @@ NUMBERS: dict[str, float] = {
     "drag": 0.0,
 }
 # Of the script that is told the wishes, in place of those above.
-CAREFUL: dict[str, float] = {"heed": 1.0, "pace": 1.0, "ahead": 1.0, "drag": 0.5}
+CAREFUL: dict[str, float] = {
+    "heed": 0.837,
+    "pace": 1.27,
+    "ahead": 0.661,
+    "drag": 1.03,
+    "soften": 0.00769,
+    "approach": 5.18,
+    "fast": 0.126,
+    "above": 0.0174,
+    "inside": 0.00398,
+    "over": 0.0117,
+    "rub": 6.73,
+    "press": 0.0727,
+    "lift": 0.0388,
+    "round": 0.0201,
+    "gate": 0.0339,
+    "turn": 0.143,
+    "damping": 0.00247,
+}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = {
     "approach": (1.0, 8.0),

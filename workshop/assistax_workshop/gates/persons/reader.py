@@ -37,7 +37,7 @@ def moments(obs: np.ndarray) -> np.ndarray:
     body = -len(WORDS)
     parts = (obs[..., :body], change[..., :body], obs[..., body:])
     pooled = np.concatenate(parts, axis=-1)[:steps].astype(np.float32)
-    pooled = pooled.reshape(-1, POOLED, *pooled.shape[1:]).mean(axis=1)
+    pooled = pooled.reshape(steps // POOLED, POOLED, *pooled.shape[1:]).mean(axis=1)
     return np.moveaxis(pooled, 1, 0)
 
 
