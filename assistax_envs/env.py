@@ -22,6 +22,7 @@ from assistax_envs.physics import (
     resolve_backend,
 )
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
+from assistax_envs.tasks import speech
 from assistax_envs.tasks.base import (
     ROBOT_JOINTS,
     Measures,
@@ -32,7 +33,6 @@ from assistax_envs.tasks.base import (
 )
 from assistax_envs.tremor import TremorFilter
 from assistax_envs.versions import engine, playable_version
-from assistax_envs.words import HEARD, WORDS
 
 EPISODE_LENGTH = 1000  # control steps of 20 ms: always the full horizon
 AT_END = 0.02  # rad from an end of its range, within which a joint counts as at its end
@@ -135,7 +135,7 @@ class Env:
         measures = self._touched(measures, physics, ranges)
         zero, false = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
         silence = jnp.zeros(n, jnp.int32) if self.stops else None
-        obs = _with_word(obs, silence, silence)
+        obs = speech.with_word(obs, silence, silence)
         return EnvState(
             physics=physics,
             task=task,
@@ -162,13 +162,13 @@ class Env:
             state: [N] simulations.
             action: "robot" [N, 7] and "human" [N, 3], at the mouth [N, 5], in [-1, 1] (clipped):
                 shares of the torque limits. In gentle tasks "word" [N] int32 may be given: codes of
-                `assistax_envs.words`, 0 for silence.
+                `assistax_envs.preferences`, 0 for silence.
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
             earns 0. Reset a simulation that a protective stop ended: its later steps do not count.
         """
-        word, heard = _spoken(state, action.get("word"))
+        word, heard = speech.heard(state, action.get("word"))
         action = {role: jnp.asarray(action[role], jnp.float32) for role in self.action_size}
         tremor, shake = self._shake(state)
         control = self._control(state.params, action, shake)
@@ -176,7 +176,7 @@ class Env:
         physics, values = self._physics.step(state.physics, control, ranges)
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
         measures = self._touched(measures, physics, ranges)
-        obs = _with_word(obs, word, heard)
+        obs = speech.with_word(obs, word, heard)
         nonfinite = state.nonfinite | diverged(physics, values, control)
         physics, task, obs, measures = select(
             nonfinite,
@@ -341,28 +341,6 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
         return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
 
     return jax.tree.map(choose, on_true, on_false)
-
-
-def _spoken(state: EnvState, word: jax.Array | None) -> tuple[jax.Array | None, jax.Array | None]:
-    """Return the word that the robot hears after a step, and for how long it still does."""
-    if state.word is None or state.heard is None:
-        return None, None
-    left = jnp.maximum(state.heard - 1, 0)
-    if word is None:
-        return state.word, left
-    word = jnp.clip(jnp.asarray(word, jnp.int32), 0, len(WORDS))
-    return jnp.where(word > 0, word, state.word), jnp.where(word > 0, HEARD, left)
-
-
-def _with_word(
-    obs: dict[str, jax.Array], word: jax.Array | None, heard: jax.Array | None
-) -> dict[str, jax.Array]:
-    """Return observations in which robot and central critics hear the word, as one-hot numbers."""
-    if word is None or heard is None:
-        return obs
-    said = jax.nn.one_hot(jnp.where(heard > 0, word, 0) - 1, len(WORDS), dtype=jnp.float32)
-    heard_by = {name: jnp.concatenate([obs[name], said], axis=-1) for name in ("robot", "global")}
-    return obs | heard_by
 
 
 def _check_scene(task: str, backend: str) -> None:

@@ -40,7 +40,7 @@ def trajectories(
 
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
     `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. Of gentle tasks
-    `word`, what the human says with its action, a code of `assistax_envs.words`. What players of
+    `word`, what the human says with its action, a code of `preferences.WORDS`. What players of
     the episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME`, `speed`
     (m/s). A row has what was before a step and what the step gave, an episode's last row what was
     in the end alone.
@@ -164,7 +164,7 @@ def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
 
 def _said(state: Any) -> np.ndarray:
     """Return the words [N] that were said with the actions that led to a state; 0 for silence."""
-    from assistax_envs.words import HEARD
+    from assistax_envs.preferences import HEARD
 
     return np.where(np.asarray(state.heard) == HEARD, np.asarray(state.word), 0).astype(np.int32)
 

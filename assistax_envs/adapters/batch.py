@@ -85,7 +85,7 @@ class Batch:
             key: Key of episodes that begin after this step.
             state: State that `reset` or `step` returned.
             actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own, who speak
-                otherwise. With "human" may come "word" [N] int32, codes of `assistax_envs.words`.
+                otherwise. With "human" may come "word" [N] int32, codes of `preferences.WORDS`.
         """
         before, seated = state.env, state.seated
         if "human" not in actions:
@@ -218,7 +218,7 @@ class HostBatch:
         if copied.shape != (self.batch.num_envs,):
             raise ValueError(
                 f"words have shape {copied.shape}; expected ({self.batch.num_envs},), codes of "
-                "assistax_envs.words"
+                "assistax_envs.preferences"
             )
         return copied
 

@@ -32,7 +32,7 @@ class AssistaxEnv(gymnasium.Env):
 
     The partner is any callable from the human's observation to its action. If it has a method
     `reset`, this is called at episode starts. If it has `word`, this is called after each action
-    and returns what the human says, a code of `assistax_envs.words`. If it has `humans`, these are
+    and returns what the human says, a code of `preferences.WORDS`. If it has `humans`, these are
     its own body and wishes. Without a partner the human exerts no torque.
     """
 

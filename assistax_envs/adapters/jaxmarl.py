@@ -242,7 +242,7 @@ class AssistaxMarlVectorEnv:
         """Advance by 20 ms; `key` starts the next episode if this step is the last one.
 
         Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents]. Beside the
-        actions may stand "word" [N], what human agents say, codes of `assistax_envs.words`.
+        actions may stand "word" [N], what human agents say, codes of `preferences.WORDS`.
         """
         speaking = ["word"] if "human" in self.agents and "word" in actions else []
         taken = {name: actions[name] for name in (*self.agents, *speaking)}

@@ -52,7 +52,7 @@ class Partners(Protocol):
         ...
 
     # Partners that speak also have `word(seated, n)`, which returns the words [N] int32 that they
-    # said with their last actions, codes of `assistax_envs.words`; or None.
+    # said with their last actions, codes of `preferences.WORDS`; or None.
 
 
 class Idle:

@@ -204,7 +204,7 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
     ]:
         """Advance by 20 ms; actions [N, A] of each agent are clipped to [-1, 1].
 
-        Beside them may stand "word" [N], what human agents say, codes of `assistax_envs.words`.
+        Beside them may stand "word" [N], what human agents say, codes of `preferences.WORDS`.
 
         Raises:
             ValueError: No episode was started yet, or an agent's actions are missing or of the

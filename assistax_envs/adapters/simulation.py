@@ -71,7 +71,7 @@ class Simulation:
 
         Args:
             actions: By role; "word" may stand beside them, what the human says, a code of
-                `assistax_envs.words`.
+                `assistax_envs.preferences`.
 
         Raises:
             ValueError: no episode runs, it has ended, or an action is missing or of the wrong

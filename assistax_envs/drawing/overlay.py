@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from assistax_envs.words import WORDS
+from assistax_envs.preferences import WORDS
 
 INK, PAPER, TRACK = (25, 30, 38), (250, 250, 251), (222, 226, 231)
 EARNS, COSTS = (70, 82, 100), (128, 90, 190)

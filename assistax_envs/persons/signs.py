@@ -12,9 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import ASKS, PREFERRED, WORDS, code
 from assistax_envs.tasks.gentle_base import STEP
-from assistax_envs.words import ASKS, WORDS, code
 
 SMOOTHED = 0.3  # s, over which a touch is judged
 LINGERS = 0.2  # s, for which a touch is felt after it

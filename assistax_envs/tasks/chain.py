@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.preferences import PREFERRED, VALUES
+from assistax_envs.preferences import PREFERRED, VALUES, WORDS
 from assistax_envs.registered import ByTask, load
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
-from assistax_envs.words import WORDS
 
 DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
 Numbers = Mapping[str, Any]

@@ -101,7 +101,7 @@ class Partner:
     __call__ = act
 
     def word(self) -> Int32[np.ndarray, "*batch"]:
-        """Return the words said with the last actions, as codes of `assistax_envs.words`.
+        """Return the words said with the last actions, as codes of `preferences.WORDS`.
 
         0 is silence: networks never speak.
         """

@@ -30,7 +30,7 @@ class Seated:
     setting: Disability | None = None  # a human's setting, if its zoo or its file has one
     card: PolicyEntry | None = None  # the registry's entry, if it is a policy of the zoo
     humans: Any = None  # a person's own `EnvParams` [1]
-    # The word said with the last action, a code of `assistax_envs.words`; None if it never speaks.
+    # The word said with the last action, a code of `preferences.WORDS`; None if it never speaks.
     word: Callable[[], Any] | None = None
 
     def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:

@@ -21,9 +21,8 @@ from assistax_envs.drawing.overlay import LEVELS, MEANINGS
 from assistax_envs.drawing.render import picture_model, pressing
 from assistax_envs.env import EPISODE_LENGTH
 from assistax_envs.physics import SUBSTEPS
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import HEARD, PREFERRED, WORDS
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
-from assistax_envs.words import HEARD, WORDS
 from evaluation.player.scene import scene_content
 
 LARGEST_FILE = 256 * 1024 * 1024  # bytes

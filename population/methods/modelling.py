@@ -7,6 +7,7 @@ with Online System Identification".
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +72,7 @@ class Modelling(Method):
             drawn = z + jnp.exp(0.5 * log_var) * samples.noise
             kl = 0.5 * (jnp.square(z) + jnp.exp(log_var) - 1.0 - log_var).mean()
         target = self.target(samples)
-        predicted = TwoLayers(target.shape[-1]).apply({"params": networks["decoder"]}, drawn)
+        predicted: Any = TwoLayers(target.shape[-1]).apply({"params": networks["decoder"]}, drawn)
         error = jnp.square(predicted - target).mean((0, 1))
         model_loss = (error / jnp.maximum(target.var((0, 1)), STILLEST)).mean()
         loss = model_loss + self.config.kl_coef * kl

@@ -173,14 +173,15 @@ class FrozenPartners:
 
     def words(self, carry: Any, members: int) -> jax.Array | None:
         """Return the words [N] int32 said with their last actions; None if none of them speaks."""
-        policies, rows = self._policies, jax.tree.leaves(carry)
-        if not rows or not any(hasattr(policy, "word") for policy in policies):
+        speak: list[Any] = [getattr(policy, "word", None) for policy in self._policies]
+        rows = jax.tree.leaves(carry)
+        if not rows or not any(speak):
             return None
-        share = rows[0].shape[1]
+        silence = [jnp.zeros((len(stack), rows[0].shape[1]), jnp.int32) for stack in self.stacks]
         said = jnp.concatenate(
             [
-                policy.word(own) if hasattr(policy, "word") else jnp.zeros((len(stack), share), int)
-                for (policy, stack), own in zip(self._pairs(), carry, strict=True)
+                word(own) if word else none
+                for word, own, none in zip(speak, carry, silence, strict=True)
             ]
         )
         said = said.reshape(len(self), members, -1)

@@ -13,11 +13,10 @@ import assistax_envs
 from assistax_envs import Env, EnvState
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import persons
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import PREFERRED, WORDS
 from assistax_envs.tasks.chain import script_of
 from assistax_envs.tasks.gentle_scratch.task import GentleScratch, StrokeState
 from assistax_envs.versions import GENTLE_TASKS
-from assistax_envs.words import WORDS
 from tests.envs.conftest import environment
 
 N, EPISODE = 16, 1000

@@ -261,5 +261,6 @@ def test_caring_success_needs_goal_comfort_and_no_violation(
     wishes = felt.likes.of(felt.task)
     seen = care.measures(felt.care, read, jnp.zeros(1), jnp.array([goal]), wishes)
     assert seen.success.tolist() == [cares]
+    assert seen.liked is not None
     np.testing.assert_allclose(seen.liked, [[4.0, 0.05]])
     assert seen.violation is not None and seen.violation.tolist() == [PRESSED if hurt > 25 else 0]

@@ -30,6 +30,7 @@ from assistax_envs.preferences import (
     PREFERENCES,
     PREFERRED,
     SPEEDS,
+    WORDS,
     Preference,
 )
 from assistax_envs.registered import REGISTERED
@@ -45,7 +46,6 @@ from assistax_envs.tasks.gentle_base import (
     world_force,
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
-from assistax_envs.words import WORDS
 from tests.envs.base_scenes import BASES
 from tests.envs.conftest import (
     compiled,

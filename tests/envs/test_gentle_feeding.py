@@ -11,7 +11,7 @@ import pytest
 from assistax_envs import disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import OPEN, SEAT, STIFF_JOINTS
-from assistax_envs.preferences import PREFERENCES
+from assistax_envs.preferences import PREFERENCES, WORDS
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, human_actuators, human_joints
 from assistax_envs.tasks.care import WHATEVER
 from assistax_envs.tasks.gentle_feeding.task import (
@@ -30,7 +30,6 @@ from assistax_envs.tasks.mouth import (
     MouthReadings,
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS
-from assistax_envs.words import WORDS
 from tests.envs.conftest import compiled, environment
 from tests.envs.mouth import LaidOut, meal
 

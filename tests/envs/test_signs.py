@@ -10,8 +10,7 @@ from assistax_envs.persons import signs
 from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer
 from assistax_envs.persons.rows import FAMILIES, persons
-from assistax_envs.preferences import PREFERRED
-from assistax_envs.words import HEARD, WORDS, code
+from assistax_envs.preferences import HEARD, PREFERRED, WORDS, code
 from tests.envs.conftest import compiled, random_actions, start
 from tests.envs.test_persons import somebody, watched
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from assistax_envs.words import WORDS
+from assistax_envs.preferences import WORDS
 from assistax_workshop.gates.persons.reader import (
     POOLED,
     Windows,

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 
 from assistax_envs.own_settings import key_of, own_settings
-from assistax_envs.words import WORDS
+from assistax_envs.preferences import WORDS
 
 POOLED = 20  # steps of a moment: 0.4 s, for which a word is heard
 UPDATES, BATCH = 2_000, 64
