@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from assistax_envs.persons.parameters import PARAMETERS
+from assistax_envs.persons.rows import PARAMETERS
 from assistax_envs.registered import OURS
 from assistax_envs.tasks.person import Parameter
 

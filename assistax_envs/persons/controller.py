@@ -15,8 +15,8 @@ import numpy as np
 from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.body import JOINTS, Arm
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED
-from assistax_envs.persons.parameters import index, person_kind
 from assistax_envs.persons.postures import Postures
+from assistax_envs.persons.rows import index, person_kind
 from assistax_envs.persons.senses import Senses, sense
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from assistax_envs.tasks.gentle_base import FELT, STEP
@@ -34,7 +34,6 @@ SHOWN = 0.25  # rad, how far it leans at most to show that a touch is not as lik
 PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
 
 MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle, "stepper": muscles.spring}
-SPOKEN = 0x51ED270B  # changes the seed of chance that words take
 ELBOW = np.array([0.0, 0.0, 1.0], np.float32)
 
 
@@ -89,7 +88,7 @@ class Controller:
         self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
         self._place, self._carried = index(task), "liked_distance" in index(task)
         self._spared = REGISTERED[task].spared
-        self._signing, self._steps = signs.Signing(task), family == "stepper"
+        self._signing, self._steps = signs.Signing(task, family), family == "stepper"
         self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
 
     def initial(self, n: int) -> Mind:
@@ -252,19 +251,14 @@ class Controller:
         else:
             off = [felt.force / jnp.maximum(felt.liked, 1e-3), felt.speed]
             judged = [touched, touched]
-        made = self._signing
-        if not made.wishes:
+        if not self._signing.wishes:
             return mind
-        ratio, where = jnp.stack(off, axis=-1), jnp.stack(judged, axis=-1)
-        shows = made.felt(mind.signs, ratio, where, numbers)
         stopped = mind.reaction.discomfort > numbers["limit"]
-        chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
-        shows = made.speak(shows, stopped, numbers, chance)
-        leans = shows.leans
+        felt_of_wishes = jnp.stack(off, axis=-1), jnp.stack(judged, axis=-1)
+        given = *felt_of_wishes, stopped, numbers, (mind.seed, mind.age)
+        shows, leans = self._signing.show(mind.signs, *given)
         aside = _unit(jnp.cross(felt.away, jnp.asarray(ELBOW)[None]))
         shown = SHOWN * (leans[:, :1] * felt.away + leans[:, 1:2] * aside)
-        if self._steps:
-            shown = shown * common.nods(mind.age)[:, None]
         return dataclasses.replace(mind, signs=shows, shown=shown)
 
     def _intend(

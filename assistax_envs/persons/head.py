@@ -18,7 +18,7 @@ import numpy as np
 from assistax_envs.models.care_scenes import OPEN, SEAT
 from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, Numbers
-from assistax_envs.persons.parameters import index, person_kind
+from assistax_envs.persons.rows import index, person_kind
 from assistax_envs.registered import REGISTERED, load
 from assistax_envs.tasks.base import human_joints
 from assistax_envs.tasks.gentle_base import FELT, STEP
@@ -33,7 +33,6 @@ REFLEX = 0.25  # s that a bite reflex lasts
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
 LATE = 0.3  # of that, the share that waits for the delay
 BACK, ASIDE = 0.05, 0.1  # rad, how far it leans at most for its first wish, and its second
-SPOKEN = 0x51ED270B  # changes the seed of chance that words take
 STEADY = np.array([1.0, 1.0, 1.0, 1.0, 0.5], np.float32)  # share of noise: a jaw is light
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
 
@@ -92,7 +91,7 @@ class Head:
         mujoco.mj_forward(model, data)
         # N m that hold head and jaw.
         self._weight = np.array(data.qfrc_bias[[j.dofadr[0] for j in joints]], np.float32)
-        self._signing, self._steps = signs.Signing(task), family == "stepper"
+        self._signing, self._steps = signs.Signing(task, family), family == "stepper"
         # The jaw shows a wish about the mouth's inside, and the roll of the neck one about speed.
         self._aside = JAW if "liked_depth" in index(task) else ROLL
         self._place, self._spared = index(task), REGISTERED[task].spared
@@ -216,17 +215,12 @@ class Head:
 
     def _show(self, mind: Mind, comfort: Comfort, felt: reaction.Felt, numbers: Numbers) -> Mind:
         """Lean and speak by how far the touch of a delay ago is from what is liked."""
-        made = self._signing
-        shows = made.felt(mind.signs, comfort.ratio, comfort.judged, numbers)
         stopped = mind.reaction.discomfort > numbers["limit"]
-        chance = common.uniform(mind.seed ^ np.uint32(SPOKEN), mind.age, 3)
-        shows = made.speak(shows, stopped, numbers, chance)
-        leans = shows.leans
+        given = comfort.ratio, comfort.judged, stopped, numbers, (mind.seed, mind.age)
+        shows, leans = self._signing.show(mind.signs, *given)
         sign = -1.0 if self._aside == JAW else 1.0  # a mouth closes a little on what is too deep
         shown = BACK * leans[:, :1] * felt.away
         shown = shown.at[:, self._aside].add(sign * ASIDE * leans[:, 1])
-        if self._steps:
-            shown = shown * common.nods(mind.age)[:, None]
         return dataclasses.replace(mind, signs=shows, shown=shown)
 
     def _intend(self, mind: Mind, now: Perceived, chance: jax.Array) -> Mind:

@@ -13,7 +13,7 @@ from assistax_envs.models import build_model
 from assistax_envs.own_settings import LANES, own_settings
 from assistax_envs.persons.controller import Controller
 from assistax_envs.persons.head import Head
-from assistax_envs.persons.parameters import WIDTH, index
+from assistax_envs.persons.rows import WIDTH, index
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import Preferences
 

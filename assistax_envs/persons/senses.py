@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.persons.parameters import person_kind
+from assistax_envs.persons.rows import person_kind
 from assistax_envs.registered import ByTask
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax_envs.persons.common import nods, uniform
 from assistax_envs.preferences import ASKS, PREFERRED, WORDS, code
 from assistax_envs.tasks.gentle_base import STEP
 
@@ -25,6 +26,7 @@ PLEASED = 1.0  # s that a touch has to be as liked before it is called good, bes
 QUIET = 0.2  # share of its expression that a person has which never speaks
 # Wishes of which there is too much when the tool is far away: a person leans towards it then.
 FAR = ("distance", "wait")
+SPOKEN = np.uint32(0x51ED270B)  # changes the seed of chance that words take
 STOP, GOOD = code("stop"), code("good")
 
 
@@ -52,9 +54,10 @@ def silent(n: int, wishes: int) -> Signs:
 
 
 class Signing:
-    """The signs of a task's persons."""
+    """The signs of a task's persons of a family."""
 
-    def __init__(self, task: str) -> None:
+    def __init__(self, task: str, family: str) -> None:
+        self._nods = family == "stepper"
         wishes = PREFERRED.get(task, ())
         # Codes [W, 2] of the words for too much and too little; 0 for a wish without words.
         words = [ASKS.get(wish, ("", "")) for wish in wishes]
@@ -63,6 +66,30 @@ class Signing:
         ).reshape(-1, 2)
         self.wishes = len(wishes)
         self._way = np.array([-1.0 if wish in FAR else float(wish in ASKS) for wish in wishes])
+
+    def show(
+        self,
+        signs: Signs,
+        ratio: jax.Array,
+        judged: jax.Array,
+        stopped: jax.Array,
+        numbers: dict[str, jax.Array],
+        chance: tuple[jax.Array, jax.Array],
+    ) -> tuple[Signs, jax.Array]:
+        """Return the signs after a step, and how far a person leans for each wish now [N, W].
+
+        Args:
+            signs: The signs.
+            ratio: [N, W] done over liked, as it is felt.
+            judged: [N, W] bool, whether there is anything to judge.
+            stopped: [N] bool, whether the person is hurt.
+            numbers: The persons' numbers by name.
+            chance: Seeds [N] uint32 and ages [N] of the persons.
+        """
+        seed, age = chance
+        signs = self.felt(signs, ratio, judged, numbers)
+        signs = self.speak(signs, stopped, numbers, uniform(seed ^ SPOKEN, age, 3))
+        return signs, signs.leans * nods(age)[:, None] if self._nods else signs.leans
 
     def felt(
         self, signs: Signs, ratio: jax.Array, judged: jax.Array, numbers: dict[str, jax.Array]

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from assistax_envs.persons.parameters import PARAMETERS
+from assistax_envs.persons.rows import PARAMETERS
 from evaluation.record.record import Record
 from zoo.partners.kinds import described_kind
 

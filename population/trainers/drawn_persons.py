@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
-from assistax_envs.persons.parameters import WIDTH
+from assistax_envs.persons.rows import WIDTH
 from assistax_envs.persons.senses import SEAT_SIZES
 from population.environment import Environment
 from population.networks.stack import PolicyStack

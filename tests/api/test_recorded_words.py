@@ -14,7 +14,7 @@ import pytest
 from assistax_envs import make
 from assistax_envs.env import EnvState
 from assistax_envs.persons import person, person_params
-from assistax_envs.persons.parameters import index
+from assistax_envs.persons.rows import index
 from assistax_envs.preferences import HEARD, WORDS
 from assistax_zoo import recording
 from assistax_zoo.datasets import write_dataset

@@ -11,9 +11,8 @@ from assistax_envs.models.care_scenes import OPEN
 from assistax_envs.models.teeth import ORDER
 from assistax_envs.persons.head import JAW, LEAN, YAW, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, person_kind
 from assistax_envs.persons.player import PersonPlayer
-from assistax_envs.persons.rows import INNER, persons
+from assistax_envs.persons.rows import INNER, PARAMETERS, WIDTH, person_kind, persons
 from assistax_envs.tasks.gentle_feeding.eating import WIDE
 from assistax_envs.tasks.mouth import ENTERING, TAKING, TURNED, WAITING
 from tests.envs import mouth

@@ -6,16 +6,18 @@ import jax
 import numpy as np
 import pytest
 
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, Parameter
 from assistax_envs.persons.player import draw_persons
 from assistax_envs.persons.rows import (
     BEYOND,
     COUNT,
     FAMILIES,
     INNER,
+    PARAMETERS,
     ROWS,
     SIDES,
     UNSEEN,
+    WIDTH,
+    Parameter,
     card,
     drawn,
     family,

@@ -12,10 +12,14 @@ from assistax_envs.persons import muscles, reaction
 from assistax_envs.persons.body import JOINTS
 from assistax_envs.persons.controller import Controller, Mind
 from assistax_envs.persons.measure import earned, episodes
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH, index, left, person_kind
 from assistax_envs.persons.player import PersonPlayer, person_params
 from assistax_envs.persons.rows import (
     INNER,
+    PARAMETERS,
+    WIDTH,
+    index,
+    left,
+    person_kind,
     persons,
 )
 from assistax_envs.persons.senses import sense

@@ -7,9 +7,8 @@ import pytest
 
 from assistax_envs import EnvState
 from assistax_envs.persons import signs
-from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer
-from assistax_envs.persons.rows import FAMILIES, persons
+from assistax_envs.persons.rows import FAMILIES, index, persons
 from assistax_envs.preferences import HEARD, PREFERRED, WORDS, code
 from tests.envs.conftest import compiled, random_actions, start
 from tests.envs.test_persons import somebody, watched
@@ -83,7 +82,7 @@ def said(
     **numbers: float,
 ) -> np.ndarray:  # fmt: skip
     """Return the words [T, count] of persons that feel `ratios` [T, W] all the time."""
-    made = signs.Signing(task)
+    made = signs.Signing(task, "spring")
     row = {name: jnp.full(count, number) for name, number in (NUMBERS | numbers).items()}
     shape = (count, ratios.shape[1])
 
@@ -190,7 +189,7 @@ def test_talkative_is_the_chance_to_speak(talkative: float) -> None:
 @pytest.mark.parametrize(("talkative", "share"), [(1.0, 1.0), (0.0, signs.QUIET)])
 def test_posture_bends_with_the_logarithm(talkative: float, share: float) -> None:
     """Away from too much, towards too little; who never speaks shows little."""
-    made, ratio = signs.Signing("gentle_scratch"), jnp.array([[2.0, 0.5], [1.0, 4.0]])
+    made, ratio = signs.Signing("gentle_scratch", "spring"), jnp.array([[2.0, 0.5], [1.0, 4.0]])
     row = {name: jnp.full(2, number) for name, number in NUMBERS.items()}
     row["talkative"] = jnp.full(2, talkative)
     now = signs.silent(2, 2)

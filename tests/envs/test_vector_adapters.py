@@ -17,8 +17,7 @@ from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
 from assistax_envs.adapters.partners import Idle, Persons
 from assistax_envs.adapters.pettingzoo import ROLES, AssistaxParallelVectorEnv
 from assistax_envs.persons import PersonPlayer, person
-from assistax_envs.persons.parameters import index
-from assistax_envs.persons.rows import FAMILIES
+from assistax_envs.persons.rows import FAMILIES, index
 from assistax_envs.preferences import WORDS
 
 TASK, LENGTH = "scratch", 4

@@ -7,8 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_envs.persons.parameters import PARAMETERS, index
-from assistax_envs.persons.rows import persons
+from assistax_envs.persons.rows import PARAMETERS, index, persons
 from assistax_zoo.shell.main import run
 from evaluation.figures.by_parameter import (
     Outcomes,

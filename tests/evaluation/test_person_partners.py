@@ -12,7 +12,7 @@ import pytest
 from assistax_base.errors import RegistryVersionError, SplitError, UnknownIdError
 from assistax_envs import Disability, make
 from assistax_envs.persons import numbers, person, person_params, persons
-from assistax_envs.persons.parameters import index
+from assistax_envs.persons.rows import index
 from assistax_zoo import cross_play, evaluate
 from evaluation.cast.cast import choose_partners
 from evaluation.cast.partners import zoo_partner

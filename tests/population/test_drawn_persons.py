@@ -9,8 +9,7 @@ import pytest
 
 import assistax_envs
 from assistax_envs.persons import PersonPlayer, numbers, person_params, persons
-from assistax_envs.persons.parameters import WIDTH
-from assistax_envs.persons.rows import INNER
+from assistax_envs.persons.rows import INNER, WIDTH
 from population.config import MIXED, Member, TrainConfig
 from population.environment import ToldNumbers
 from population.hyperparameters import PPOConfig

@@ -10,7 +10,7 @@ import pytest
 
 import assistax_envs
 from assistax_envs.persons import PersonPlayer, persons
-from assistax_envs.persons.parameters import WIDTH
+from assistax_envs.persons.rows import WIDTH
 from assistax_envs.preferences import WORDS, code
 from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import PPOConfig

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from assistax_envs.persons.parameters import PARAMETERS, WIDTH
+from assistax_envs.persons.rows import PARAMETERS, WIDTH
 from assistax_envs.registered import OURS
 from tools.person_sources import READ, find_problems, read, rows_of
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assistax_envs.persons.parameters import index
-from assistax_envs.persons.rows import INNER, ROWS, family, side
+from assistax_envs.persons.rows import INNER, ROWS, family, index, side
 from assistax_workshop.gates.persons import play, reading, robots, scripts, stages
 from assistax_workshop.gates.persons.play import (
     SIGNS,

@@ -17,8 +17,7 @@ from assistax_base.errors import (
     SplitError,
     UnknownIdError,
 )
-from assistax_envs.persons.parameters import WIDTH
-from assistax_envs.persons.rows import COUNT, drawn, person, persons, side
+from assistax_envs.persons.rows import COUNT, WIDTH, drawn, person, persons, side
 from assistax_envs.versions import VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy

@@ -19,13 +19,13 @@ import numpy as np
 from assistax_base.digest import sha256
 from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
 from assistax_envs.disability import Disability
-from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import (
     COUNT,
     FAMILIES,
     PROGRAM_VERSION,
     Person,
     drawn,
+    index,
     numbers,
     person,
     persons,

@@ -12,9 +12,8 @@ import numpy as np
 from assistax_envs import Env
 from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
-from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import FAMILIES as ALL
-from assistax_envs.persons.rows import INNER, ROWS, UNSEEN
+from assistax_envs.persons.rows import INNER, ROWS, UNSEEN, index
 from assistax_envs.persons.senses import SEAT_SIZES
 from assistax_envs.preferences import PREFERRED
 from population.play.caring import caring_columns

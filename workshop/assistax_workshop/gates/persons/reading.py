@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.persons import measure, persons
-from assistax_envs.persons.parameters import index
-from assistax_envs.persons.rows import INNER
+from assistax_envs.persons.rows import INNER, index
 from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.play import FAMILIES, Plan
 from assistax_workshop.gates.persons.reader import SEEN, Windows, moments, read_thirds, share_found

@@ -13,7 +13,7 @@ import numpy as np
 
 from assistax_envs import make
 from assistax_envs.persons import persons
-from assistax_envs.persons.parameters import index
+from assistax_envs.persons.rows import index
 from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.play import (
     EPISODES,
