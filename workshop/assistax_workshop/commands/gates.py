@@ -73,7 +73,7 @@ def persons(
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Robots are ppo, gru, asymmetric_gru, rma, osi, told-gru, masked (persons show nothing), learned
+    Robots are ppo, gru, rma, osi, told-gru, masked (persons show nothing), learned
     (with the test side), idle and best (one a person). Others are script, told-script, search and
     search-told, read, swapped (one wish changes) and steals. The table covers all files in FOLDER.
 
