@@ -145,16 +145,25 @@ def hand_in(
     for file, submission in zip(files, submissions, strict=True):
         if submission["warning"]:
             print(f"warning: {file}: {submission['warning']}", file=sys.stderr, flush=True)
-    return [watch_submission(client, row["id"]) if watch else row for row in submissions]
+    if not watch:
+        return submissions
+    # An entry has its place once all of its seeds are scored.
+    ended = [wait_for(client, row["id"]) for row in submissions]
+    return [with_scores(client, row) for row in ended]
 
 
 def watch_submission(client: Client, id: str) -> dict[str, Any]:
+    """Wait for a submission's end, and return it with its scores, place and receipt."""
+    return with_scores(client, wait_for(client, id))
+
+
+def wait_for(client: Client, id: str) -> dict[str, Any]:
     """Wait for a submission's end; say place and time left whenever they change."""
     last_line = None
     while True:
         submission = client.submission(id)
         if submission["state"] in FINAL_STATES:
-            break
+            return submission
         line = f"{submission['state']}, {submission['jobs_done']} of {submission['jobs']} jobs done"
         if submission["place"]:
             line += f", place {submission['place']}, about {submission['eta_seconds']:.0f} s left"
@@ -162,8 +171,13 @@ def watch_submission(client: Client, id: str) -> dict[str, Any]:
             print(line, file=sys.stderr, flush=True)
             last_line = line
         time.sleep(POLL_SECONDS)
+
+
+def with_scores(client: Client, submission: dict[str, Any]) -> dict[str, Any]:
+    """Return an ended submission; a scored one has its scores, place and receipt beside it."""
     if submission["state"] != "scored":
         return submission
+    id = submission["id"]
     scores = {score["panel"]: score["figures"] for score in client.scores(id)}
     standing = {}
     try:
