@@ -17,7 +17,8 @@ BACKEND = "fused"  # what a service plays with, if no other is named
 SERVER_VARIABLE, TOKEN_VARIABLE = "ASSISTAX_ZOO_SERVER", "ASSISTAX_ZOO_TOKEN"
 
 REFERENCE = "reference"  # the submitter of rows that others are measured by
-FINAL_STATES: tuple[SubmissionState, ...] = ("scored", "refused", "failed", "retracted")
+GONE_STATES: tuple[SubmissionState, ...] = ("refused", "failed", "retracted")  # that no board has
+FINAL_STATES: tuple[SubmissionState, ...] = ("scored", *GONE_STATES)
 SCOPES: tuple[Scope, ...] = ("submit", "work", "organise")
 
 # Why a submission was refused: something about the file, which the submitter can mend.

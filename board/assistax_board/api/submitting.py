@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read, json_body
 from assistax_board.api.public import season_id
-from assistax_board.problems import Problem
 from assistax_board.rules.entries import Card, Declaration
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
@@ -29,7 +28,7 @@ _FILE = {
 
 
 class _CardBody(BaseModel):
-    """What a lab says of an entry."""
+    """A lab's word on an entry."""
 
     model_config = ConfigDict(extra="forbid")
     steps: int
@@ -114,7 +113,7 @@ def declare(
     request.app.state.limiter.hit(SUBMIT, principal.token)
     fields = entry.model_dump(exclude={"request_id", "card", "files"})
     declaration = Declaration(
-        **fields | {"season": _season(service, entry.season)},
+        **fields | {"season": season_id(service, entry.season or None)},
         request=entry.request_id,
         files=tuple(entry.files),
         card=Card(**entry.card.model_dump()),
@@ -122,16 +121,8 @@ def declare(
     return DeclaredEntry(id=service.declare(str(principal.submitter), declaration))
 
 
-def _season(service: Any, name: str | None) -> str | None:
-    """Return the id of a season that is given by id or name."""
-    season = service.queries.season(name) if name else None
-    if name and season is None:
-        raise Problem("not_found", f"no season {name!r}; GET /api/seasons lists them")
-    return season.id if season else None
-
-
 def _hand_in(service: Any, submitter: str, draft: Draft) -> Submission:
-    draft = dataclasses.replace(draft, season=_season(service, draft.season))
+    draft = dataclasses.replace(draft, season=season_id(service, draft.season or None))
     return service.queries.submission(service.submit(submitter, draft))
 
 

@@ -36,13 +36,12 @@ from assistax_board.store.schema import (
     SUBMITTER,
     UNFROZEN,
 )
-from assistax_board.vocabulary import FINAL_STATES, REFERENCE
+from assistax_board.vocabulary import FINAL_STATES, GONE_STATES, REFERENCE
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
 
 ENTRIES = 2  # methods of one lab on panel B
-_GONE = ("refused", "failed", "retracted")
 WAIT_SECONDS = 7 * 86_400.0  # for the organiser to queue again what workers failed
 
 
@@ -62,7 +61,7 @@ def enter(transaction: Transaction, season: str, submitter: str, chosen: Sequenc
     mine = SUBMISSION.season == row.id, SUBMISSION.submitter == submitter
     rows = transaction.execute(sa.select(schema.submissions).where(*mine)).all()
     methods = _check({row.id: row for row in rows}, chosen)
-    entered = [row.id for row in rows if _method(row) in methods and row.state not in _GONE]
+    entered = [row.id for row in rows if _method(row) in methods and row.state not in GONE_STATES]
     transaction.execute(sa.update(schema.submissions).where(*mine).values(entered_at=None))
     transaction.execute(
         sa.update(schema.submissions)
@@ -82,7 +81,7 @@ def _check(rows: dict[str, Any], chosen: Sequence[str]) -> set[tuple[str, str, s
     """Return the methods of the chosen submissions."""
     if missing := set(chosen) - rows.keys():
         raise Problem("not_found", f"you have no submission {min(missing)} in this season")
-    if ended := [id for id in chosen if rows[id].state in _GONE]:
+    if ended := [id for id in chosen if rows[id].state in GONE_STATES]:
         raise Problem("invalid", f"submission {ended[0]} is {rows[ended[0]].state}")
     methods = {_method(rows[id]) for id in chosen}
     if len(methods) > ENTRIES:

@@ -24,6 +24,7 @@ from assistax_board.rules.catalogue import Catalogue
 from assistax_board.store import schema
 from assistax_board.store.database import Reader, Transaction
 from assistax_board.store.schema import DECLARED, SCORE, SEASON, SUBMISSION
+from assistax_board.vocabulary import GONE_STATES
 
 LEAST, MOST = 2, 10  # seeds of an entry
 _WORDS = 200  # characters of a text of the card
@@ -32,7 +33,7 @@ _STEPS, _TRAINED = 10**15, 10**6  # most that a card may say
 
 @dataclasses.dataclass(frozen=True)
 class Card:
-    """What a lab says of an entry; nobody can check all of it, so it is shown as the lab's word."""
+    """A lab's word on an entry: not all of it can be checked, so it is shown as the lab's."""
 
     steps: int  # of the environment, in each seed's training
     partners: str  # met in training
@@ -154,7 +155,7 @@ def place_in_entry(transaction: Transaction, submitter: str, entry: str, row: An
         raise Problem("invalid", f"entry {entry} did not declare a file {row['artefact']}")
     seeds = transaction.execute(sa.select(schema.submissions).where(SUBMISSION.entry == entry))
     for seed in seeds:
-        if seed.state in ("refused", "failed", "retracted"):
+        if seed.state in GONE_STATES:
             raise Problem("too_late", f"entry {entry} has ended; declare it again")
         if seed.artefact == row["artefact"]:
             raise Problem("conflict", f"entry {entry} has this file; send the others")
