@@ -1,4 +1,4 @@
-"""How often labs that pick seeds or entries by scores are put above equal ones, and what it costs.
+"""Share of lists in which labs that pick by scores stand above equal ones, and its price.
 
 Six methods play in made-up worlds, as in docs/tables/ranks.csv. One lab trains more seeds than it
 shows. A list is wrong if it puts any method above another although all are equal.
@@ -36,7 +36,7 @@ class World:
         ]
 
     def play(self, luck: np.ndarray) -> np.ndarray:
-        """Return the scores [S, P] of seeds whose means are `luck` [S], without the partners'."""
+        """Return the scores [S, P] of seeds whose means are `luck` [S], partners left out."""
         pairs = PAIRS * self.rng.normal(size=(len(luck) + 1, PARTNERS))
         return luck[:, None] + pairs[:-1] + pairs[-1]
 
@@ -65,7 +65,7 @@ def keep_entries(world: World, seeds: int) -> tuple[Scores, int]:
 
 
 def drop_entries(world: World, seeds: int) -> tuple[Scores, int]:
-    """One lab declares twenty entries, and all but the best break down; nobody counts them."""
+    """One lab declares twenty entries, and all but the best break down, uncounted."""
     scores = world.entries(METHODS - 1 + 20, seeds)
     return [*scores[: METHODS - 1], *best(scores[METHODS - 1 :], 1)], 0
 

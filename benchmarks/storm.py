@@ -147,7 +147,7 @@ def _alongside(function: Callable[..., Any], *args: Any) -> Any:
 
 
 def put_answer(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    """Put what a function returns into a queue, or its error: somebody waits for one of them."""
+    """Put a function's result into a queue, or its error: the queue's reader waits for one."""
     try:
         answers.put(function(*args))
     except Exception as error:
@@ -156,7 +156,7 @@ def put_answer(answers: Any, function: Callable[..., Any], args: tuple[Any, ...]
 
 
 def answer_of(answers: Any) -> Any:
-    """Return what a process puts into its queue.
+    """Return the result that a process puts into its queue.
 
     Raises:
         RuntimeError: The process's own error.

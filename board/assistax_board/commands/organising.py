@@ -114,7 +114,7 @@ def season_extend(name: str, /, *, closes: datetime, data: Path) -> None:
 
 
 def season_list(*, data: Path, json: bool = False) -> None:
-    """List all seasons, the newest first; drafts too, which nobody else sees.
+    """List all seasons, the newest first; drafts too, which the organiser alone sees.
 
     Args:
         data: Folder of the service.
@@ -131,7 +131,7 @@ def season_list(*, data: Path, json: bool = False) -> None:
 
 
 def season_show(name: str, /, *, data: Path, json: bool = False) -> None:
-    """Show a season: its dates, what it hides, its root, and each lab's attempts.
+    """Show a season: its dates, its hidden partners, its root, and each lab's attempts.
 
     Args:
         name: Name or id of the season.

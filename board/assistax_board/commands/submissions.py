@@ -1,4 +1,4 @@
-"""Commands of a lab on what it handed in."""
+"""Commands of a lab on its own submissions."""
 
 import contextlib
 from pathlib import Path

@@ -36,7 +36,7 @@ class Words:
 @Parameter(name="*")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EntryCard:
-    """What the board asks of a declared entry, and shows as your word.
+    """Facts that the board asks of a declared entry, and shows as your word.
 
     Attributes:
         steps: Steps of the environment in each seed's training.
@@ -152,7 +152,7 @@ def _print_all(answers: Sequence[dict[str, Any]], json: bool) -> None:
 
 
 def _said(card: EntryCard, files: int) -> dict[str, object] | None:
-    """Return the card as the server takes it, none of a single robot.
+    """Return the card as the server takes it; None for a single robot.
 
     Raises:
         ValueError: An entry lacks something, or a single robot has a card.

@@ -14,7 +14,7 @@ SAY_SECONDS = 15.0  # between two lines of a block that still runs
 def time_limit(
     seconds: float, advice: str, end: Callable[[], object] = lambda: os._exit(1)
 ) -> Generator[Callable[[str], None]]:
-    """Say now and then what a block does, and end this process if it takes too long.
+    """Report a block's progress now and then, and end this process if it takes too long.
 
     Nothing else stops a compiler. Lines go to standard error.
 
