@@ -3,7 +3,10 @@
     team    task/algorithm-dN-sM-vR         scratch/ippo-d3-s5-v1
     ego     task/algorithm-ego-sM-vR        scratch/ppo-ego-s0-v1    a robot without a human
     policy  task/algorithm-dN-sM-vR/role    scratch/ippo-d3-s5-v1/human
-    partner task/NAME-...-vR                gentle_scratch/person-00042-v3    of any kind
+    partner task/NAME-...-vR                gentle_scratch/person-00042-v1    of any kind
+
+The release may be left out, and the role too where the place says it. Then the task's default
+release is meant. Everything that is written down has whole ids.
 
 All lower case. Task and algorithm start with a letter and hold letters, digits and underscores; d
 is the disability setting, s the training seed, v the release; numbers have no leading zeros. A
@@ -13,9 +16,11 @@ namespace and a colon stand before the ids of another zoo: lab:scratch/ippo-d3-s
 import dataclasses
 import fnmatch
 import re
+from collections.abc import Callable
 
 from assistax_base.errors import IdError, shorten
 from assistax_envs.versions import TASKS
+from population.networks.spec import ROLES
 
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
 _SEED = r"(?:0|[1-9][0-9]{0,18})"
@@ -35,6 +40,8 @@ _TEAM = re.compile(
 _PARTNER = re.compile(
     rf"(?:{_NAME}:)?(?P<task>{_NAME})/{_NAME}(?:-[a-z0-9_]{{1,32}}){{0,4}}-(?P<release>v{_NUMBER})"
 )
+_PLACE = re.compile(rf"(?:(?P<namespace>{_NAME}):)?(?P<task>{_NAME})/[^/]+")
+_NAMES_RELEASE = re.compile(r"-v[0-9\[?*][^-/]*$|\*$")
 _MAX_SEED = 2**63  # a season's seeds have as many bits as fit a table's column
 EGO = "ego"  # stands for the disability setting where no human was trained
 
@@ -136,6 +143,25 @@ def check_name(what: str, text: str) -> str:
     if not isinstance(text, str) or not text or not _PATTERNS[what].fullmatch(text):
         raise IdError(what, f"text like {_EXAMPLES[what]!r}", shorten(text))
     return text
+
+
+def with_release(name: str, release_of: Callable[[str, str], str]) -> str:
+    """Return an id, or a glob over ids, with the task's default release where it names none.
+
+    Args:
+        name: Such as "scratch/ippo-d3-s5", "scratch/ippo-d3-s[01]/human", "lab:scratch/*".
+        release_of: Returns a task's default release in the zoo of a namespace, "" for this one.
+
+    Returns:
+        The name unchanged if it names a release, if it can match one, or if its task is a glob.
+    """
+    role = next((f"/{role}" for role in ROLES if name.endswith(f"/{role}")), "")
+    stem = name.removesuffix(role)
+    place = _PLACE.fullmatch(stem)
+    if place is None or _NAMES_RELEASE.search(stem):
+        return name
+    release = release_of(place["task"], place["namespace"] or "")
+    return f"{stem}-{release.rpartition(':')[2]}{role}"
 
 
 def compile_pattern(pattern: str) -> re.Pattern[str]:

@@ -19,11 +19,13 @@ import re
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from assistax_base.digest import sha256
 from assistax_base.errors import CacheError
 from assistax_base.files import write_json
+from assistax_envs.versions import track_of
 
 REGISTRY_VARIABLE = "ASSISTAX_ZOO_REGISTRY"
 CACHE_VARIABLE = "ASSISTAX_ZOO_CACHE"
@@ -69,6 +71,19 @@ def data_root() -> Path:
 def cached_shard(digest: str) -> Path:
     """Return where the shard with that sha256 lies if it was fetched."""
     return cache_root() / "shards" / f"{digest}.safetensors"
+
+
+def packaged_shard(task: str, digest: str) -> Path | None:
+    """Return a shard of the installed data package of a task's track; None if it is not there."""
+    package = find_spec(data_package(task).replace("-", "_"))
+    folders = package.submodule_search_locations if package else None
+    paths = (Path(folder, f"{digest}.safetensors") for folder in folders or ())
+    return next((path for path in paths if path.is_file()), None)
+
+
+def data_package(task: str) -> str:
+    """Return the name of the data package with the parameters of a task's track."""
+    return f"assistax-zoo-{track_of(task).replace('_', '-')}"
 
 
 def cached_registry(remote: str) -> Path:

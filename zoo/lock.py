@@ -1,7 +1,8 @@
 """The lock file of a paper: which release, partners, bytes and splits its figures were made with.
 
 It names a release and its root, which policies and splits were used, and by their names the leaves
-of the release's tree that these are made of, with a digest of itself. A split that the release does
+of the release's tree that these are made of, with a digest of itself. Persons have no bytes: their
+table and their split are pinned. A split that the release does
 not publish, such as one of the user's own, stands in it whole, so that others have it too. A
 registry that has grown since is as good as the one that the lock was made of; one in which anything
 pinned differs is refused.
@@ -19,7 +20,7 @@ from assistax_base.bounded_reading import parse_json, read_text
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LockError, ZooError, listing, shorten
 from assistax_base.validated import first_problem
-from zoo.history.merkle import leaves
+from zoo.history.merkle import leaves, persons_leaf
 from zoo.partners.sides import parse_split
 from zoo.registry import Registry, build_registry
 from zoo.schema import Name, PolicyEntry, Sha256, Split, StrictModel, Team
@@ -114,13 +115,15 @@ def apply_lock(registry: Registry, lock: Lock, *, task: str, split: str | None =
     _check_split(registry, lock, task, split)
     release = registry.data.releases[lock.release]
     defaults = {task: pinned.id for task, pinned in lock.splits.items()}
+    tables = release.persons.items()
+    persons = {"persons": {t: table for t, table in tables if persons_leaf(t) in lock.leaves}}
     entries = [entry for entry in registry.policies if entry.id in lock.policies]
     keep = {entry.team for entry in entries}
     data = registry.data
     teams = data.teams.items()
     fields = {
         "release": lock.release,
-        "releases": {lock.release: release.model_copy(update={"splits": defaults})},
+        "releases": {lock.release: release.model_copy(update={"splits": defaults, **persons})},
         "shards": {entry.shard: data.shards[entry.shard] for entry in entries},
         "teams": {name: _narrowed(name, team, lock) for name, team in teams if name in keep},
         "egos": {name: ego for name, ego in data.egos.items() if name in keep},
@@ -155,19 +158,23 @@ def _check(registry: Registry, lock: Lock) -> None:
         raise _differs(registry, f"release {lock.release}", found)
     for split in lock.own_splits:
         check_split(split)
-    present = _pinnable(registry, lock.release)
+    present = _pinnable(registry, lock)
     for name, value in lock.pins.items():
         if present.get(name) != value:
             raise _differs(registry, f"{name} {value}", str(present.get(name, "none")))
 
 
-def _pinnable(registry: Registry, release: str) -> dict[str, object]:
-    """Return all that a lock of a release can pin, by the names of `Lock.pins`."""
-    part, name = registry.part_of(release)
+def _pinnable(registry: Registry, lock: Lock) -> dict[str, object]:
+    """Return all that a lock of its release can pin, by the names of `Lock.pins`."""
+    part, name = registry.part_of(lock.release)
     data = registry.data
+    splits = {split.id: split.sha256 for split in data.splits}
+    for task, pinned in lock.splits.items():
+        with contextlib.suppress(ZooError):  # of persons, which nothing stores
+            splits.setdefault(pinned.id, registry.split(task, pinned.id).sha256)
     return {
-        **_named("environment version of", data.releases[release].environments),
-        **_named("split", {split.id: split.sha256 for split in data.splits}),
+        **_named("environment version of", data.releases[lock.release].environments),
+        **_named("split", splits),
         **_named("policy", {entry.id: entry.sha256 for entry in registry.policies}),
         **_named("entry", leaves(part.data, name)),
     }

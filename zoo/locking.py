@@ -32,7 +32,7 @@ def make_lock(
     if made := [entry.id for entry in entries if not entry.shard]:
         source = registry.source_of(made[0])
         found = f"{len(made)} {source.word}, {source.pinned}"
-        advice = "name the release and its root, as `assistax-zoo cite` does"
+        advice = "lock the task's robots, which pins its persons and their split too"
         raise LockError("selection", "policies that have bytes", found, advice)
     releases = sorted({entry.release for entry in entries})
     if len(releases) != 1:
@@ -42,7 +42,12 @@ def make_lock(
     part, _ = registry.part_of(release)
     pinned = _splits(registry, entries, release, splits or {})
     published = {plain_name(split.id) for split in part.splits}
-    own = tuple(split for split in pinned.values() if plain_name(split.id) not in published)
+    own = tuple(
+        split
+        for split in pinned.values()
+        if plain_name(split.id) not in published
+        and registry.source_of_split(split) is registry.teams
+    )
     versions = registry.data.releases[release].environments
     lock = Lock(
         lock_version=LOCK_VERSION,
@@ -71,7 +76,11 @@ def used_leaves(
     registry: Registry, release: str, entries: Sequence[PolicyEntry], splits: Iterable[str]
 ) -> dict[str, str]:
     """Return the leaves of a release's tree that some of its policies and splits are made of."""
-    names = {f"split {plain_name(split)}" for split in splits}
+    ids = [plain_name(split) for split in splits]
+    names = {f"split {split}" for split in ids}
+    for split in ids:
+        kinds = (source for source in registry.sources[1:] if source.names_split(split))
+        names |= next(kinds, registry.teams).split_leaves(split.partition("/")[0])
     for entry in entries:
         team = plain_name(entry.team)
         names |= {f"team {team}", f"ego {team}", f"setting {entry.disability}"}
@@ -95,10 +104,13 @@ def _splits(
     teams = {entry.team for entry in entries if entry.role == "human"}
     pinned = {}
     for task in tasks:
-        if task not in chosen and task not in registry.data.releases[release].splits:
+        published = registry.data.releases[release]
+        if task not in {*chosen, *published.splits, *published.persons}:
             continue  # a release of one half has no default split
         split = registry.split(task, chosen.get(task), release=release)
-        absent = [t for side in split.sides.values() for t in side if t not in teams]
+        stored = registry.source_of_split(split) is registry.teams
+        partners = split.sides.values() if stored else ()
+        absent = [t for side in partners for t in side if t not in teams]
         if absent and task in chosen:
             expected = "every partner of the split in the selection"
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"

@@ -17,13 +17,15 @@ from assistax_base.errors import (
     shorten,
 )
 from assistax_base.validated import first_problem
+from population.networks.spec import ROLES
 from zoo.history.merkle import check_roots, release_root
 from zoo.history.own_splits import own_splits
-from zoo.ids import parse_team
+from zoo.ids import parse_team, with_release
 from zoo.locations import (
     REGISTRY_VARIABLE,
     added_registries,
     cached_shard,
+    packaged_shard,
     registry_path,
     shard_root,
 )
@@ -70,15 +72,17 @@ class Registry:
         return self.data.splits
 
     def shard_path(self, shard: str) -> Path:
-        """Return where a shard lies: beside the registry, or in the cache if it was fetched."""
+        """Return where a shard lies: beside the registry, in its data package, or in the cache."""
         namespace, path = split_namespace(shard)
         if namespace:
             return self.parts[namespace].shard_path(path)
         beside = shard_root(self.path) / shard
         if beside.is_file() or shard not in self.data.shards:
             return beside
-        fetched = cached_shard(self.data.shards[shard].sha256)
-        return fetched if fetched.is_file() else beside
+        entry = self.data.shards[shard]
+        fetched = cached_shard(entry.sha256)
+        packaged = packaged_shard(entry.task, entry.sha256)
+        return packaged or (fetched if fetched.is_file() else beside)
 
     @functools.cached_property
     def sources(self) -> tuple[PartnerSource, ...]:
@@ -117,14 +121,16 @@ class Registry:
         return {entry.id: entry for entry in self.policies}
 
     def policy(self, policy_id: str) -> PolicyEntry:
-        """Return one policy by its id.
+        """Return one policy by its id; without a role, the only policy of that team or person.
 
         Raises:
             UnknownIdError: The registry has no such policy; the nearest ids are named.
         """
+        policy_id = self.full(policy_id)
         if policy_id in self._by_id:
             return self._by_id[policy_id]
-        if found := self.known([policy_id]):
+        found = self.known([policy_id, *(f"{policy_id}/{role}" for role in ROLES)])
+        if len(found) == 1:
             return found[0]
         refuse_unknown(policy_id, list(self._by_id))
 
@@ -173,6 +179,7 @@ class Registry:
         Raises:
             UnknownIdError: The registry has no such team; the nearest ids are named.
         """
+        team_id = self.full(team_id)
         if team_id not in self.data.teams:
             refuse_unknown(team_id, list(self.data.teams), "team")
         return self.data.teams[team_id]
@@ -183,18 +190,27 @@ class Registry:
         """Return the policies that match, in registry order, as `zoo.selection.select` does.
 
         Partners of another kind than teams match if a pattern says so, such as
-        "gentle_scratch/person-*-v3". They come last.
+        "gentle_scratch/person-*". They come last.
 
         Raises:
             UnknownIdError: Nothing matches; the nearest ids are named.
         """
         if pattern is None:
             return select(self.policies, **fields)
-        patterns = [pattern] if isinstance(pattern, str) else list(pattern)
+        names = [pattern] if isinstance(pattern, str) else pattern
+        patterns = [self.full(name, fields.get("release")) for name in names]
         chosen: list[PolicyEntry] = []
         for source, some in self._by_source(patterns, self.source_of):
             chosen += select(source.candidates(some), some, **fields)
         return chosen
+
+    def full(self, name: str, release: str | None = None) -> str:
+        """Return an id or glob with a release where it names none: the task's default if None."""
+
+        def release_of(task: str, namespace: str) -> str:
+            return release or self.release_of(task, namespace if namespace in self.parts else "")
+
+        return with_release(name, release_of)
 
     def of_task(self, task: str, role: str) -> list[PolicyEntry]:
         """Return a task's robots or humans, those of its default release, in registry order.

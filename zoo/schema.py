@@ -2,21 +2,13 @@
 
 Nothing is stored twice: a policy's task, algorithm, disability, seed and release are its id, its
 spec is its shard's, and training provenance lies in `runs`, once for all teams of a run. Raise
-`SCHEMA_VERSION` if older files would be read otherwise. An older installation refuses a new field
-with the advice to upgrade.
+`SCHEMA_VERSION` if older files would be read otherwise. Older installations refuse a new field.
 """
 
 import dataclasses
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
 
 from assistax_envs.disability import Disability
 from population.networks.spec import PolicySpec, Role, spec_from_json
@@ -94,6 +86,16 @@ class Citation(StrictModel):
     url: Annotated[str, Field(pattern=r"^(https?://[^\s{}\\]{1,300})?$")] = ""
 
 
+class OwnFamily(StrictModel):
+    """A family of persons that a package adds, and how many of a table's persons are of it."""
+
+    name: Name  # of its entry point
+    package: str  # distribution
+    version: str
+    sha256: Sha256  # of the package's files
+    count: Annotated[int, Field(ge=1, le=50_000)]  # the last persons of the table
+
+
 class Persons(StrictModel):
     """Persons of a task: rows of numbers that a formula gives, see `zoo.partners`."""
 
@@ -101,6 +103,7 @@ class Persons(StrictModel):
     count: Annotated[int, Field(ge=1, le=50_000)]
     sha256: Sha256  # of the table of rows, little-endian float32
     secret: Sha256 | None = None  # 256 bits in hex, of a season's hidden persons: gives their rows
+    own: OwnFamily | None = None  # of the season's organiser
 
 
 class Release(StrictModel):

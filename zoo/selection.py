@@ -70,12 +70,24 @@ def _with_field(entries: list[PolicyEntry], field: str, value: str) -> list[Poli
 def _matching(pattern: str, entries: list[PolicyEntry], everything: list[PolicyEntry]) -> set[str]:
     matches = compile_pattern(pattern).match
     ids = {entry.id for entry in entries if matches(entry.id) or matches(entry.team)}
+    if not ids and (others := [e.id for e in everything if matches(e.id) or matches(e.team)]):
+        raise UnknownIdError(
+            f"{shorten(pattern)} matches no policy of those that can stand here",
+            f"a glob that matches such as {listing([entry.id for entry in entries], 2)}",
+            f"{len(others)} others, such as {others[0]}",
+        )
     return ids or refuse_unknown(pattern, [entry.id for entry in entries or everything])
 
 
 def refuse_unknown(name: str, known: Sequence[str], what: str = "policy") -> NoReturn:
     """Raise the error for an id or glob without a match, which names the nearest known ids."""
     close = nearest(name, known)
+    if set(name) & set("*?["):  # the algorithms that there are say more than names that look alike
+        task = name.partition("/")[0]
+        kinds = sorted(
+            {id.split("/")[1].split("-")[0] for id in known if id.startswith(f"{task}/")}
+        )
+        close = [f"{task}/{kind}-*" for kind in kinds[:8]] or close
     raise UnknownIdError(
         f"unknown {what} {shorten(name)}",
         f"an id or glob that matches one of the {len(known)} candidates",

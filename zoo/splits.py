@@ -124,7 +124,7 @@ def made_split(
     train: Sequence[str],
     test: Sequence[str],
     *,
-    held_out: str | None = None,
+    validation: Sequence[str] = (),
 ) -> Split:
     """Return a split that a kind of partner makes and nothing stores.
 
@@ -134,9 +134,10 @@ def made_split(
         release: Their release.
         train: Ids of the training side, without roles.
         test: Ids of the test side, without roles.
-        held_out: Name of the split among those of the kind.
+        validation: Ids of the validation side, if the split has one.
     """
-    fields = {"task": task, "release": release, "rule": rule, "held_out": held_out}
+    fields = {"task": task, "release": release, "rule": rule, "held_out": None}
     content = {**fields, "n": None, "seed": 0, "train": tuple(train), "test": tuple(test)}
+    content |= {"validation": tuple(validation)} if validation else {}
     named = {"id": split_id(content), "sha256": json_sha256(content)}
     return Split.model_validate({**content, **named})

@@ -39,7 +39,7 @@ def test_team_card_has_all_that_is_known() -> None:
         "# scratch/ippo-d3-s5-v0\n\n![scratch/ippo-d3-s5-v0](<pictures/robot at work.png>)\n"
     )
     facts = ("strength 0.4", "999.1, 95% interval 994.6 to 1003.6 over 64", "128, 128")
-    use = "evaluate --task scratch --policy zoo:scratch/ippo-d3-s5-v0/robot"
+    use = "evaluate zoo:scratch/ippo-d3-s5-v0/robot"
     for words in (*facts, "| versions.jax | 0.10.2 |", "f4c7b97d | train", "a" * 64, "b" * 64, use):
         assert words in text
     assert "None" not in text
@@ -53,14 +53,14 @@ def test_a_policy_s_card_stands_alone_and_unmeasured() -> None:
 
 def test_card_command_names_partners_of_robots_version() -> None:
     """The default split may be of another release, whose partners it cannot play with."""
-    against = {"split": "scratch/persons-s0-v3-8ed93cbc", "sha256": "c" * 64}
+    against = {"split": "scratch/persons-s0-v1-8ed93cbc", "sha256": "c" * 64}
     assert f"--split {next(iter(CARD['splits']))} --out" in markdown_card([CARD])
     trained = {**CARD, "trained_against": against}
     assert f"--split {against['split']} --out" in markdown_card([trained])
 
 
 def test_a_robot_s_card_has_its_m_test() -> None:
-    m_test = {"mean": 448.8, "mean_ci": (304.9, 569.3), "n": 8, "split": "scratch/persons-s0-v3-1"}
+    m_test = {"mean": 448.8, "mean_ci": (304.9, 569.3), "n": 8, "split": "scratch/persons-s0-v1-1"}
     text = markdown_card([{**CARD, "self_play": None, "m_test": m_test}])
     assert "| M_test | 448.8, 95% interval 304.9 to 569.3, with 8 partners of the test side" in text
     data = ModelCard(text).data

@@ -11,7 +11,7 @@ from zoo.history.merkle import check_roots, leaves, with_roots
 from zoo.lock import Lock, apply_lock, locked_entries, read_lock
 from zoo.locking import make_lock, write_lock
 from zoo.parameters.storage import load_stacks
-from zoo.registry import Registry, load_registry
+from zoo.registry import Registry, build_registry, load_registry
 from zoo.saving import dump_registry
 from zoo.splitting.create import create_split
 from zoo.transport.addresses import open_remote
@@ -88,7 +88,7 @@ def test_a_registry_that_differs_is_refused(
     other = {"sha256": "0" * 64}
     for change, message in (
         (lambda d: d["teams"][team]["policies"]["human"].update(other), f"policy {team}/human"),
-        (lambda d: d["shards"][human.shard].update(other), "entry shard zoo/shards/v0/"),
+        (lambda d: d["shards"][human.shard].update(other), "entry shard zoo/shards/paper/"),
         (lambda d: d["disability_settings"]["d9"].update(tremor=0.1), "entry setting d9"),
         (
             lambda d: d["releases"]["v0"]["environments"].update(scratch=2),
@@ -148,7 +148,7 @@ def test_commands(registry: Registry, cache: Path, tmp_path: Path, capsys, monke
     source = str(registry.path.parent)
     assert run(["fetch", "--from", source, "--lock", str(tmp_path / "few.lock"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["policies"] == 8
-    words = ["--task", "scratch", "--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--lock", str(out)]
+    words = ["--task", "scratch", "zoo:scratch/ippo-d1-s0-v0/robot", "--lock", str(out)]
     assert run(["evaluate", *words, "--split", "scratch/small-5"]) == 1
     assert "expected the locked one" in capsys.readouterr().err
     without = registry.data.releases["v0"].model_copy(update={"splits": {}})
@@ -175,3 +175,25 @@ def test_lock_pins_all_bytes_by_release_leaves(
     assert {name.split()[0] for name in few.leaves} == {"team", "run", "setting", "shard"}
     pinned = [name for name in few.leaves if name.startswith("shard")]
     assert len(pinned) == len({entry.shard for entry in locked_entries(registry, few)})
+
+
+def test_a_lock_of_robots_pins_the_persons_of_their_task(tmp_path: Path, capsys) -> None:
+    """A lock of the care track is whole: robots, the table of persons, and their split."""
+    registry, path = load_registry(), tmp_path / "care.lock"
+    robots = registry.select("gentle_scratch/*")
+    lock = make_lock(registry, robots)
+    split = registry.split("gentle_scratch")
+    assert lock.splits["gentle_scratch"].id == split.id and not lock.own_splits
+    assert "persons gentle_scratch" in lock.leaves
+    locked = apply_lock(registry, lock, task="gentle_scratch")
+    assert locked.split("gentle_scratch") == split
+    assert set(locked.data.releases[lock.release].persons) == {"gentle_scratch"}
+    release = registry.data.releases[lock.release]
+    table = release.persons["gentle_scratch"].model_copy(update={"sha256": "0" * 64})
+    changed = {**release.persons, "gentle_scratch": table}
+    other = release.model_copy(update={"persons": changed})
+    data = registry.data.model_copy(update={"releases": {lock.release: other}})
+    with pytest.raises(LockError, match=r"entry persons gentle_scratch .*, as locked"):
+        apply_lock(build_registry(data, registry.path), lock, task="gentle_scratch")
+    assert run(["lock", "gentle_scratch/person-0000*", "--out", str(path)]) == 1
+    assert "lock the task's robots" in " ".join(capsys.readouterr().err.split())

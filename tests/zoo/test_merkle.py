@@ -61,7 +61,7 @@ def test_a_changed_entry_no_longer_passes_verify(
     for words in (
         ["list"],
         ["show", TEAM],
-        ["evaluate", *task, "--policy", "zero", *out],
+        ["evaluate", *task, "zero", *out],
         ["crossplay", *task, *out],
         ["lock", *out],
         ["export", f"{TEAM}/robot", "--format", "safetensors", *out],

@@ -106,7 +106,7 @@ def test_package_adds_a_kind(install_package: Callable[..., None], official: Reg
     [card] = find_cards(official, entry.id)
     assert card["disability"]["strength"] == pytest.approx(0.4)
     with pytest.raises(ValueError, match="still are of another kind, so play them in a separate"):
-        official.source_asked(None, ["still", "gentle_scratch/person-00042-v3"])
+        official.source_asked(None, ["still", "gentle_scratch/person-00042-v1"])
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from assistax_base.errors import (
     SplitError,
     UnknownIdError,
 )
-from assistax_envs.persons.rows import COUNT, drawn, person, persons, side
-from assistax_envs.versions import GENTLE_TASKS, TASKS, VERSIONS
+from assistax_envs.persons.rows import COUNT, WIDTH, drawn, marked, person, persons, side
+from assistax_envs.versions import VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy
 from zoo.history.merkle import leaves, lost_leaves, with_roots
@@ -35,7 +35,8 @@ from zoo.transport.fetch import check_local
 from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]
-TASK, SOMEBODY = "gentle_scratch", "gentle_scratch/person-00042-v3/human"
+NOW = "v1"  # the release with persons of the installed program
+TASK, SOMEBODY = "gentle_scratch", f"gentle_scratch/person-00042-{NOW}/human"
 
 
 @pytest.fixture(scope="module")
@@ -45,40 +46,67 @@ def official() -> Registry:
 
 def changed(official: Registry, folder: Path, **fields: object) -> Registry:
     """Return a registry whose table of scratch's persons has other fields, with its roots."""
-    release = official.data.releases["v3"]
+    release = official.data.releases[NOW]
     table = release.persons[TASK].model_copy(update=fields)
     release = release.model_copy(update={"persons": {**release.persons, TASK: table}})
-    releases = {**official.data.releases, "v3": release}
+    releases = {**official.data.releases, NOW: release}
     data = with_roots(official.data.model_copy(update={"releases": releases}))
     return dataclasses.replace(official, data=data, path=folder / "registry.json")
 
 
-def test_the_release_has_ten_thousand_persons_a_task(official: Registry) -> None:
-    release = official.data.releases["v3"]
-    assert tuple(sorted(release.persons)) == tuple(sorted(GENTLE_TASKS))
-    assert release.environments == {task: VERSIONS[task] for task in GENTLE_TASKS}
-    assert {table.count for table in release.persons.values()} == {COUNT}
+def test_a_release_has_thirty_thousand_persons_of_three_families(official: Registry) -> None:
+    release = official.data.releases[NOW]
+    assert {table.count for table in release.persons.values()} == {COUNT} == {30_000}
     assert len({person(TASK, number).identity for number in range(COUNT)}) == COUNT
-    alone = {task for task in TASKS if official.split(task).rule == "persons"}
-    assert alone == {"gentle_feeding", "gentle_brushing"}
+    names = [f"{TASK}/person-{number}0042-{NOW}/human" for number in range(3)]
+    entries = official.known(names)
+    assert [entry.algorithm for entry in entries] == ["spring", "muscle", "stepper"]
+    stacks = load_stacks(official, entries)
+    [stack] = stacks  # each family has a person with each row
+    rows = np.tile(person(TASK, 42).row, (3, 1))
+    np.testing.assert_array_equal(stack.params["row"], marked(rows, range(3)))
+    assert len({entry.sha256 for entry in entries}) == 3
+
+
+def test_persons_of_an_older_program_are_read_and_not_played(
+    official: Registry, tmp_path: Path
+) -> None:
+    """Such a registry loads, lists its robots, and says in one error who is gone."""
+    older = changed(official, tmp_path, program=2)
+    assert older.select(f"{TASK}/*-{NOW}")
+    words = "persons of program 4, as installed, found program 2"
+    for look in (
+        lambda: older.policy(SOMEBODY),
+        lambda: older.select(f"{TASK}/person-0004*-{NOW}"),
+        lambda: older.split(TASK, "persons"),
+        lambda: older.split(TASK),
+        lambda: older.split(TASK, f"persons-s0-{NOW}"),
+    ):
+        with pytest.raises(RegistryVersionError, match=words):
+            look()
+    assert list(person_splits(older.data, TASK)) == []
+    assert Persons(older).offered(TASK, NOW) is None
+    others = len(official.data.releases[NOW].persons) - 1
+    assert list(Persons(older).problems()) == []
+    assert Persons(older).table_sizes() == [COUNT] * others
 
 
 def test_release_without_teams_has_split_of_persons(official: Registry) -> None:
     """And each release has its own, however many follow it."""
-    older = official.split("gentle_feeding")
-    assert (older.release, older.held_out) == ("v5", None)
-    newer = official.data.releases["v5"].model_copy(update={"root": None})
-    releases = {**official.data.releases, "v6": newer}
-    data = official.data.model_copy(update={"release": "v6", "releases": releases})
+    older = official.split("gentle_feeding", release=NOW)
+    assert (older.release, older.held_out) == (NOW, None)
+    newer = official.data.releases[NOW].model_copy(update={"root": None})
+    releases = {**official.data.releases, "v10": newer}
+    data = official.data.model_copy(update={"release": "v10", "releases": releases})
     grown = dataclasses.replace(official, data=data)
-    assert grown.split("gentle_feeding", release="v5") == older
-    assert grown.split("gentle_feeding").release == "v6"
+    assert grown.split("gentle_feeding", release=NOW) == older
+    assert grown.split("gentle_feeding").release == "v10"
     assert grown.split("gentle_feeding", older.id) == older
-    assert grown.split("gentle_feeding", "persons").release == "v6"
-    assert grown.split("gentle_scratch", release="v3").rule == "three-sides"  # it has teams
-    glob = "gentle_feeding/person-0900?-v5"
+    assert grown.split("gentle_feeding", "persons").release == "v10"
+    assert grown.split("scratch", release="v1").rule == "half"  # it has teams
+    glob = f"gentle_feeding/person-0900?-{NOW}"
     split, chosen = Persons(grown).choose("gentle_feeding", None, glob)
-    assert split == older and {entry.release for entry in chosen} == {"v5"} and len(chosen) == 10
+    assert split == older and {entry.release for entry in chosen} == {NOW} and len(chosen) == 10
     added = merge(official.data, {"lab": official.data})
     lab = dataclasses.replace(official, data=added, parts={"": official, "lab": official})
     assert lab.split("gentle_feeding", "lab:") == lab.split("gentle_feeding", "lab:persons")
@@ -89,24 +117,24 @@ def test_release_without_teams_has_split_of_persons(official: Registry) -> None:
 
 def test_a_person_is_found_by_its_id(official: Registry) -> None:
     entry, someone = official.policy(SOMEBODY), person(TASK, 42)
-    assert (entry.id, entry.role, entry.seed, entry.release) == (SOMEBODY, "human", 42, "v3")
+    assert (entry.id, entry.role, entry.seed, entry.release) == (SOMEBODY, "human", 42, NOW)
     assert entry.sha256 == someone.identity and entry.algorithm == "spring"
     assert official.env_version(entry) == VERSIONS[TASK]
     [stack] = load_stacks(official, [entry])
-    np.testing.assert_array_equal(stack.params["row"], someone.row[None])
+    np.testing.assert_array_equal(stack.params["row"], marked(someone.row[None]))
     check_local(official, [entry])
-    assert official.known([SOMEBODY, "gentle_scratch/ippo-d1-s0-v3/human", "nobody"])[1] == entry
+    assert official.known([SOMEBODY, "scratch/ippo-d1-s0-v1/human", "nobody"])[1] == entry
 
 
 @pytest.mark.parametrize(
     "missing",
     [
-        "gentle_scratch/person-10000-v3/human",
+        f"gentle_scratch/person-{COUNT}-{NOW}/human",
         "gentle_scratch/person-00042-v2/human",
-        "gentle_scratch/person-00042-v3/robot",
-        "gentle_scratch/person-42-v3/human",
-        "scratch/person-00042-v3/human",
-        "lab:gentle_scratch/person-00042-v3/human",
+        f"gentle_scratch/person-00042-{NOW}/robot",
+        f"gentle_scratch/person-42-{NOW}/human",
+        f"scratch/person-00042-{NOW}/human",
+        f"lab:gentle_scratch/person-00042-{NOW}/human",
     ],
 )
 def test_nobody_else_is_found(official: Registry, missing: str) -> None:
@@ -115,39 +143,35 @@ def test_nobody_else_is_found(official: Registry, missing: str) -> None:
 
 
 def test_globs_find_persons_only_where_they_say_so(official: Registry) -> None:
-    corners = official.select("gentle_scratch/person-08*-v3")
+    corners = official.select(f"gentle_scratch/person-08*-{NOW}")
     assert [entry.row for entry in corners] == list(range(8000, 9000))
     [stack] = load_stacks(official, corners)
-    np.testing.assert_array_equal(stack.params["row"], persons(TASK)[8000:9000])
-    both = load_stacks(official, official.select("gentle_scratch/person-*999-v3"))
-    assert [len(stack) for stack in both] == [9, 1]  # of two families
+    np.testing.assert_array_equal(stack.params["row"], marked(persons(TASK)[8000:9000]))
+    some = load_stacks(official, official.select(f"gentle_scratch/person-*999-{NOW}"))
+    assert [len(stack) for stack in some] == [30]  # of three families
     assert not any("person" in entry.id for entry in official.select("gentle_scratch/*"))
     with pytest.raises(UnknownIdError):
-        official.select("gentle_scratch/person-*-v3", role="robot")
-    mixed = official.select(["gentle_scratch/person-0004*-v3", "gentle_scratch/ippo-d1-s0-v3"])
+        official.select(f"gentle_scratch/person-*-{NOW}", role="robot")
+    mixed = official.select([f"gentle_scratch/person-0004*-{NOW}", "scratch/ippo-d1-s0-v1"])
     assert len(mixed) == 12
 
 
 def test_ids_of_persons_have_one_spelling() -> None:
-    assert parse_person(SOMEBODY) == ("", TASK, 42, "v3")
-    assert parse_person("lab:gentle_scratch/person-00042-v3") == ("lab", TASK, 42, "v3")
-    for text in ("gentle_scratch/person-042-v3", "gentle_scratch/person-00042", "person-00042-v3"):
+    assert parse_person(SOMEBODY) == ("", TASK, 42, NOW)
+    assert parse_person("lab:gentle_scratch/person-00042-v1") == ("lab", TASK, 42, "v1")
+    for text in ("gentle_scratch/person-042-v1", "gentle_scratch/person-00042", "person-00042-v1"):
         assert parse_person(text) is None
 
 
 def test_persons_are_dealt_as_their_numbers_say(official: Registry) -> None:
-    test, validation = (official.split(TASK, name) for name in ("persons", "persons-validation"))
-    assert test.train == validation.train
-    for split, expected in ((test, "test"), (validation, "validation")):
-        sides = {"train": "training", "test": expected}
-        for name, dealt in sides.items():
-            numbers = [int(team.split("-")[1]) for team in getattr(split, name)]
-            assert numbers == [number for number in range(COUNT) if side(number) == dealt]
-        assert official.split(TASK, split.id) == split
-        assert official.split(TASK, split.id.removeprefix(f"{TASK}/")) == split
-    assert not set(validation.test) & {*test.train, *test.test}
-    with pytest.raises(SplitError, match="persons-s0-v3"):
-        official.split(TASK, "persons-s0-v3-00000000")
+    split = official.split(TASK, "persons")
+    for name, dealt in {"train": "training", "validation": "validation", "test": "test"}.items():
+        numbers = [int(team.split("-")[1]) for team in getattr(split, name)]
+        assert numbers == [number for number in range(COUNT) if side(number) == dealt]
+    assert official.split(TASK, split.id) == split == official.split(TASK)
+    assert official.split(TASK, split.id.removeprefix(f"{TASK}/")) == split
+    with pytest.raises(SplitError, match=f"persons-s0-{NOW}"):
+        official.split(TASK, f"persons-s0-{NOW}-00000000")
     with pytest.raises(SplitError, match="no persons"):
         official.split("scratch", "persons")
 
@@ -156,35 +180,34 @@ def test_secret_persons_are_no_public_ones(official: Registry, tmp_path: Path) -
     """A season's private release: the rows follow from what it names, and all are tested with."""
     table = described(TASK, "ab" * 32, 6).model_dump()
     private = changed(official, tmp_path, **table)
-    people = private.select(f"{TASK}/person-*-v3")
+    people = private.select(f"{TASK}/person-*-{NOW}")
     assert [entry.seed for entry in people] == list(range(COUNT, COUNT + 6))
-    stacks = load_stacks(private, people)
-    assert [stack.spec.family for stack in stacks] == ["spring", "muscle"]
+    [stack] = load_stacks(private, people)
     rows = drawn(TASK, bytes.fromhex("ab" * 32), 6)
-    np.testing.assert_array_equal(stacks[0].params["row"], rows[::2])
+    np.testing.assert_array_equal(stack.params["row"], marked(rows, [0, 2, 1, 2, 0, 0]))
     split = private.split(TASK, "persons")
     assert (split.train, split.test) == ((), tuple(entry.team for entry in people))
     with pytest.raises(UnknownIdError):
         private.policy(SOMEBODY)
     other = changed(official, tmp_path, **table | {"secret": "cd" * 32})
     with pytest.raises(IntegrityError, match="6 rows of sha256"):
-        other.select(f"{TASK}/person-*-v3")
+        other.select(f"{TASK}/person-*-{NOW}")
 
 
 def test_split_of_persons_is_checked(official: Registry) -> None:
     for split in person_splits(official.data, TASK):
         check_split(split)  # as who reads the split of a robot's run does
-        stranger = (*split.train[:-1], "gentle_lift/person-00042-v3")
+        stranger = (*split.train[:-1], "gentle_lift/person-00042-v1")
         content = split.model_copy(update={"train": tuple(sorted(stranger))}).content
         changed = {**content, "id": split_id(content), "sha256": json_sha256(content)}
-        with pytest.raises(SplitError, match="gentle_lift/person-00042-v3"):
+        with pytest.raises(SplitError, match="gentle_lift/person-00042-v1"):
             check_split(Split.model_validate(changed))
 
 
 @pytest.mark.parametrize(
     ("fields", "error", "words"),
     [
-        ({"program": 3}, RegistryVersionError, "program 3"),
+        ({"program": 5}, RegistryVersionError, "program 5"),
         ({"sha256": "0" * 64}, IntegrityError, "sha256 000"),
         ({"count": 9999}, IntegrityError, "9999 rows"),
     ],
@@ -193,7 +216,10 @@ def test_rows_unlike_the_releases_are_refused(
     official: Registry, tmp_path: Path, fields: dict, error: type, words: str
 ) -> None:
     registry = changed(official, tmp_path, **fields)
-    for look in (lambda: registry.policy(SOMEBODY), lambda: registry.select("*/person-00042-v3")):
+    for look in (
+        lambda: registry.policy(SOMEBODY),
+        lambda: registry.select(f"*/person-00042-{NOW}"),
+    ):
         with pytest.raises(error, match=words):
             look()
     problems = verify(registry).problems
@@ -202,25 +228,26 @@ def test_rows_unlike_the_releases_are_refused(
 
 def test_verify_counts_persons_and_finds_changes(official: Registry, tmp_path: Path) -> None:
     report = verify(official)
-    assert report.ok and report.persons == 6 * COUNT
-    assert f"persons {TASK}" in leaves(official.data, "v3")
-    other = changed(official, tmp_path, program=3)
+    assert report.ok and report.persons == 5 * COUNT
+    assert f"persons {TASK}" in leaves(official.data, NOW)
+    other = changed(official, tmp_path, program=5)
     assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]
 
 
 def test_persons_of_no_environment_are_refused(tmp_path: Path) -> None:
     data = json.loads((ROOT / "registry.json").read_text())
-    data["releases"]["v3"]["persons"]["scratch"] = data["releases"]["v3"]["persons"][TASK]
+    tables = data["releases"][NOW]["persons"]
+    tables["swim"] = tables[TASK]
     path = tmp_path / "registry.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(RegistryError, match=r"releases.v3.persons"):
+    with pytest.raises(RegistryError, match=r"releases.v1.persons"):
         load_registry(path)
 
 
 def test_a_card_prints_each_number_beside_its_range(official: Registry) -> None:
     for name in (SOMEBODY, SOMEBODY.removesuffix("/human")):
         [card] = find_cards(official, name)
-    assert card["side"] == "training" and len(card["numbers"]) == 25
+    assert card["side"] == "training" and len(card["numbers"]) == WIDTH
     assert card["numbers"]["liked_force"] == {
         "value": 7.014, "unit": "N", "low": 1.5, "high": 10.0, "none": 0.0,
     }  # fmt: skip

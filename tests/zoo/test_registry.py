@@ -10,8 +10,9 @@ from assistax_base.errors import (
     UnknownIdError,
 )
 from assistax_envs.disability import DISABILITY_SETTINGS
+from evaluation.cast.cast import in_release
 from population.networks.spec import spec_from_json
-from tests.zoo.conftest import edit, edited
+from tests.zoo.conftest import edit, edited, put, trained_teams
 from zoo.registry import Registry, load_registry, parse_registry
 from zoo.saving import dump_registry, save_registry
 from zoo.schema import SCHEMA_VERSION
@@ -193,3 +194,13 @@ def test_split_lookup(registry: Registry) -> None:
             registry.split(*arguments)
     with pytest.raises(SplitError, match="v0"):
         registry.split("scratch", release="v5")
+
+
+def test_a_name_without_a_release_is_of_the_release_that_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "registry.json"
+    put(trained_teams(), path)
+    both, team = put(trained_teams(), path, "v1"), "scratch/ippo-d1-s0"
+    assert [entry.team for entry in both.select(team, role="human")] == [f"{team}-v1"]
+    assert [e.team for e in both.select(team, role="human", release="v0")] == [f"{team}-v0"]
+    [human] = in_release(both, team, "v0", task="scratch", role="human")
+    assert human.team == f"{team}-v0"

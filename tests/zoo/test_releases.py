@@ -1,22 +1,21 @@
-"""Release v1 is the paper's population, whole, and can be split in every way; v3 is its plan's."""
+"""The paper's population is whole and can be split in every way; the care track has persons."""
 
-import itertools
 import re
-import statistics
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
-from assistax_workshop.plans.plan import read_plan
+from assistax_envs.persons.rows import COUNT
+from assistax_envs.registered import CARE, PAPER, track_of
+from assistax_envs.versions import CARE_TASKS, GENTLE_TASKS, PAPER_TASKS, TASKS, VERSIONS
 from tools.release_page.paper.data import read_paper
 from zoo.ids import EGO
 from zoo.registry import load_registry
-from zoo.splitting.create import partner_teams
 
 ROOT = Path(__file__).parents[2]
 REGISTRY = load_registry(ROOT / "registry.json")
+PERSONS_TASKS = (*GENTLE_TASKS, *CARE_TASKS)
 
 
 @pytest.mark.parametrize("role", ["human", "robot"])
@@ -35,14 +34,20 @@ def test_release_v1_is_table_6(role: str) -> None:
 
 def test_egos_were_trained_on_published_splits() -> None:
     egos = REGISTRY.data.egos
-    assert len(egos) == 15
+    of_tracks = Counter(track_of(team.partition("/")[0]) for team in egos)
+    assert of_tracks == {PAPER: len(PAPER_TASKS), CARE: 3 * len(PERSONS_TASKS)}
     for team, ego in egos.items():
-        release = team.rpartition("-")[2]
-        whom = "persons" if release == "v3" else None
-        whom = "three-sides" if team.endswith("-s102-v3") else whom
-        alone = {"release": release} if whom is None else {}
-        split = REGISTRY.split(team.partition("/")[0], whom, **alone)
+        split = REGISTRY.split(team.partition("/")[0], release=team.rpartition("-")[2])
         assert (ego.trained_against.split, ego.trained_against.sha256) == (split.id, split.sha256)
+
+
+@pytest.mark.parametrize("task", PERSONS_TASKS)
+def test_care_tasks_have_persons_and_three_robots_with_a_memory(task: str) -> None:
+    assert REGISTRY.data.releases["v1"].persons[task].count == COUNT
+    robots = REGISTRY.select(task=task, release="v1")
+    assert {entry.role for entry in robots} == {"robot"}
+    assert list(Counter(entry.algorithm for entry in robots).values()) == [3]
+    assert all(entry.spec.torso != "mlp" or entry.spec.latent for entry in robots)
 
 
 def test_task_has_default_and_leave_one_out_splits() -> None:
@@ -62,44 +67,10 @@ def test_task_has_default_and_leave_one_out_splits() -> None:
     assert sizes == {"scratch": 99, "bed_bath": 59, "arm_assist": 59}
 
 
-def test_release_v3_is_its_plan() -> None:
-    plan = read_plan(ROOT / "zoo" / "plans" / "v3.json")
-    expected = {
-        f"{group.task}/{group.algorithm}-{member.label}-v3"
-        for group in plan.groups
-        for member in group.members
-    }
-    humans = [e for e in REGISTRY.select(release="v3", role="human") if e.disability != EGO]
-    assert {entry.team for entry in humans} == expected
-    assert Counter(entry.task for entry in humans) == dict.fromkeys(GENTLE_TASKS, 36)
-    assert all(entry.self_play for entry in humans)
-
-
-@pytest.mark.parametrize("task", GENTLE_TASKS)
-def test_no_partner_in_v3_splits_is_below_bar(task: str) -> None:
-    data = REGISTRY.part("").data
-    teams = partner_teams(data, task, "v3")
-    own = {team: data.teams[team].self_play for team in teams}
-    earned = {team: figure.mean for team, figure in own.items() if figure is not None}
-    assert len(earned) == 36
-    bar = 0.25 * statistics.median(earned.values())
-    fit = {team for team in teams if earned[team] >= bar}
-    splits = [s for s in data.splits if (s.task, s.release) == (task, "v3")]
-    assert {split.rule for split in splits} == {"half", "three-sides"}
-    assert all({*itertools.chain(*split.sides.values())} == fit for split in splits)
-    assert REGISTRY.split(task, release="v3").rule == "three-sides"
-
-
-def test_a_task_has_its_own_default_release() -> None:
-    releases = {task: REGISTRY.release_of(task) for task in TASKS}
-    assert releases == {
-        **dict.fromkeys(PAPER_TASKS, "v1"),
-        **dict.fromkeys(GENTLE_TASKS, "v3"),
-        "gentle_brushing": "v4",
-        "gentle_feeding": "v5",
-    }
+def test_one_release_holds_both_tracks() -> None:
+    assert {REGISTRY.release_of(task) for task in TASKS} == {"v1"}
     assert REGISTRY.split("scratch", "half").release == "v1"
-    assert REGISTRY.release == max(REGISTRY.data.releases) == "v5"
+    assert REGISTRY.release == max(REGISTRY.data.releases) == "v1"
 
 
 @pytest.mark.parametrize("task", TASKS)

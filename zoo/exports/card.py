@@ -27,6 +27,7 @@ def find_cards(registry: Registry, name: str) -> list[dict[str, Any]]:
     Raises:
         UnknownIdError: No policy or team has that id. The error names the nearest ids.
     """
+    name = registry.full(name)
     entries = [entry for entry in registry.policies if name in (entry.id, entry.team)]
     entries = entries or registry.known([f"{name}/human"]) or [registry.policy(name)]
     return [registry.source_of(entry.id).card(entry) for entry in entries]

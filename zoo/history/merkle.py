@@ -30,7 +30,7 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     record = data.releases[release]
     apart = {"root": None, "signature": None, "persons": {}}
     entries: dict[str, Any] = {f"{RECORD} {release}": record.model_copy(update=apart)}
-    entries |= {f"persons {task}": table for task, table in record.persons.items()}
+    entries |= {persons_leaf(task): table for task, table in record.persons.items()}
     entries |= {
         f"{'ego' if disability == EGO else 'team'} {name}": entry
         for name, (disability, entry) in members.items()
@@ -40,6 +40,11 @@ def leaves(data: RegistryFile, release: str) -> dict[str, str]:
     entries |= {f"setting {name}": data.disability_settings[name] for name in used}
     entries |= {f"split {split.id}": split for split in data.splits if split.release == release}
     return {name: _leaf(name, entry) for name, entry in sorted(entries.items())}
+
+
+def persons_leaf(task: str) -> str:
+    """Return the name of the leaf of a task's table of persons."""
+    return f"persons {task}"
 
 
 def release_root(data: RegistryFile, release: str) -> str:

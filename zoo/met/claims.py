@@ -126,6 +126,8 @@ def _with_partners(registry: Registry, met: Met) -> Met:
 
 def _misspelt(registry: Registry, name: str) -> list[str]:
     """Return the words that a name is near to; empty if it may be a split's id."""
+    if name in ("none", "None", "no", "-"):
+        return [NOBODY]
     words = [source.word for source in registry.sources if source.word]
     plain = name.partition(":")[2] if name.partition(":")[0] in words else name
     return nearest(name, (NOBODY, *words)) if name not in words and plain.isalpha() else []

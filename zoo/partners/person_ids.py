@@ -4,7 +4,6 @@ import re
 
 PERSON = "person"
 PERSONS = "persons"  # names the kind, and begins the names of its splits
-VALIDATION = "validation"
 OWN = "own"  # in place of a disability setting
 _NUMBER = r"(?:0|[1-9][0-9]{0,9})"
 _NAME = r"[a-z][a-z0-9_]{0,31}"

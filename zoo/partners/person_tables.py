@@ -4,6 +4,9 @@ A release names for each task the program, how many persons there are, and the s
 of their rows. Nothing is stored of a person: the formula gives the same rows everywhere. A season's
 private release names a secret beside, from which other rows follow: its persons have the numbers
 after the public ones, so that no id is of two persons.
+
+A release may hold persons of another version of the program. It is read, but nobody makes these
+persons: they have no splits here, and an error says which program is installed.
 """
 
 import functools
@@ -16,13 +19,18 @@ import numpy as np
 from assistax_base.digest import sha256
 from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
 from assistax_envs.disability import Disability
-from assistax_envs.persons.parameters import index
 from assistax_envs.persons.rows import (
     COUNT,
-    FAMILIES,
+    OWN_PREFIX,
     PROGRAM_VERSION,
+    SIDES,
     Person,
     drawn,
+    family,
+    family_place,
+    hidden_family,
+    index,
+    marked,
     numbers,
     person,
     persons,
@@ -30,14 +38,11 @@ from assistax_envs.persons.rows import (
 from population.networks.stack import PolicyStack
 from zoo.ids import compile_pattern
 from zoo.namespaces import qualify_split, split_namespace
-from zoo.partners.person_ids import OWN, PERSON, PERSONS, VALIDATION, parse_person
+from zoo.partners.person_ids import OWN, PERSON, PERSONS, parse_person
 from zoo.partners.person_seat import PersonSpec
 from zoo.partners.source import made_entry
 from zoo.schema import Persons, PolicyEntry, RegistryFile, Split
 from zoo.splits import made_split
-
-# Side of a split, by split: the persons of which sides of `rows.SIDES` these are.
-DEALT = {"": ("training", "test"), VALIDATION: ("training", VALIDATION)}
 
 
 def person_tables(data: RegistryFile) -> Iterator[tuple[str, str, Persons]]:
@@ -45,6 +50,13 @@ def person_tables(data: RegistryFile) -> Iterator[tuple[str, str, Persons]]:
     for release, entry in data.releases.items():
         for task, table in entry.persons.items():
             yield release, task, table
+
+
+def made_tables(data: RegistryFile, task: str) -> Iterator[tuple[str, Persons]]:
+    """Yield release and table of a task's persons that the installed program makes."""
+    for release, of, table in person_tables(data):
+        if of == task and table.program == PROGRAM_VERSION:
+            yield release, table
 
 
 def person_glob(task: str, release: str) -> str:
@@ -74,7 +86,21 @@ def _person(task: str, number: int, table: Persons) -> Person:
         return person(task, number)
     place = number - COUNT
     row = _rows(task, table.secret, table.count)[place]
-    return Person(task, number, "test", FAMILIES[place % len(FAMILIES)], row)
+    own = table.own
+    if own is not None and place >= table.count - own.count:
+        return Person(task, number, "test", f"{OWN_PREFIX}{own.name}", row, own.sha256)
+    return Person(task, number, "test", hidden_family(place), row)
+
+
+def family_of(data: RegistryFile, team: str) -> str:
+    """Return the family of a person, by its id without a role."""
+    named = parse_person(team)
+    assert named is not None, team
+    namespace, task, number, release = named
+    if number < COUNT:
+        return family(number)
+    release = f"{namespace}:{release}" if namespace else release
+    return _person(task, number, data.releases[release].persons[task]).family
 
 
 def _numbers(table: Persons) -> range:
@@ -88,7 +114,7 @@ def check_table(release: str, task: str, table: Persons) -> None:
     """Hold a release's persons of a task against those that the installed program makes.
 
     Raises:
-        RegistryVersionError: The program is another one.
+        RegistryVersionError: The program is another one; nobody can play with these persons.
         IntegrityError: The rows are others.
     """
     here = described(task, table.secret, table.count if table.secret else COUNT)
@@ -100,7 +126,7 @@ def check_table(release: str, task: str, table: Persons) -> None:
             f"program {table.program}",
             next_step="install the assistax-zoo of this release",
         )
-    if table != here:
+    if table.model_copy(update={"own": None}) != here:
         raise IntegrityError(
             what,
             f"{table.count} rows of sha256 {table.sha256}",
@@ -154,27 +180,32 @@ def identities(teams: Iterable[str]) -> dict[str, str | None]:
 def person_stacks(
     data: RegistryFile, entries: Sequence[PolicyEntry]
 ) -> tuple[PolicyStack[Any], ...]:
-    """Return a stack of rows for each task and family, in the order in which they first occur."""
+    """Return a stack of rows for each task, in the order in which they first occur."""
     by_spec: dict[Any, list[PolicyEntry]] = {}
     for entry in entries:
         by_spec.setdefault(entry.spec, []).append(entry)
-    rows = {entry.id: registered_person(data, entry).row for entry in entries}
     return tuple(
-        PolicyStack(spec, tuple(e.id for e in some), {"row": np.stack([rows[e.id] for e in some])})
+        PolicyStack(spec, tuple(e.id for e in some), {"row": _marked(data, some)})
         for spec, some in by_spec.items()
     )
+
+
+def _marked(data: RegistryFile, entries: Sequence[PolicyEntry]) -> np.ndarray:
+    """Return the rows [P, 31] of persons as `assistax_envs.persons.rows.marked` has them."""
+    people = [registered_person(data, entry) for entry in entries]
+    places = [family_place(someone.family) for someone in people]
+    return marked(np.stack([someone.row for someone in people]), places)
 
 
 def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
     """Yield the splits of a task's persons, of which nothing is stored either.
 
-    Of each release one is tested with the test side's, and one with the validation side's. All
-    persons of a secret are on the test side of one.
+    Each release has one, of three sides. All persons of a secret are on the test side of one.
     """
-    for release, of, table in person_tables(data):
-        if of == task and table.secret is None:
-            yield from (_split(task, release, side) for side in DEALT)
-        elif of == task:
+    for release, table in made_tables(data, task):
+        if table.secret is None:
+            yield _split(task, release)
+        else:
             yield _hidden_split(task, release, table.count)
 
 
@@ -183,6 +214,7 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
 
     Raises:
         SplitError: The name is one of a split of persons, and there is no such split.
+        RegistryVersionError: It may be one of persons of another program.
     """
     namespace, plain = split_namespace(name)
     plain = plain.removeprefix(f"{task}/")
@@ -190,11 +222,11 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
         return None
     known = list(person_splits(data, task))
     full = f"{namespace}:{task}/{plain}" if namespace else f"{task}/{plain}"
-    side = VALIDATION if plain.startswith(f"{PERSONS}-{VALIDATION}") else None
-    matching = [
-        split for split in known if f"{split.id}-".startswith(f"{full}-") and split.held_out == side
-    ]
+    matching = [split for split in known if f"{split.id}-".startswith(f"{full}-")]
     if not matching:
+        for release, of, table in person_tables(data):
+            if of == task and (not known or f"-{split_namespace(release)[1]}-" in f"{plain}-"):
+                check_table(release, of, table)
         raise SplitError(
             f"split {name} of task {task}",
             f"one of {', '.join(split.id for split in known) or 'none, for it has no persons'}",
@@ -204,28 +236,25 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
 
 
 @functools.cache
-def _split(task: str, release: str, held_out: str) -> Split:
-    train, test = (numbers(side).tolist() for side in DEALT[held_out])
-    return _split_of(task, release, held_out, train, test)
+def _split(task: str, release: str) -> Split:
+    return _split_of(task, release, *(numbers(side).tolist() for side in SIDES))
 
 
 @functools.cache
 def _hidden_split(task: str, release: str, count: int) -> Split:
-    return _split_of(task, release, "", (), range(COUNT, COUNT + count))
+    return _split_of(task, release, (), (), range(COUNT, COUNT + count))
 
 
-def _split_of(
-    task: str, release: str, held_out: str, training: Sequence[int], tested: Sequence[int]
-) -> Split:
+def _split_of(task: str, release: str, *sides: Sequence[int]) -> Split:
     namespace, plain = split_namespace(release)
-    train, test = (tuple(_team(task, n, plain) for n in side) for side in (training, tested))
-    split = made_split(PERSONS, task, plain, train, test, held_out=held_out or None)
+    train, validation, test = (tuple(_team(task, n, plain) for n in side) for side in sides)
+    split = made_split(PERSONS, task, plain, train, test, validation=validation)
     return qualify_split(split, namespace) if namespace else split
 
 
 def _entry(data: RegistryFile, release: str, someone: Person) -> PolicyEntry:
     return made_entry(
-        PersonSpec(someone.task, someone.family),
+        PersonSpec(someone.task, own=someone.own, files=someone.files),
         someone.task,
         _team(someone.task, someone.number, release),
         algorithm=someone.family,

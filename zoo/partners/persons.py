@@ -5,7 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import ZooError
-from zoo.partners.person_ids import PERSON, PERSONS, VALIDATION, parse_person
+from zoo.history.merkle import persons_leaf
+from zoo.partners.person_ids import PERSON, PERSONS, parse_person
 from zoo.partners.source import PartnerSource
 from zoo.schema import PolicyEntry, Split
 
@@ -60,7 +61,7 @@ class Persons(PartnerSource):
             name = PERSONS
         if not _SPLIT.match(name.rpartition(":")[2].removeprefix(f"{task}/")):
             return None
-        if release and name in (PERSONS, f"{PERSONS}-{VALIDATION}"):
+        if release and name == PERSONS:
             # That of their own release, which may not be the newest.
             namespace, colon, plain = release.rpartition(":")
             name = f"{namespace}{colon}{name}-s0-{plain}"
@@ -74,13 +75,12 @@ class Persons(PartnerSource):
 
         return person_stacks(self.registry.data, entries)
 
-    def _split_and_side(self, text: str | None, default: str) -> tuple[str, str]:
-        """See `PartnerSource`; the validation side is the test side of a split of its own."""
-        name, side = super()._split_and_side(text, default)
-        if side != VALIDATION:
-            return name, side
-        namespace, colon, _ = name.rpartition(":")
-        return f"{namespace}{colon}{PERSONS}-{VALIDATION}", "test"
+    def group(self, team: str) -> str:
+        """Return "known families" or "unseen family"; see `PartnerSource.group`."""
+        from assistax_envs.persons.rows import family_group
+        from zoo.partners.person_tables import family_of
+
+        return family_group(family_of(self.registry.data, team))
 
     def identities(self, split: Split) -> dict[str, str | None]:
         """Return the sha256 of the training side's persons, as the installed program makes them."""
@@ -88,15 +88,12 @@ class Persons(PartnerSource):
 
         return identities(split.train)
 
-    def validation(self, split: Split) -> str | None:
-        """Return the name of the validation side, which every split of persons has."""
-        return f"{PERSONS}:{VALIDATION}"
-
     def offered(self, task: str, release: str) -> str | None:
         """Return how to choose the persons of a release, if it has any of the task."""
-        return (
-            f"partners {PERSONS}" if task in self.registry.data.releases[release].persons else None
-        )
+        from zoo.partners.person_tables import made_tables
+
+        made = {name for name, _ in made_tables(self.registry.data, task)}
+        return f"partners {PERSONS}" if release in made else None
 
     def card(self, entry: PolicyEntry) -> dict[str, Any]:
         """Return all that is known of a person, each number beside its range, JSON-ready."""
@@ -109,6 +106,7 @@ class Persons(PartnerSource):
             "team": entry.team,
             "release": entry.release,
             "side": someone.side,
+            "family": someone.family,
             "spec": entry.spec.to_json(),
             "numbers": described_numbers(someone),
             "grades": grades(someone),
@@ -117,19 +115,31 @@ class Persons(PartnerSource):
 
     def leaves(self, entry: PolicyEntry) -> set[str]:
         """Return the name of the leaf of a task's table of persons."""
-        return {f"{PERSONS} {entry.task}"}
+        return self.split_leaves(entry.task)
+
+    def split_leaves(self, task: str) -> set[str]:
+        """Return the name of the leaf of a task's table of persons."""
+        return {persons_leaf(task)}
 
     def table_sizes(self) -> list[int]:
-        """Return how many persons each table of the releases has."""
+        """Return how many persons each table has that the installed program makes."""
+        from assistax_envs.persons.rows import PROGRAM_VERSION
         from zoo.partners.person_tables import person_tables
 
-        return [table.count for *_, table in person_tables(self.registry.data)]
+        tables = (table for *_, table in person_tables(self.registry.data))
+        return [table.count for table in tables if table.program == PROGRAM_VERSION]
 
     def problems(self) -> Iterator[str]:
-        """Yield an error message for each table of persons that this program cannot make."""
+        """Yield an error message for each table of persons that this program makes otherwise.
+
+        Those of older programs cannot be made here, so nothing is said of them.
+        """
+        from assistax_envs.persons.rows import PROGRAM_VERSION
         from zoo.partners.person_tables import check_table, person_tables
 
         for named in person_tables(self.registry.data):
+            if named[2].program < PROGRAM_VERSION:
+                continue
             try:
                 check_table(*named)
             except ZooError as error:
@@ -141,12 +151,14 @@ class Persons(PartnerSource):
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":
-        """Return task, which of the names are persons [P], and the numbers of those [Q, 25].
+        """Return task, which of the names are persons [P], and the numbers of those [Q, 30].
 
         Raises:
             ValueError: No name is a person's, they are of several tasks, or of a season's secret.
         """
-        from assistax_envs.persons.rows import persons
+        import numpy as np
+
+        from assistax_envs.persons.rows import COUNT, ROWS, persons
 
         named = [parse_person(name) for name in names]
         tasks = {found[1] for found in named if found}
@@ -158,9 +170,9 @@ class Persons(PartnerSource):
             )
         [task] = tasks
         numbers = [found[2] for found in named if found]
-        if max(numbers) >= len(persons(task)):
+        if max(numbers) >= COUNT:
             raise ValueError(
                 f"persons of a season's secret, such as number {max(numbers)}, and holds no rows "
                 "of theirs; evaluate robots with the public persons, by partners 'persons'"
             )
-        return task, [found is not None for found in named], persons(task)[numbers]
+        return task, [found is not None for found in named], persons(task)[np.array(numbers) % ROWS]

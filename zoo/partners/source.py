@@ -7,6 +7,7 @@ Teams and persons are kinds. An installed package adds one by an entry point of 
 import dataclasses
 import functools
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -108,15 +109,15 @@ class PartnerSource:
             split: A split's id or the beginning of it, a side, or both, as "persons:validation".
                 The default side is the test side; of globs it is both.
             patterns: The kind's `word`, or globs over its partners.
-            most: How many partners. They are a draw of those that match; a smaller draw is a part
-                of a larger one.
+            most: How many partners. They are a draw of those that match, with equal shares of the
+                groups; a smaller draw is a part of a larger one.
 
         Raises:
             ValueError: There is no such split or side.
             UnknownIdError: Fewer partners match.
         """
         texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
-        globs = [text for text in texts if text != self.word]
+        globs = [self.registry.full(text) for text in texts if text != self.word]
         name, side = self._split_and_side(split, default="both" if globs else DEFAULT_SIDE)
         matching = {entry.team: entry.release for entry in self.select(globs)} if globs else {}
         releases = set(matching.values())
@@ -138,9 +139,22 @@ class PartnerSource:
                 f"{len(wanted) or 'none'} that match",
                 f"choose fewer, others, or another side: {', '.join(SIDES)}",
             )
-        drawn = sorted(wanted, key=lambda team: sha256(team.encode()))
-        drawn = drawn[: self.most if most is None else most]
+        drawn = self._in_turn(wanted)[: self.most if most is None else most]
         return dealt, self.known(sorted(f"{team}/human" for team in drawn))
+
+    def group(self, team: str) -> str:
+        """Return the group of a partner, of which a draw has as many as of the other groups."""
+        return ""
+
+    def _in_turn(self, teams: Sequence[str]) -> list[str]:
+        """Return partners in the order of the draw: random within a group, groups in turn."""
+        taken: Counter[str] = Counter()
+        places = {}
+        for team in sorted(teams, key=lambda team: sha256(team.encode())):
+            group = self.group(team)
+            places[team] = (taken[group], group)
+            taken[group] += 1
+        return sorted(places, key=places.__getitem__)
 
     def _split_and_side(self, text: str | None, default: str) -> tuple[str, str]:
         """Return the name of a split and a side of it, as a user names them."""
@@ -185,6 +199,10 @@ class PartnerSource:
         """Return the names of the leaves of a release's tree that only this kind has."""
         return set()
 
+    def split_leaves(self, task: str) -> set[str]:
+        """Return the names of the leaves of a release's tree that a split of its partners needs."""
+        return set()
+
     def table_sizes(self) -> list[int]:
         """Return the sizes of the tables of partners that the registry's releases name."""
         return []
@@ -222,7 +240,7 @@ def made_entry(
     Args:
         spec: Its seat, a `population.networks.seat.SeatSpec`.
         task: Task that it plays.
-        team: Its id without the role, such as "gentle_scratch/person-00042-v3".
+        team: Its id without the role, such as "gentle_scratch/person-00042-v1".
         algorithm: Name of its family, by which tables group partners.
         number: Its number within its kind.
         digest: sha256 of all that decides how it acts: results are kept by it.

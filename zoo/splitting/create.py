@@ -7,7 +7,8 @@ from typing import Any
 
 from assistax_base.errors import SplitError, listing, shorten
 from assistax_base.files import exclusive
-from zoo.ids import parse_team, release_number
+from assistax_envs.versions import PAPER, track_of
+from zoo.ids import parse_team
 from zoo.locations import OWN, own_registry, own_splits_file
 from zoo.namespaces import qualify_split, split_namespace
 from zoo.registry import Registry, load_registry
@@ -18,7 +19,14 @@ from zoo.splitting.rules import LEAVE_ONE_OUT, THREE, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
 
 LEAST = 0.25  # share of the median return; partners with whom robots earn less are left out
-SINCE = 3  # from this release on every rule but `custom` leaves them out
+
+
+def leaves_out(task: str) -> bool:
+    """Return whether a task's splits leave out partners with whom robots earn little.
+
+    The paper's splits hold all teams, as the paper's figures do.
+    """
+    return track_of(task) != PAPER
 
 
 def create_split(
@@ -37,7 +45,8 @@ def create_split(
     partners go to a file of the user's, and stand beside the published ones from then on.
     A leave-one-out rule leaves out training partners that act nearly as a test partner does.
     `three-sides` leaves them out too, and partners whose best response earns less than a quarter of
-    the median. From release v3 on every rule but `custom` leaves out partners of such low returns.
+    the median. Outside the paper track every rule but `custom` leaves out partners of such low
+    returns.
 
     Args:
         registry_path: The registry to write to; if not given, the one in use, or the user's own
@@ -93,7 +102,7 @@ def _checked_split(
     partners = partner_teams(registry.data, task, release)
     if not partners:
         raise _no_partners(registry.data, task, release)
-    if rule == THREE or (rule != "custom" and release_number(release) >= SINCE):
+    if rule == THREE or (rule != "custom" and leaves_out(task)):
         partners = competent(registry.data, partners, earned)
     while True:
         split = make_split(partners, task=task, release=release, rule=rule, **arguments)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from assistax_base.errors import IntegrityError, OfflineError, RemoteError, ZooError, listing
 from assistax_base.files import atomic_write, remove_stale
 from assistax_base.parallel import run_all
+from assistax_envs.versions import OURS
 from zoo.history.merkle import root_problems
 from zoo.locations import (
     REMOTE_VARIABLE,
@@ -16,6 +17,7 @@ from zoo.locations import (
     cached_registry,
     cached_shard,
     check_room,
+    data_package,
     shard_root,
     write_errors,
 )
@@ -107,14 +109,18 @@ def check_local(registry: Registry, entries: Iterable[PolicyEntry]) -> None:
     Raises:
         RemoteError: Some are missing.
     """
-    shards = [entry.shard for entry in filter(_has_bytes, entries)]
+    entries = list(filter(_has_bytes, entries))
+    shards = [entry.shard for entry in entries]
     missing = {shard for shard in shards if not registry.shard_path(shard).is_file()}
     if missing:
+        tasks = {entry.task for entry in entries if entry.shard in missing}
+        packages = sorted({data_package(task) for task in tasks if task in OURS})
+        pip = f"`pip install {' '.join(packages)}` brings them, or " if packages else ""
         raise RemoteError(
             f"parameters of {sum(shard in missing for shard in shards)} of {len(shards)} policies",
             "all on this machine",
             f"{len(missing)} shards missing ({listing(sorted(missing), 2)})",
-            "fetch them before, by `assistax-zoo fetch` or `assistax_zoo.fetch`",
+            f"{pip}fetch them before, by `assistax-zoo fetch` or `assistax_zoo.fetch`",
             "nothing was loaded",
             remedy="fetch before",
         )

@@ -1,0 +1,1 @@
+"""Shards of the paper track, each under its sha256; `zoo.locations` finds them."""
