@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from assistax_zoo.results import EvaluationResult, brief, load_result
+from assistax_zoo.results import CrossPlayResult, EvaluationResult, brief, load_result
 from evaluation.figures.comparable import (
     ComparisonSummary,
     Evaluated,
@@ -35,6 +35,9 @@ class Comparison(ComparisonSummary):
         train: The same with partners of the training side.
         validation: The same with partners of the validation side.
         met: Whom robots of either met in training, who are left out of both.
+        care: Of a gentle task, on the test side: differences of caring success, discomfort and
+            violations.
+        slopes: The adaptation slopes of a and of b, by wish.
         notes: What a reader has to know of the figures.
 
     Examples:
@@ -68,6 +71,7 @@ def compare(
 
     Raises:
         ValueError: They were not evaluated alike.
+        TypeError: One is neither a result nor a folder.
 
     Examples:
         >>> compare(result, result.folder).test.mean
@@ -83,7 +87,9 @@ def compare(
 def _evaluation_of(result: "EvaluationResult | Path | str") -> Evaluated:
     """Return a result, or that of a folder, which must be an evaluation's."""
     loaded = load_result(result) if isinstance(result, Path | str) else result
-    if not isinstance(loaded, EvaluationResult):
+    if not isinstance(loaded, EvaluationResult | CrossPlayResult):
+        raise TypeError(f"{result!r} is neither a result nor the folder of one")
+    if isinstance(loaded, CrossPlayResult):
         raise ValueError(f"{loaded.folder} holds a cross-play; compare takes evaluations")
     record = Record(loaded.episodes, loaded.folder)
     return Evaluated(str(loaded.folder), loaded.summary, record)

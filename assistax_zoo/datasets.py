@@ -63,7 +63,8 @@ def write_minari(table: "pl.DataFrame", folder: Path, name: str, about: Mapping[
     """Write a Minari dataset, by Minari itself.
 
     Observations and actions are dictionaries of both roles. What a step measured, such as `force`,
-    stands in `infos` beside the observation that it led to; the first one has NaN or False.
+    stands in `infos` beside the observation that it led to; the first one has NaN, False or 0. So
+    does `word`, what the human said with the action before.
     """
     from gymnasium.spaces import Box, Dict
     from minari import __version__
@@ -100,8 +101,9 @@ def _minari_episode(rows: "pl.DataFrame") -> dict[str, Any]:
     for column in rows.drop("episode", "step", "reward", "terminated", "truncated", *seen):
         values = column.to_numpy()
         if column.null_count():  # measured by the step before
-            none = False if column.dtype == rows["terminated"].dtype else np.nan
-            values = np.concatenate([[none], steps[column.name].to_numpy()])
+            none = np.nan if column.dtype.is_float() else 0  # False, or silence
+            after = steps[column.name].to_numpy()
+            values = np.concatenate([np.array([none], after.dtype), after])
         infos[column.name] = values
     return {
         "observations": {role: rows[f"{role}_observation"].to_numpy() for role in ROLES},
@@ -116,8 +118,8 @@ def _minari_episode(rows: "pl.DataFrame") -> dict[str, Any]:
 def write_lerobot(table: "pl.DataFrame", folder: Path, name: str, about: Mapping[str, Any]) -> None:
     """Write LeRobot's format v3.0; LeRobot itself wants huggingface-hub below 2, we want 2.
 
-    `observation.state` and `action` are the robot's; the human's are `observation.human_state` and
-    `human_action`. What a step gave is `next.reward`, `next.done` and the like.
+    `observation.state` and `action` are the robot's; the human's are `observation.human_state`,
+    `human_action` and `human_word`. What a step gave is `next.reward`, `next.done` and the like.
     """
     import polars as pl
 
@@ -191,13 +193,15 @@ def _lerobot_frames(table: "pl.DataFrame") -> "pl.DataFrame":
         "human_observation": "observation.human_state",
         "robot_action": "action",
         "human_action": "human_action",
+        "word": "human_word",
         "episode": "episode_index",
         "step": "frame_index",
     }
     gains = {column.name for column in table if column.null_count()} - {*names}
     for name in {*table.columns} - {*names}:
         names[name] = f"next.{name}" if name in gains else f"observation.{name}"
-    steps = table.drop_nulls("reward").rename(names)
+    here = {name: new for name, new in names.items() if name in table.columns}
+    steps = table.drop_nulls("reward").rename(here)
     return steps.with_columns(
         pl.col("episode_index", "frame_index").cast(pl.Int64),
         (pl.col("frame_index") / RATE).cast(pl.Float32).alias("timestamp"),

@@ -1,15 +1,16 @@
 """M_test of robots, and the cross-play of a population."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 from assistax_base.cluster import RayCluster
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
-from assistax_zoo.shell.console import chosen_progress, command_line, study_progress
+from assistax_zoo.shell.console import StudyLine, chosen_progress, command_line
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.cast.cast import Cast, choose_partners
-from evaluation.cast.robot_names import parse_reference
+from evaluation.cast.robot_names import parse_reference, task_of
 from evaluation.crossplay import cast_population
 from evaluation.crossplay import cross_play as play_population
 from evaluation.evaluate import cast_robots
@@ -32,7 +33,7 @@ Globs = str | Sequence[str] | None
 def evaluate(
     robot: Any,
     *,
-    task: str,
+    task: str | None = None,
     split: str | None = None,
     partners: str | Sequence[str] | None = None,
     persons: int | None = None,
@@ -68,13 +69,13 @@ def evaluate(
             `(module, params)`; a `Partner` in the robot's role; a path of a .safetensors or .onnx
             file; an id; or "python:mod.py:make". A list of them are seeds of one method. Networks
             play in evaluation mode, and come back as they were.
-        task: Task, such as scratch.
+        task: Task, such as scratch. Default: that of the names.
         split: Sides of a split whose partners play: test (default), train or both sides of the
             default split, or the id of another split (ID:both). Persons and splits of three sides
             have validation too.
         partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
             partners of those sides play. If all of them are of one release, its default split is
-            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*-v3'`.
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`.
         persons: Number of persons to draw. Default 200.
         episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
             turns, 4 with persons, and 8 in the other tasks.
@@ -121,13 +122,14 @@ def evaluate(
     Examples:
         >>> import numpy as np
         >>> still = lambda obs: np.zeros((len(obs), 7))
-        >>> near = "scratch/ippo-d1-s[01]-v1/human"
+        >>> near = "scratch/ippo-d1-s[01]"
         >>> result = evaluate(still, task="scratch", split="both", partners=near, episodes=1,
         ...                   references=False, progress=False)
         >>> result.episodes.height
         2
     """
     robots = list(robot) if isinstance(robot, list) else [robot]
+    task = task or task_of(robots)
     names = _text(preferences)
     played = episodes, seed, backend, stochastic, max_envs, names, series, _text(metrics)
     how = PlaySettings(task, *played)
@@ -139,14 +141,15 @@ def evaluate(
     else:
         check_local(opened.registry, needed)
     kept, (folder, keep) = cache_root() / "references", _folder(out)
-    cast = cast_robots(
-        opened.registry,
-        robots,
-        chosen,
-        trained_with=trained_with or None,
-        baselines=references,
-    )
-    with chosen_progress(progress, study_progress(f"evaluate {task}")) as on_progress:
+    with _no_empty_folder(folder):
+        cast = cast_robots(
+            opened.registry,
+            robots,
+            chosen,
+            trained_with=trained_with or None,
+            baselines=references,
+        )
+    with chosen_progress(progress, StudyLine(f"evaluate {task}")) as on_progress:
         summary = evaluate_cast(
             cast,
             how,
@@ -163,10 +166,10 @@ def evaluate(
 
 
 def cross_play(
-    egos: str | Sequence[str] | None = None,
-    partners: str | Sequence[str] | None = None,
+    robots: str | Sequence[str] | None = None,
+    humans: str | Sequence[str] | None = None,
     *,
-    task: str,
+    task: str | None = None,
     release: str | None = None,
     persons: int | None = None,
     episodes: int | None = None,
@@ -186,9 +189,9 @@ def cross_play(
     """Play every robot with every human, and cluster the matrix, whose diagonal is self-play.
 
     Args:
-        egos: Globs over robots, such as "scratch/ippo-*/robot"; all of the release if None.
-        partners: Globs over humans, or "persons"; all of the release if None.
-        task: Task, such as scratch.
+        robots: Globs over robots, such as "scratch/ippo-*"; all of the task if None.
+        humans: Globs over humans, or "persons"; all of the task if None.
+        task: Task, such as scratch. Default: that of the names.
         release: Release of robots and humans, if a glob names none. Default: the newest complete
             release that has the task.
         persons: Number of persons to draw. Default 200.
@@ -217,17 +220,19 @@ def cross_play(
         ZooError: The zoo lacks a policy, or has changed bytes of it.
 
     Examples:
-        >>> ids = ["scratch/ippo-d1-s0-v1"]
-        >>> cross_play(ids, ids, task="scratch", episodes=1, progress=False).pairs.height
+        >>> team = "scratch/ippo-d1-s0"
+        >>> cross_play(team, team, episodes=1, progress=False).pairs.height
         1
     """
     names: dict[str, Any] = {"preferences": _text(preferences), "metrics": _text(metrics)}
+    task = task or task_of([*_listed(robots), *_listed(humans)])
     how = PlaySettings(task, episodes, seed, backend, stochastic, max_envs, **names)
     opened = open_zoo(zoo)  # a zoo that is refused makes no folder
     folder, keep = _folder(out)
-    cast = _population(egos, partners, task, release, opened, lock, persons)
+    with _no_empty_folder(folder):
+        cast = _population(robots, humans, task, release, opened, lock, persons)
     options: dict[str, Any] = {"cluster": cluster, "replace": replace}
-    with chosen_progress(progress, study_progress(f"crossplay {task}")) as on_progress:
+    with chosen_progress(progress, StudyLine(f"crossplay {task}")) as on_progress:
         summary = play_population(cast, how, folder, on_progress=on_progress, **options)
     write_run(folder, command_line(), simulated=summary.env_steps_per_second is not None)
     return CrossPlayResult.of(summary, folder, keep)
@@ -237,8 +242,8 @@ def play_share(
     share: tuple[int, int],
     how: PlaySettings,
     out: Path,
-    egos: Globs = None,
-    partners: Globs = None,
+    robots: Globs = None,
+    humans: Globs = None,
     *,
     release: str | None = None,
     persons: int | None = None,
@@ -252,23 +257,23 @@ def play_share(
         share: Number of the share, and the count of shares.
         how: Settings of the play.
         out: Folder of the parts.
-        egos: As in `cross_play`, like all that follows.
-        partners: Globs over humans.
+        robots: As in `cross_play`, like all that follows.
+        humans: Globs over humans.
         release: Release of both.
         persons: Number of persons to draw.
         zoo: Source of the policies.
         lock: Lock file of a paper.
         progress: Show the progress, or a function that is called with it.
     """
-    cast = _population(egos, partners, how.task, release, zoo, lock, persons)
+    cast = _population(robots, humans, how.task, release, zoo, lock, persons)
     env, job = make_job(how, cast.robots, cast.humans, cast.sides, cast.version)
-    with chosen_progress(progress, study_progress(f"crossplay {how.task}")) as shown:
+    with chosen_progress(progress, StudyLine(f"crossplay {how.task}")) as shown:
         return run_share(env, job, out, share, max_envs=how.max_envs, on_progress=shown)
 
 
 def _population(
-    egos: Globs,
-    partners: Globs,
+    robots: Globs,
+    humans: Globs,
     task: str,
     release: str | None,
     zoo: "str | Path | Zoo | None",
@@ -277,7 +282,7 @@ def _population(
 ) -> Cast:
     """Return the cast of a cross-play; without globs it has all teams of the task."""
     registry = _locked(open_zoo(zoo), lock, task, None).registry
-    return cast_population(registry, task, egos or f"{task}/*", partners, release, persons)
+    return cast_population(registry, task, robots or f"{task}/*", humans, release, persons)
 
 
 def _needed(
@@ -286,9 +291,14 @@ def _needed(
     """Return the policies that an evaluation loads: partners, robots of the zoo, references."""
     ids = {entry.id for entry in partners}
     named = [parse_reference(str(robot)) for robot in robots if isinstance(robot, str | Path)]
-    ids |= {reference.source for reference in named if reference.kind == "zoo"}
+    wanted = (registry.full(r.source) for r in named if r.kind == "zoo")
+    ids |= {f"{name.removesuffix('/robot')}/robot" for name in wanted}
     ids |= {f"{entry.team}/robot" for entry in partners} if references else set()
     return [entry for entry in registry.policies if entry.id in ids]
+
+
+def _listed(globs: Globs) -> list[str]:
+    return [globs] if isinstance(globs, str) else list(globs or ())
 
 
 def _text(names: str | Sequence[str] | None) -> str | None:
@@ -302,6 +312,17 @@ def _locked(zoo: Zoo, lock: Path | str | None, task: str, split: str | None) -> 
     from zoo.lock import apply_lock, read_lock
 
     return Zoo(apply_lock(zoo.registry, read_lock(Path(lock)), task=task, split=split), zoo.remote)
+
+
+@contextlib.contextmanager
+def _no_empty_folder(folder: Path) -> Generator[None]:
+    """Remove an output folder that is still empty if the block in it fails."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):  # it is not empty
+            folder.rmdir()
+        raise
 
 
 def _folder(out: Path | str | None) -> tuple[Path, Any]:

@@ -3,7 +3,8 @@
 import dataclasses
 import json
 import operator
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
     from evaluation.cast.seats import Seated
     from evaluation.film import Pair
+    from evaluation.people.grouping import Placed
+    from evaluation.people.steps import Recordings
 
 
 def trajectories(
@@ -39,8 +42,9 @@ def trajectories(
     """Play a pair by its most likely actions; return a row of each step for both seats.
 
     Columns: `episode`, `step`, `ROLE_observation` and `ROLE_action` of both roles, `reward`,
-    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. What players of the
-    episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME` and `speed`
+    `term_NAME` of each, `force` (N), `terminated`, `truncated`, `nonfinite`. Of gentle tasks
+    `word`, what the human says with its action, a code of `preferences.WORDS`. What players of
+    the episode show: `pose` and `velocity` of all joints, `target_NAME` (m), `wish_NAME`, `speed`
     (m/s). A row has what was before a step and what the step gave, an episode's last row what was
     in the end alone.
 
@@ -97,8 +101,46 @@ def trajectories(
     return table
 
 
+def record_people(
+    folder: Path, placed: Sequence["Placed"], out: Path, format: str, check: Callable[[], None]
+) -> Path:
+    """Write every step of the episodes of people of one result folder; return the place.
+
+    Args:
+        folder: The result folder, TASK/ROBOT.
+        placed: Its episodes.
+        out: Folder of the datasets.
+        format: "parquet", "minari" or "lerobot".
+        check: Called after each step; it may raise to stop.
+
+    Raises:
+        ValueError: The format is unknown, or the place is taken.
+        ImportError: The format's package is not installed.
+    """
+    from assistax_base.parquet import write_parquet
+    from evaluation.people.steps import Recordings
+
+    name = f"{folder.parent.name}-{folder.name}"
+    # Names of Minari's datasets end in a version.
+    name = name if re.search(r"-v\d+$", name) else f"{name}-v0"
+    place = out / (f"{name}.parquet" if format == "parquet" else name)
+    check_place(place, format)
+    recordings = Recordings(placed)
+    table = _record_all(recordings, len(placed), check, None)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if format == "parquet":
+        said = {METADATA_KEY: json.dumps(recordings.about)}
+        write_parquet(table, place, metadata=said, compression="zstd")
+    else:
+        write_dataset(table, place, recordings.about, format)
+    return place
+
+
 def _record_all(
-    pair: "Pair", episodes: int, check: Callable[[], None], on_step: Callable[[], None] | None
+    pair: "Pair | Recordings",
+    episodes: int,
+    check: Callable[[], None],
+    on_step: Callable[[], None] | None,
 ) -> "pl.DataFrame":
     """Play all episodes, and return their rows."""
     import polars as pl
@@ -110,7 +152,10 @@ def _record_all(
 
 
 def _record(
-    pair: "Pair", number: int, check: Callable[[], None], on_step: Callable[[], None] | None
+    pair: "Pair | Recordings",
+    number: int,
+    check: Callable[[], None],
+    on_step: Callable[[], None] | None,
 ) -> "pl.DataFrame":
     """Play one episode, and return its rows."""
     import polars as pl
@@ -149,14 +194,23 @@ def _record(
 def _gains(env: Any, first: Any) -> dict[str, Callable[[Any], Any]]:
     """Return functions that read a step's results from the state after it, by column."""
     speed = {} if first.measures.speed is None else {"speed": lambda state: state.measures.speed}
+    said = {} if first.word is None else {"word": _said}
     terms = {f"term_{name}": lambda state, name=name: state.terms[name] for name in env.term_names}
     return {
         "reward": lambda state: state.reward,
         **terms,
         "force": lambda state: state.measures.force,
         **speed,
+        **said,
         **{flag: operator.attrgetter(flag) for flag in ("terminated", "truncated", "nonfinite")},
     }
+
+
+def _said(state: Any) -> np.ndarray:
+    """Return the words [N] that were said with the actions that led to a state; 0 for silence."""
+    from assistax_envs.preferences import HEARD
+
+    return np.where(np.asarray(state.heard) == HEARD, np.asarray(state.word), 0).astype(np.int32)
 
 
 def _who(name: str, seat: "Seated") -> dict[str, Any]:

@@ -22,6 +22,7 @@ from evaluation.figures.summary import (
 )
 from evaluation.record import tables
 from evaluation.record.manifest import table_hashes
+from zoo.partners.person_ids import OWN
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,6 +124,10 @@ class _Result:
         """Return the headline figures by name."""
         raise NotImplementedError
 
+    def plot(self, path: Path | str, *, width: float | None = None) -> "Figure":
+        """Draw the result, write it, and return the figure."""
+        raise NotImplementedError
+
     def __repr__(self) -> str:
         parts = [f"{name} {brief(figure)}" for name, figure in self._figures().items() if figure]
         return f"{type(self).__name__}({self.summary.task}: {', '.join(parts)}{self._caveat()})"
@@ -135,7 +140,11 @@ class _Result:
         from evaluation.report.page import figures_html
 
         figures = {name: vars(figure) for name, figure in self._figures().items() if figure}
-        return figures_html(figures, f"{self.summary.task}: return of an episode", self.notes)
+        what = f"{self.summary.task}: return of an episode"
+        with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
+            picture = Path(folder) / "figure.png"
+            self.plot(picture, width=6.0)
+            return figures_html(figures, what, self.notes, picture)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -143,17 +152,25 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
     """M_test of a robot, or of the seeds of one method; returns are sums over 1000 steps of 20 ms.
 
     Attributes:
-        m_test: Return with partners of the test side, None if none played: mean, IQM, intervals, n.
+        m_test: Return with partners of the test side: mean, IQM, intervals, n. Of persons it is the
+            mean of the groups' means. None if no test partner played, or a group did not.
+        by_group: The return with each group of test partners; empty if the side has no groups.
         m_train: The same with partners of the training side.
         m_validation: The same with partners of the validation side, by which choices are made.
         gap: `m_train` less `m_test`, where both played.
         side: The side that the other figures are of: test, else validation, else training.
         by_algorithm: The return with the partners of each algorithm.
-        by_disability: The return with the partners of each disability setting.
+        by_disability: The return with the partners of each disability setting; "own" of persons.
         by_preference: The return under each preference of the humans of a gentle task; else empty.
         by_place: The return in each place of a series of episodes, from "1"; empty without series.
-        safe_success: Share of episodes of a gentle task that reached the goal and hurt nobody.
-        violations: Share of episodes of a gentle task with a contact above the limit.
+        caring_success: Share of episodes of a gentle task that reached the goal as liked, without a
+            violation or much discomfort. This and what follows is None or empty of other tasks.
+        failed_persons: Share of pairs of robot and person with caring success in less than half of
+            the episodes.
+        discomfort: Share of felt steps with discomfort.
+        violations: Share of episodes of a gentle task with a violation.
+        violations_by_kind: The same of "impact", too hard, and of "pressed", too long.
+        adaptation: The adaptation slope of each wish, and how near touch was to what is liked.
         touch: How people were touched, by column of the table; empty where it was not measured.
         worst_partner: The partner with the lowest mean return: `partner`, `mean` and what it is.
         references: Returns to compare with, such as the script's, if they played.
@@ -208,7 +225,8 @@ class EvaluationResult(_Result, SideFigures, ZeroShot):
     def _figures(self) -> dict[str, Estimate | None]:
         sides = {"M_test": self.m_test, "M_train": self.m_train, "M_train - M_test": self.gap}
         sides["M_validation"] = self.m_validation
-        return {**sides, **self.by_disability, **self.by_preference}
+        settings = {name: one for name, one in self.by_disability.items() if name != OWN}
+        return {**sides, **self.by_group, **settings, **self.by_preference}
 
     def _caveat(self) -> str:
         return "" if self.met.known else f"; {UNKNOWN}"
@@ -248,6 +266,7 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
         *,
         width: float | None = None,
         bare: bool = False,
+        legend: Literal["beside", "below", "none"] | None = None,
     ) -> "Figure":
         """Draw the clustered matrix, write it as .png, .pdf or .svg, and return the figure.
 
@@ -255,12 +274,16 @@ class CrossPlayResult(_Result, MatrixFigures, CrossPlay):
             path: File to write.
             order: "shared" for one order of teams on both axes, "separate" for one order each;
                 default shared if possible.
-            width: Inches of the figure, for a paper's column or page; letters keep their size.
+            width: Inches of the figure, for a paper's column or page; no letter is smaller than
+                4 points.
             bare: Leave out title and caption.
+            legend: Place of the legend; default beside or below by the room that there is, and none
+                if bare.
         """
         from evaluation.plots.figures import crossplay_figure
 
-        return crossplay_figure(self._own(), Path(path), order, width=width, bare=bare)
+        page = {"width": width, "bare": bare, "legend": legend}
+        return crossplay_figure(self._own(), Path(path), order, **page)
 
     def _figures(self) -> dict[str, Estimate | None]:
         names = {"self-play": self.self_play, "cross-play": self.cross_play}

@@ -1,6 +1,5 @@
 """Training of teams, and of robots against the zoo's partners."""
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,7 +67,7 @@ def train(
     members = make_members(numbered(seeds), disabilities)
     trainer = preset(algorithm, **(hyperparameters or {}))
     config = make_run(task, algorithm, members, steps, trainer, **options)
-    line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
+    line = TrainingLine(f"{task} {algorithm}")
     with chosen_progress(progress, line) as report:
         return run_training(
             config, backend, folder, resume=resume, tensorboard=tensorboard, progress=report
@@ -140,6 +139,6 @@ def train_ego(
         preferences=preferences,
         told=told,
     )
-    line = contextlib.closing(TrainingLine(f"{task} {algorithm}"))
+    line = TrainingLine(f"{task} {algorithm}")
     with chosen_progress(progress, line) as report:
         return train_egos(training, folder, backend=backend, resume=resume, progress=report)

@@ -2,16 +2,21 @@
 
 import fnmatch
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 from assistax_base.errors import SplitError, listing, shorten
+from assistax_envs.versions import TASKS
 from assistax_zoo.zoos import open_zoo
 from zoo.partners.kinds import kinds
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from assistax_envs.adapters.gymnasium import AssistaxVectorEnv
+    from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
     from assistax_envs.adapters.partners import Partners
+    from assistax_envs.adapters.pettingzoo import AssistaxParallelVectorEnv
+    from assistax_envs.adapters.stable_baselines import AssistaxVecEnv
     from assistax_zoo.zoos import Zoo
     from zoo.registry import Registry
     from zoo.schema import Split
@@ -19,6 +24,39 @@ if TYPE_CHECKING:
 FORMS = ("gymnasium", "sb3", "pettingzoo", "jaxmarl")
 
 
+class _Options(TypedDict, total=False):
+    """Arguments of `vector_env` that its forms share."""
+
+    partners: str | Sequence[str] | None
+    split: str | None
+    preferences: str | Sequence[str]
+    arrays: str
+    backend: str
+    weights: Mapping[str, float] | None
+    zoo: "str | Path | Zoo | None"
+
+
+# One for each form. ty takes `Unpack` for any keywords, where it stands for those of `_Options`.
+@overload
+def vector_env(  # ty: ignore[inconsistent-overload-implementation]
+    task: str, num_envs: int = 512, *, form: Literal["gymnasium"] = ..., **options: Unpack[_Options]
+) -> "AssistaxVectorEnv": ...
+@overload
+def vector_env(  # ty: ignore[inconsistent-overload-implementation]
+    task: str, num_envs: int = 512, *, form: Literal["sb3"], **options: Unpack[_Options]
+) -> "AssistaxVecEnv": ...
+@overload
+def vector_env(  # ty: ignore[inconsistent-overload-implementation]
+    task: str, num_envs: int = 512, *, form: Literal["pettingzoo"], **options: Unpack[_Options]
+) -> "AssistaxParallelVectorEnv": ...
+@overload
+def vector_env(  # ty: ignore[inconsistent-overload-implementation]
+    task: str, num_envs: int = 512, *, form: Literal["jaxmarl"], **options: Unpack[_Options]
+) -> "AssistaxMarlVectorEnv": ...
+@overload
+def vector_env(  # ty: ignore[inconsistent-overload-implementation]
+    task: str, num_envs: int = 512, *, form: str = ..., **options: Unpack[_Options]
+) -> Any: ...
 def vector_env(
     task: str,
     num_envs: int = 512,
@@ -40,8 +78,9 @@ def vector_env(
     Args:
         task: Task, such as "gentle_scratch".
         num_envs: N, simulations; 512 keep two cores busy.
-        partners: Teams of the training side, such as ("scratch/ippo-d1-s1-v1",), or patterns of
-            them; default all. Or "persons": a new one of 7,200 each episode.
+        partners: Teams of the training side, such as ("scratch/ippo-d1-s1",), or patterns of
+            them; default all. Or "persons", as a gentle task has them by default: a new one each
+            episode.
         split: Split whose training side is meant; default the release's own.
         preferences: Preferences of a gentle task's humans, such as "p2,p3" or ("p2", "p3"), drawn
             for each episode; default those of the split's training side, or all. Persons have their
@@ -64,6 +103,8 @@ def vector_env(
         >>> obs.shape
         (4, 34)
     """
+    if task not in TASKS:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(TASKS)}")
     if form not in FORMS:
         raise ValueError(f"form is {form!r}; allowed are {', '.join(FORMS)}")
     if form in ("sb3", "jaxmarl") and arrays != "numpy":
@@ -127,6 +168,7 @@ def _published(
 
     Nothing of the test side is loaded.
     """
+    from assistax_envs.adapters.partners import Persons
     from assistax_envs.preferences import PREFERENCES
     from evaluation.ego_training import load_partners, older_version
     from population.trainers.rotating_partners import RotatingPartners
@@ -134,10 +176,20 @@ def _published(
     opened = open_zoo(zoo)
     chosen = opened.registry.split(task, split)
     patterns = [partners] if isinstance(partners, str) else partners
+    patterns = None if patterns is None else [opened.registry.full(name) for name in patterns]
     names = chosen.train if patterns is None else _of_training_half(chosen, patterns)
     drawn = tuple(preferences.split(",") if isinstance(preferences, str) else preferences)
     if unknown := [name for name in drawn if name not in PREFERENCES]:
         raise ValueError(f"preference is {unknown[0]!r}; allowed are {', '.join(PREFERENCES)}")
+    source = opened.registry.source_of_split(chosen)
+    if source.drawn:
+        if drawn:
+            raise ValueError(f"{source.word} have no preferences to choose; leave these out")
+        if patterns is None:
+            return Persons(task), None
+        return Persons(
+            task, [entry.row for entry in source.known(f"{n}/human" for n in names)]
+        ), None
     if opened.remote is not None:
         opened.fetch([f"{team}/human" for team in names])
     frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))

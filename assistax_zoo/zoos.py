@@ -1,9 +1,9 @@
 """An opened zoo: its partners, loaded and ready to play."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from assistax_base.errors import counted
 from zoo.locations import default_remote
@@ -18,20 +18,45 @@ if TYPE_CHECKING:
     from evaluation.cast.partners import Partner
 
 
+class Fields(TypedDict, total=False):
+    """Fields by which policies are chosen: all must have the value that is given."""
+
+    task: str
+    algorithm: str
+    disability: str
+    role: str
+    release: str
+
+
 @dataclasses.dataclass(frozen=True)
 class Zoo:
     """A registry of policies, and the remote from which missing ones are fetched.
 
     Examples:
-        >>> open_zoo().list("scratch/ippo-d1-s0-v1")
+        >>> zoo = open_zoo()
+        >>> zoo.list("scratch/ippo-d1-s0")
         ['scratch/ippo-d1-s0-v1/robot', 'scratch/ippo-d1-s0-v1/human']
+        >>> zoo["scratch/ppo-ego-s0"].role, len(zoo)
+        ('robot', 886)
     """
 
     registry: Registry
     remote: Remote | None = None
 
+    def __len__(self) -> int:
+        """Return the number of policies; persons are not among them."""
+        return len(self.registry.policies)
+
+    def __iter__(self) -> Iterator[PolicyEntry]:
+        """Return an iterator over the entries of all policies."""
+        return iter(self.registry.policies)
+
+    def __getitem__(self, id: str) -> PolicyEntry:
+        """Return the entry of a policy or a person, as `Registry.policy` does."""
+        return self.registry.policy(id)
+
     def select(
-        self, pattern: str | Sequence[str] | None = None, **fields: Any
+        self, pattern: str | Sequence[str] | None = None, **fields: Unpack[Fields]
     ) -> list[PolicyEntry]:
         """Return the entries that match.
 
@@ -44,7 +69,9 @@ class Zoo:
         """
         return self.registry.select(pattern, **fields)
 
-    def list(self, pattern: str | Sequence[str] | None = None, **fields: Any) -> list[str]:
+    def list(
+        self, pattern: str | Sequence[str] | None = None, **fields: Unpack[Fields]
+    ) -> list[str]:
         """Return the ids that match, as `select` does."""
         return [entry.id for entry in self.select(pattern, **fields)]
 
@@ -73,7 +100,7 @@ class Zoo:
         pattern: str | Sequence[str] | None = None,
         *,
         on_total: Callable[[int], Callable[[int], None]] = lambda total: lambda count: None,
-        **fields: Any,
+        **fields: Unpack[Fields],
     ) -> Report:
         """Bring policies onto this machine, verified.
 
@@ -136,7 +163,7 @@ def open_zoo(
 
     Examples:
         >>> zoo = open_zoo()
-        >>> zoo.partner("scratch/ippo-d1-s0-v1").spec.action_size
+        >>> zoo.partner("scratch/ippo-d1-s0").spec.action_size
         3
     """
     if isinstance(source, Zoo):
@@ -156,7 +183,7 @@ def fetch(
     pattern: str | Sequence[str] | None = None,
     *,
     source: "str | Path | Zoo | None" = None,
-    **fields: Any,
+    **fields: Unpack[Fields],
 ) -> Report:
     """Bring policies of a zoo onto this machine; files that are present are only verified.
 
@@ -169,7 +196,7 @@ def fetch(
         ZooError: See `Zoo.fetch`.
 
     Examples:
-        >>> fetch("scratch/ippo-d1-s0-v1").policies
+        >>> fetch("scratch/ippo-d1-s0").policies
         2
     """
     return open_zoo(source).fetch(pattern, **fields)

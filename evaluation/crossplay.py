@@ -122,8 +122,8 @@ def _split(
 
 def _draw(folder: Path, summary: CrossPlaySummary) -> None:
     """Draw the matrix of the saved pairs into the folder."""
-    from evaluation.plots.heatmap import crossplay_heatmap
-    from evaluation.plots.matrix import arrange
+    from evaluation.plots.crossplay.heatmap import crossplay_heatmap
+    from evaluation.plots.crossplay.matrix import arrange
     from evaluation.plots.style import save_figure
 
     matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE))

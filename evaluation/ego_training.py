@@ -249,7 +249,8 @@ def load_partners(
     humans = [f"{team}/human" for team in split.train]
     if source.drawn:
         drawn = OnePersonEach if each else DrawnPersons
-        return drawn.of_stacks(source.stacks(source.known(humans)), split.id)
+        [stack] = source.stacks(source.known(humans))
+        return drawn(stack.spec.player(), stack.params["row"], split.id)
     if each:
         raise ValueError(f"{source.word or 'teams'} cannot be one partner of each member")
     entries = [registry.policy(name) for name in humans]

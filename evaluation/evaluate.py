@@ -10,11 +10,11 @@ from evaluation.cast.met_partners import check_new
 from evaluation.figures.normalised import bounds_table
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import EvaluationSummary
-from evaluation.play.baselines import play_references
+from evaluation.play.baselines import play_references, reference_jobs
 from evaluation.play.evaluator import check_folder, clear_results, run_job
 from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
-from evaluation.play.progress import OnProgress
+from evaluation.play.progress import OnProgress, staged
 from evaluation.play.robot_checks import check_distinct, describe_robots, robot_notes
 from evaluation.play.runner import share_cores
 from evaluation.play.study import context_of, locked_if_current, make_job, read_best_responses, seal
@@ -110,7 +110,9 @@ def evaluate(
     playing: dict[str, Any] = {"max_envs": how.max_envs, "on_progress": on_progress}
     if replace:
         clear_results(env, job, folder)
-    result = run_job(env, job, folder, reuse=reuse, **playing)
+    stages = 1 + (0 if references is None else len(reference_jobs(env, job, cast.own_robots)))
+    shown = staged(on_progress, 1, stages, "robots with humans")
+    result = run_job(env, job, folder, reuse=reuse, max_envs=how.max_envs, on_progress=shown)
     baselines, files = None, _crossplay_files(crossplay)
     if references is not None:
         episodes, kept = play_references(env, job, cast.own_robots, references, **playing)

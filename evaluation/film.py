@@ -47,6 +47,7 @@ def play(
     preference: str | None = None,
     partner: str | None = None,
     humans: EnvParams | None = None,
+    word: Callable[[], Any] | None = None,
 ) -> Iterator[EnvState]:
     """Yield the states of one episode, each [1], beginning with the start.
 
@@ -62,6 +63,7 @@ def play(
         preference: The preference of a gentle task's human; by default drawn.
         partner: The human's id, if it is a partner of the zoo, which has its own starts.
         humans: A person's own `EnvParams` [1], in place of a setting and a preference.
+        word: Returns the word that the human said with its last action; None if it never speaks.
     """
     key = key_of(np.array(episode_seeds(seed, [episode], partner)))
     preferences = None if preference is None else [preference]
@@ -74,7 +76,8 @@ def play(
             role: np.asarray(act(_observation(state, role)), np.float32)
             for role, act in seats.items()
         }
-        state = step(state, {role: action[None] for role, action in actions.items()})
+        said = {} if word is None else {"word": np.array([word()], np.int32)}
+        state = step(state, {role: action[None] for role, action in actions.items()} | said)
         if on_step is not None:
             on_step()
         yield state
@@ -158,7 +161,7 @@ class Pair:
         human = self.seats["human"]
         partner = None if human.card is None else human.card.id
         options: dict[str, Any] = {"episode": episode, "preference": self._preference}
-        options |= {"partner": partner, "humans": human.humans}
+        options |= {"partner": partner, "humans": human.humans, "word": seats["human"].word}
         yield from play(
             self.env, *acting, self.setting, self._seed, self.length, stepped, **options
         )

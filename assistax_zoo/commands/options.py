@@ -40,7 +40,7 @@ class Page:
     """Size and captions of a figure on a page.
 
     Attributes:
-        width: Inches of the figure, such as 3.3 for a column; its letters keep their size.
+        width: Inches of the figure, such as 3.3 for a column; no letter is below 4 points.
         bare: Leave out title and caption, for a text that has its own.
     """
 
@@ -63,7 +63,7 @@ class PartnerChoice:
             have validation too.
         partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
             partners of those sides play. If all of them are of one release, its default split is
-            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*-v3'`.
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`.
         persons: Number of persons to draw. Default 200.
         include_own: Count partners that were trained with one of the robots. Without this they play
             and stand in the tables, and figures leave them out.

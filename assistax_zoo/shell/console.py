@@ -7,9 +7,9 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from assistax_base.errors import counted, printable
 from assistax_envs.stdout import stdout_is_data as stdout_is_data
@@ -123,25 +123,19 @@ def progress(
 
 
 @contextmanager
-def study_progress(description: str) -> Generator[Callable[["Progress"], None]]:
-    """Yield a callback for `evaluation`, which plays one kind of policies after another."""
-    with ExitStack() as stack:
-        advance: Callable[[int], None] | None = None
-        shown, done = ("", 0), 0
+def step_progress(description: str, total: int) -> Generator[Callable[[int], None]]:
+    """Show how many of `total` environment steps are played; yield `advance(n)` for each n more."""
+    from evaluation.play.progress import Progress
 
-        def show(state: "Progress") -> None:
-            nonlocal advance, shown, done
-            if not state.total:
-                return
-            if advance is None or shown != (state.what, state.total):
-                advance = stack.enter_context(
-                    progress(f"{description}, steps of {state.what}", state.total)
-                )
-                shown, done = (state.what, state.total), 0
-            advance(state.done - done)
-            done = state.done
+    with StudyLine(description) as line:
+        done = 0
 
-        yield show
+        def advance(count: int) -> None:
+            nonlocal done
+            done += count
+            line(Progress(done, total, 0.0, what=""))
+
+        yield advance
 
 
 def chosen_progress(
@@ -195,7 +189,7 @@ def _lines(description: str, total: int, is_bytes: bool) -> Generator[Callable[[
             text += f", {(now - first[0]) * (total - done) / (done - first[1]):.0f} s left"
         line.show(text, last=done >= total)
 
-    with closing(Line()) as line:
+    with Line() as line:
         yield advance
 
 
@@ -216,10 +210,43 @@ class Line:
             start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
             print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         """End the line, so that later output starts on a line of its own."""
         if self._open:
             print(file=sys.stderr, flush=True)
+
+
+class StudyLine(Line):
+    """Shows the progress of an evaluation, stage by stage, on one clock."""
+
+    def __init__(self, description: str) -> None:
+        super().__init__(-math.inf)
+        self._description, self._began = description, time.monotonic()
+        self._stage: tuple[int, str] | None = None
+        # When the stage's first steps were done, and how many: compilation is no part of the speed.
+        self._first: tuple[float, int] | None = None
+
+    def __call__(self, progress: "Progress") -> None:
+        if not progress.total:
+            return
+        if (stage := (progress.stage, progress.what)) != self._stage:
+            self._stage, self._first, self._shown = stage, None, -math.inf
+        work = self._description
+        work += f", {progress.stage} of {progress.stages}" if progress.stages > 1 else ""
+        work += f", {progress.what}" if progress.what else ""
+        now, steps = time.monotonic(), "compiling"
+        if progress.done:
+            steps = f"{_count(progress.done)} of {_count(progress.total)} steps"
+            self._first = self._first or (now, progress.done)
+        text = f"{work}: {steps}, {now - self._began:.0f} s"
+        # Of a twentieth on, since another program may compile between two of the first counts.
+        if self._first and (played := progress.done - self._first[1]) >= progress.total / 20:
+            left = (now - self._first[0]) * (progress.total - progress.done) / played
+            text += f", {_duration(left)} left"
+        self.show(text, last=progress.done >= progress.total)
 
 
 class TrainingLine(Line):

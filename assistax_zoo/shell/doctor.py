@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from assistax_base.errors import ZooError, counted, printable, shorten
-from assistax_base.extensions import METHODS, METRICS, TASKS, usable_extensions
+from assistax_base.extensions import FAMILIES, METHODS, METRICS, TASKS, usable_extensions
 from assistax_envs import compiled
 from assistax_envs.drawing.gl import CHOICE
+from assistax_envs.persons.rows import FAMILIES as OUR_FAMILIES
 from assistax_envs.registered import OURS
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.installed import all_errors
@@ -120,7 +121,12 @@ def _additions() -> Iterator[Finding]:
     from assistax_zoo.shell.main import COMMANDS, GROUPS
 
     errors = [*all_errors(COMMANDS, GROUPS), *broken_kinds()]
-    for group, taken in ((TASKS, OURS), (METHODS, OUR_METHODS), (METRICS, ())):
+    for group, taken in (
+        (TASKS, OURS),
+        (METHODS, OUR_METHODS),
+        (METRICS, ()),
+        (FAMILIES, OUR_FAMILIES),
+    ):
         errors += usable_extensions(group, taken)[1].values()
     for error in errors:
         yield Finding("additions", "broken", printable(str(error)))

@@ -39,12 +39,14 @@ COMMANDS = {
     "compare": "assistax_zoo.commands.evaluation.report:compare",
     "strategies": "assistax_zoo.commands.evaluation.report:strategies",
     "persons": "assistax_zoo.commands.evaluation.persons:persons",
+    "people": "assistax_zoo.commands.evaluation.people:people",
     "report": "assistax_zoo.commands.evaluation.report:report",
     "replay": "assistax_zoo.commands.partners.provenance:replay",
     "train": "assistax_zoo.commands.training.train:train",
     "train-ego": "assistax_zoo.commands.training.train_ego:train_ego",
     "render": "assistax_zoo.commands.evaluation.render:render",
     "watch": "assistax_zoo.commands.evaluation.watch:watch",
+    "play": "assistax_zoo.commands.evaluation.play:play",
     "trajectories": "assistax_zoo.commands.evaluation.render:trajectories",
     "doctor": "assistax_zoo.commands.machine:doctor",
     "cache": "assistax_zoo.commands.machine:cache",
@@ -57,6 +59,7 @@ COMMANDS = {
     "plot.zsc": "assistax_zoo.commands.evaluation.plot:zsc",
     "plot.disability": "assistax_zoo.commands.evaluation.plot:disability",
     "plot.preference": "assistax_zoo.commands.evaluation.plot:preference",
+    "plot.adaptation": "assistax_zoo.commands.evaluation.plot:adaptation",
     "plot.profile": "assistax_zoo.commands.evaluation.plot:profile",
     "plot.curves": "assistax_zoo.commands.evaluation.plot:curves",
     "plot.speed": "assistax_zoo.commands.evaluation.plot:speed",
@@ -83,8 +86,8 @@ REMEDIES = {
 # distributions'.
 AUDIENCES = {
     "Take partners": "list show fetch add remove export verify lock split cite",
-    "Evaluate": "evaluate crossplay compare report plot watch render trajectories strategies "
-    "persons replay",
+    "Evaluate": "evaluate crossplay compare report plot watch play render trajectories strategies "
+    "persons people replay",
     "Train": "train train-ego sweep",
     "Publish, make releases and tasks": "publish audit gates",
     "Boards": "submit submission serve worker token season receipt ledger service",
@@ -176,7 +179,7 @@ def build_app(leave_out: Collection[str] = ()) -> App:
         name="assistax-zoo",
         help="Pretrained partners for assistive robots, and the evaluation of robots against them.",
         version=_version,
-        default_parameter=Parameter(negative_iterable=()),  # no --empty-policy beside --policy
+        default_parameter=Parameter(negative_iterable=()),  # no --empty-author beside --author
         suppress_keyboard_interrupt=False,
     )
     boxes: dict[str, Group] = {}

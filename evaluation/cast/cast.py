@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_base.errors import RegistryVersionError, listing
-from assistax_envs.versions import VERSIONS
+from assistax_envs.versions import TASKS, VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
 from zoo.ids import EGO
-from zoo.namespaces import split_namespace
+from zoo.namespaces import plain_name, split_namespace
 from zoo.partners.sides import SIDES
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -109,6 +109,9 @@ def choose_partners(
     Raises:
         ValueError: There is no such split, or its sides have no partner that matches.
     """
+    its = plain_name(split or "").partition("/")
+    if its[1] and its[0] in TASKS and its[0] != task:
+        raise ValueError(f"split {split!r} is of task {its[0]}, not of {task}; name one of {task}")
     source = registry.source_asked(split, patterns)
     if source is None and not patterns and split in (None, *SIDES):
         source = registry.source_of_split(registry.split(task))

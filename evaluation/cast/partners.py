@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32, Int32, Shaped
 
 from assistax_base.errors import UnknownIdError
 from assistax_envs.disability import Disability
@@ -48,6 +48,7 @@ class Partner:
         self.id, self.spec, self.setting, self.card = id, spec, setting, card
         self._params = jax.device_put(params)
         self._carry: Any = None
+        self._word = np.zeros((), np.int32)
 
     @property
     def env_version(self) -> int | None:
@@ -93,10 +94,18 @@ class Partner:
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
             self._carry = self.spec.player().initial_carry(first.shape)
-        self._carry, action = _acting(self.spec)(self._params, self._carry, batch, first)
+        self._carry, action, word = _acting(self.spec)(self._params, self._carry, batch, first)
+        self._word = np.array(word[0] if obs.ndim == 1 else word)
         return np.array(action[0] if obs.ndim == 1 else action)
 
     __call__ = act
+
+    def word(self) -> Int32[np.ndarray, "*batch"]:
+        """Return the words said with the last actions, as codes of `preferences.WORDS`.
+
+        0 is silence: networks never speak.
+        """
+        return self._word
 
     def __repr__(self) -> str:
         return f"Partner({self.id!r}, {self.spec.observation_size} -> {self.spec.action_size})"
@@ -122,8 +131,12 @@ def zoo_partner(registry: Registry, policy: str, role: str = "human") -> Partner
 
 
 @functools.cache
-def _acting(spec: Seat) -> Callable[..., tuple[Any, jax.Array]]:
-    policy = spec.player()
-    return jax.jit(
-        lambda params, carry, obs, first: policy.act(params, carry, jnp.asarray(obs), first)
-    )
+def _acting(spec: Seat) -> Callable[..., tuple[Any, jax.Array, jax.Array]]:
+    policy: Any = spec.player()
+
+    def acting(params: Any, carry: Any, obs: Any, first: Any) -> tuple[Any, jax.Array, jax.Array]:
+        carry, action = policy.act(params, carry, jnp.asarray(obs), first)
+        silence = jnp.zeros(first.shape, jnp.int32)
+        return carry, action, policy.word(carry) if hasattr(policy, "word") else silence
+
+    return jax.jit(acting)

@@ -3,19 +3,22 @@
 import dataclasses
 import re
 import urllib.parse
-from collections.abc import Mapping
-from typing import Literal
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
 
 from assistax_envs.versions import TASKS
 
 Kind = Literal["zoo", "file", "onnx", "python", "zero", "random"]
 
 FORMS = (
-    f"an id such as {TASKS[0]}/ppo-ego-s0-v1/robot, FILE.safetensors, FILE.onnx, "
-    "python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
+    f"an id such as {TASKS[0]}/ppo-ego-s0, FILE.safetensors, FILE.onnx, FILE.py (its function "
+    "make), python:FILE.py:FACTORY, python:package.module:FACTORY, zero, or random"
 )
 # An id or glob of a task, with the namespace of an added registry in front, as in lab:scratch/...
 _ID = re.compile(rf"(?:[a-z][\w.-]*:)?({'|'.join(TASKS)})/.+")
+
+
+DEFAULT_FACTORY = "make"  # of a Python file that is named alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +54,23 @@ class PolicyReference:
             )
 
 
+def task_of(names: Iterable[Any]) -> str:
+    """Return the task that the ids or globs among some references name.
+
+    Raises:
+        ValueError: No reference is an id, or two ids are of different tasks.
+    """
+    named = (_ID.fullmatch(str(name).removeprefix("zoo:")) for name in names)
+    tasks = sorted({found[1] for found in named if found})
+    if len(tasks) == 1:
+        return tasks[0]
+    found = f"names of {' and '.join(tasks)} are given" if tasks else "no name says it"
+    raise ValueError(
+        f"which task is played is open, because {found}; name the task: allowed are "
+        f"{', '.join(TASKS)}"
+    )
+
+
 def parse_reference(text: str) -> PolicyReference:
     """Return the parts of a reference.
 
@@ -64,13 +84,15 @@ def parse_reference(text: str) -> PolicyReference:
         return _python(text, rest)
     if scheme in ("zoo", "onnx"):
         return PolicyReference(text, "zoo" if scheme == "zoo" else "onnx", rest)
+    if text.endswith(".py"):
+        return PolicyReference(text, "python", text, DEFAULT_FACTORY)
     if text.endswith((".safetensors", ".onnx")):
         return PolicyReference(text, "file" if text.endswith(".safetensors") else "onnx", text)
     if _ID.fullmatch(text):
         return PolicyReference(text, "zoo", text)
     hint = ""
-    if re.search(r"\.py(:|$)", text):
-        hint = f"; did you mean python:{text if '.py:' in text else f'{text}:FACTORY'}?"
+    if ".py:" in text:
+        hint = f"; did you mean python:{text}?"
     elif text.endswith((".pt", ".pth", ".zip", ".msgpack", ".pkl", ".npz")):
         hint = f"; write a function that loads it: python:FILE.py:FACTORY?weights={text}"
     raise ValueError(f"policy {text!r} has an unknown form; allowed are {FORMS}{hint}")

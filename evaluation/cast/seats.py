@@ -30,6 +30,8 @@ class Seated:
     setting: Disability | None = None  # a human's setting, if its zoo or its file has one
     card: PolicyEntry | None = None  # the registry's entry, if it is a policy of the zoo
     humans: Any = None  # a person's own `EnvParams` [1]
+    # The word said with the last action, a code of `preferences.WORDS`; None if it never speaks.
+    word: Callable[[], Any] | None = None
 
     def __call__(self, obs: Float[np.ndarray, " O"]) -> Float[np.ndarray, " A"]:
         """Return the action [A] for one observation [O]."""
@@ -104,7 +106,8 @@ def version_of(
 def _seated(policy: Partner, role: str, env: Environment, task: str) -> Seated:
     """Return a policy in its seat, checked to fit the role."""
     check_seat(policy.id, policy.spec, role, env, task)
-    return Seated(policy.act, policy.setting, policy.card, policy.humans)
+    word = policy.word if role == "human" else None
+    return Seated(policy.act, policy.setting, policy.card, policy.humans, word)
 
 
 def _outside(reference: str, role: str, env: Environment, registry: Registry, task: str) -> Seated:

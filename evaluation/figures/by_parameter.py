@@ -1,4 +1,4 @@
-"""Return and safe success of robots over the parameters ("numbers") of persons.
+"""Return and success of robots over the parameters ("numbers") of persons.
 
 A person's outcome is its mean over egos and episodes; persons are resampled. For each number,
 persons are grouped into bins of equal counts. The effect of a number is the share of the variance
@@ -16,15 +16,14 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float, Int
 
-from assistax_envs.persons.parameters import PARAMETERS
-from evaluation.record.columns import with_safety
+from assistax_envs.persons.rows import PARAMETERS
 from evaluation.record.record import Record
 from zoo.partners.kinds import described_kind
 
 BINS = 5
 RESAMPLES, SHUFFLES = 1000, 200
 FEWEST = 4  # persons for each bin, so that it has a mean worth reading
-RETURN, SAFE, SUCCESS = "return", "safe_success", "success"
+RETURN, SUCCESS = "return", "success"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Outcomes:
 
     task: str
     rows: Float[np.ndarray, "P W"]
-    values: dict[str, Float[np.ndarray, " P"]]  # mean return and share of (safe) success
+    values: dict[str, Float[np.ndarray, " P"]]  # mean return and share of (caring) success
     episodes: int
     egos: int
 
@@ -68,11 +67,10 @@ def outcomes(record: Record) -> Outcomes:
     Raises:
         ValueError: No partner is a person, or persons are of several tasks.
     """
-    table = with_safety(record.table)
-    success = SAFE if SAFE in table.columns else SUCCESS
+    table = record.table
     means = (
         table.group_by("partner", maintain_order=True)
-        .agg(pl.col(RETURN).cast(pl.Float64).mean(), pl.col(success).cast(pl.Float64).mean())
+        .agg(pl.col(RETURN).cast(pl.Float64).mean(), pl.col(SUCCESS).cast(pl.Float64).mean())
         .sort("partner")
     )
     names = means["partner"].to_list()
@@ -82,7 +80,7 @@ def outcomes(record: Record) -> Outcomes:
         raise ValueError(f"{record.folder} has {error}") from None
     played = means.filter(pl.Series(known))
     mine = table.filter(pl.col("partner").is_in(played["partner"].to_list()))
-    values = {name: played[name].to_numpy() for name in (RETURN, success)}
+    values = {name: played[name].to_numpy() for name in (RETURN, SUCCESS)}
     return Outcomes(task, rows, values, mine.height, mine["ego"].n_unique())
 
 

@@ -14,6 +14,7 @@ import polars as pl
 from assistax_base.errors import counted, listing
 from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
 from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.metrics.caring import CareComparison, compare_care
 from evaluation.figures.normalised import summarise_references
 from evaluation.figures.notes import episode_notes, seed_notes
 from evaluation.figures.saved_tables import profile_table
@@ -83,7 +84,7 @@ class MethodFigures:
 
 
 @dataclasses.dataclass(frozen=True)
-class ComparisonSummary:
+class ComparisonSummary(CareComparison):
     """Method a minus method b with the partners of each side that are common to both."""
 
     test: Difference | None
@@ -231,7 +232,13 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         raise ValueError("no partner is on a side; evaluate both methods against a split")
     egos = min(first.egos.height, second.egos.height)
     notes = (*seed_notes(egos), *episode_notes(first), *episode_notes(second))
-    return ComparisonSummary(sides["test"], sides["train"], notes, validation=sides["validation"])
+    return ComparisonSummary(
+        sides["test"],
+        sides["train"],
+        notes,
+        validation=sides["validation"],
+        **vars(compare_care(first.evaluated_side, second.evaluated_side, seed=seed)),
+    )
 
 
 def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, dict[str, Any]]:

@@ -7,10 +7,10 @@ The file is TOML or JSON:
 
     [[contrasts]]
     task = "gentle_scratch"
-    split = "gentle_scratch/three-sides-s0-v3-0123abcd"
+    split = "gentle_scratch/persons-s0-v1-9c64d228"
     method = "gru"                     # less
     baseline = "ppo"
-    metric = "return"                  # or safe_success, violations
+    metric = "return"                  # or caring_success, discomfort, violations
     seeds = 32                         # of either
 """
 
@@ -29,12 +29,14 @@ from assistax_base.errors import FormatError
 from assistax_base.validated import first_problem
 from evaluation.figures.league import FIRST, LAST
 from evaluation.figures.metrics import Difference, paired_difference
+from evaluation.figures.metrics.caring import SHARES
 from evaluation.figures.metrics.inference import holm, mean_test
+from evaluation.record.columns import measures_care
 from evaluation.record.record import Record, Returns
 
 MOST_BYTES = 1024 * 1024
-METRICS = {"return": "values", "safe_success": "safe", "violations": "violated"}
-Metric = Literal["return", "safe_success", "violations"]
+METRICS = {"return": "return", **SHARES}  # and their columns
+Metric = Literal["return", "caring_success", "discomfort", "violations"]
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
@@ -221,12 +223,12 @@ def _test_side(record: Record, contrast: Contrast) -> Returns:
 
 
 def _values(returns: Returns, contrast: Contrast) -> np.ndarray:
-    values = getattr(returns, METRICS[contrast.metric])
-    if values is None:
+    column, of_care = METRICS[contrast.metric], contrast.metric == "caring_success"
+    if column not in returns.table.columns or (of_care and not measures_care(returns.table)):
         raise ValueError(
             f"{contrast.words}: tables of this task have no {contrast.metric}; name return"
         )
-    return values.astype(float)
+    return returns.column(column)
 
 
 def named_pairs(

@@ -15,12 +15,14 @@ import polars as pl
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
 from evaluation.figures.comparable import ADVICE, Evaluated, comparable
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
+from evaluation.figures.metrics.caring import CareFigures, care_figures
 from evaluation.figures.metrics.variance import variance_components
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.notes import ENOUGH
 from evaluation.figures.summary import Context
 from evaluation.record import tables
 from evaluation.record.alike import check_alike
+from evaluation.record.columns import VIOLATIONS
 from evaluation.record.record import Record, Returns
 from population.views import View
 
@@ -43,8 +45,7 @@ class LeagueRow:
     partners: int
     mean: Estimate
     share: Interval | None  # of (told best response - script); None if either is missing
-    safe_success: Estimate | None
-    violations: Estimate | None
+    care: CareFigures  # empty for best responses
     seed_sd: float | None  # between robots, beside the luck of their episodes
     partner_sd: float | None
     pair_sd: float | None
@@ -125,6 +126,7 @@ def read_league(folder: Path) -> League:
 def league_table(league: League) -> pl.DataFrame:
     """Return a league as a table with a line for each row, for CSV."""
     lines = []
+    wishes = list(dict.fromkeys(wish for row in league.rows for wish in row.care.adaptation))
     for row in league.rows:
         low, high = row.mean.mean_ci or (None, None)
         share_low, share_high = (row.share.value_ci if row.share else None) or (None, None)
@@ -139,8 +141,7 @@ def league_table(league: League) -> pl.DataFrame:
                 "share": row.share.value if row.share else None,
                 "share_low": share_low,
                 "share_high": share_high,
-                "safe_success": row.safe_success.mean if row.safe_success else None,
-                "violations": row.violations.mean if row.violations else None,
+                **_care_columns(row.care, wishes),
                 "seed_sd": row.seed_sd,
                 "partner_sd": row.partner_sd,
                 "pair_sd": row.pair_sd,
@@ -150,6 +151,26 @@ def league_table(league: League) -> pl.DataFrame:
     texts, counts = {"row": pl.String}, dict.fromkeys(("robots", "partners"), pl.Int64)
     schema = {name: {**texts, **counts}.get(name, pl.Float64) for name in lines[0]}
     return pl.DataFrame(lines, schema=schema)
+
+
+def _care_columns(care: CareFigures, wishes: Iterable[str]) -> dict[str, float | None]:
+    """Return a row's figures of care, with the adaptation slope of each wish and its interval."""
+    named = ("caring_success", "violations", "discomfort", "failed_persons")
+    means = {name: figure.mean if (figure := getattr(care, name)) else None for name in named}
+    kinds = {
+        f"violations_{kind}": care.violations_by_kind[kind].mean
+        if care.violations_by_kind
+        else None
+        for kind in VIOLATIONS[1:]
+    }
+    slopes: dict[str, float | None] = {}
+    for wish in wishes:
+        found = care.adaptation.get(wish)
+        low, high = (found.slope.value_ci if found else None) or (None, None)
+        value, within = (found.slope.value, found.within) if found else (None, None)
+        names = f"slope_{wish}", f"slope_{wish}_low", f"slope_{wish}_high", f"within_{wish}"
+        slopes |= dict(zip(names, (value, low, high, within), strict=True))
+    return means | kinds | slopes
 
 
 _CONTEXT = dataclasses.fields(Context)
@@ -195,19 +216,13 @@ def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
     variance = None if alone else variance_components(returns.values)
     spread = variance.spread if variance else None
     starts = {"common_starts": returns.common_starts}
-
-    def episodes(happened: np.ndarray | None) -> Estimate | None:
-        """Return the share of episodes with an event; None for best responses or without data."""
-        return None if happened is None or alone else estimate(happened, **starts)
-
     return LeagueRow(
         row=name,
         robots=returns.egos.height,
         partners=returns.partners.height,
         mean=estimate(means[name].scores) if alone else estimate(returns.values, **starts),
         share=_share(means[name], means),
-        safe_success=episodes(returns.safe),
-        violations=episodes(returns.violated),
+        care=CareFigures() if alone else care_figures(returns),
         seed_sd=spread.seeds if spread else None,
         partner_sd=spread.partners if spread else None,
         pair_sd=spread.pairs if spread else None,

@@ -16,7 +16,7 @@ ENOUGH = 16
 def seed_notes(egos: int) -> list[str]:
     """Return a note if intervals are of few seeds."""
     if egos == 1:
-        return ["one ego: intervals speak about new partners, not about new training seeds"]
+        return ["one robot: intervals speak about new partners, not about new training seeds"]
     return _few(egos, f"{egos} seeds", " seeds")
 
 

@@ -34,9 +34,9 @@ EPISODES = 32  # of a pair at most: more cost much and buy little
 SEEDS = 64  # of a method at most
 
 
-# Of the egos of docs/data/v1 with test partners, trained with 16 seeds. All partners had the same
-# starts there, which no difference shows: the starts' share of an episode's variance is that of
-# eight IPPO and six MASAC robots of d1 with starts of each partner's own (docs/advice.md).
+# Of the egos of docs/data/paper with test partners, trained with 16 seeds. All partners had the
+# same starts there, which no difference shows: the starts' share of an episode's variance is that
+# of eight IPPO and six MASAC robots of d1 with starts of each partner's own (docs/advice.md).
 MEASURED: Mapping[str, Mapping[str, Spread]] = ByTask(
     lambda kind: {method: Spread(*values) for method, values in kind.spreads.items()},
     lambda kind: bool(kind.spreads),

@@ -27,7 +27,7 @@ from evaluation.figures.summary import (
     summarise_evaluation,
 )
 from evaluation.record import tables
-from evaluation.record.columns import BEHAVIOUR, outcome_columns, term_columns, with_safety
+from evaluation.record.columns import BEHAVIOUR, outcome_columns, term_columns
 from evaluation.record.record import Record
 
 POINTS = 101  # of a performance profile
@@ -38,7 +38,7 @@ def partner_table(record: Record) -> pl.DataFrame:
 
     `return_low` and `return_high` are the ends of its mean's 95% interval over seeds and starts.
     """
-    returns, table = record.returns, with_safety(record.table)
+    returns, table = record.returns, record.table
     figures = [estimate(returns.values[:, [place]]) for place in range(returns.partners.height)]
     intervals = [figure.mean_ci or (None, None) for figure in figures]
     described = returns.partners.with_columns(
@@ -52,7 +52,7 @@ def partner_table(record: Record) -> pl.DataFrame:
 
 def pair_table(record: Record) -> pl.DataFrame:
     """Return the pairs' means over episodes, one row a pair, in the order of `record.returns`."""
-    returns, table = record.returns, with_safety(record.table)
+    returns, table = record.returns, record.table
     behaviour = [name for name in BEHAVIOUR if name in table.columns]
     measures = ("discounted_return", *term_columns(table), *outcome_columns(table), *behaviour)
     means = table.group_by("ego", "partner").agg(

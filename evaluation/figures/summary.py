@@ -10,6 +10,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from assistax_base.validated import first_problem
+from assistax_envs.persons.rows import FAMILIES, family_group
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
@@ -27,6 +28,7 @@ from evaluation.figures.metrics import (
     worst_partner,
     zero_shot,
 )
+from evaluation.figures.metrics.caring import CareFigures, care_figures
 from evaluation.figures.metrics.installed import InstalledMetric, MetricFigure, metric_figures
 from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative
@@ -102,20 +104,18 @@ class MoreFigures:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SideFigures(MoreFigures):
+class SideFigures(MoreFigures, CareFigures):
     """Figures of the partners of `side`: of those that played, test, validation or training."""
 
     side: Literal["train", "validation", "test"]
     by_algorithm: dict[str, Estimate]
     by_disability: dict[str, Estimate]
     fairness: Fairness | None  # None with a single disability setting
-    # Only for gentle tasks: return by preference, success without violation, violations.
+    # Only for gentle tasks: return by preference.
     by_preference: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     preference_fairness: Fairness | None = None  # None with fewer than two preferences
     # Of series of episodes, in which a robot remembers its partner: by place, from "1".
     by_place: dict[str, Estimate] = dataclasses.field(default_factory=dict)
-    safe_success: Estimate | None = None  # share of episodes
-    violations: Estimate | None = None
     # Measures of contact with the person by column of the table, if the task's version has them.
     touch: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     worst_partner: NamedWorst
@@ -203,7 +203,7 @@ def summarise_evaluation(
     by_preference = _preference_draws(side)
     several = side.values.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(returns.values, sides, **starts)),
+        **vars(zero_shot(returns.values, sides, _groups(returns.partners), **starts)),
         **_common(returns, context),
         side=side.partners["side"][0],
         variance=variance_components(side.values),
@@ -213,8 +213,7 @@ def summarise_evaluation(
         by_preference=_estimates(by_preference),
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
         by_place=_by_place(record.table, side),
-        safe_success=_share(side.safe, **starts),
-        violations=_share(side.violated, **starts),
+        **vars(care_figures(side)),
         touch={name: estimate(values, **starts) for name, values in side.touch.items()},
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
@@ -264,6 +263,14 @@ def _common(returns: Returns, context: Context) -> dict:
     }
 
 
+def _groups(partners: pl.DataFrame) -> list[str] | None:
+    """Return the group of each partner; None unless persons play."""
+    families = partners["partner_algorithm"].to_list()
+    if not set(families) & set(FAMILIES):
+        return None
+    return [family_group(family) for family in families]
+
+
 def _preference_draws(returns: Returns) -> dict[str, Draws]:
     """Return mean and IQM with replicates under each preference, over its partners, by name."""
     if returns.preferences is None:
@@ -286,11 +293,6 @@ def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
     means = played.group_by(pairs).agg(pl.col("return").cast(pl.Float64).mean()).sort(pairs)
     scores = means["return"].to_numpy().reshape(-1, *returns.scores.shape)
     return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
-
-
-def _share(happened: np.ndarray | None, *, common_starts: bool) -> Estimate | None:
-    """Return the estimated share of episodes [E, P, K] with an event; None without data."""
-    return None if happened is None else estimate(happened, common_starts=common_starts)
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:

@@ -6,7 +6,6 @@ on the evaluated robots.
 """
 
 import dataclasses
-import functools
 import inspect
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from evaluation.cast.roster import Member, Roster, joined
 from evaluation.figures.normalised import COLUMN, PASSIVE, RANDOM, SCRIPT, SELF_PLAY, ZERO
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
-from evaluation.play.progress import OnProgress, Progress
+from evaluation.play.progress import OnProgress, staged
 from evaluation.record import tables
 from population.networks.seat import Seat
 from population.networks.stack import PolicyStack
@@ -133,17 +132,13 @@ def play_references(
         max_envs: Most simulations at once.
         on_progress: Called with the progress of a run.
     """
-
-    def report(what: str, state: Progress) -> None:
-        if on_progress is not None:
-            on_progress(dataclasses.replace(state, what=what))
-
     options: dict[str, Any] = {"max_envs": max_envs, "kept": True}
     played, files = [], []
-    for reference in reference_jobs(env, job, own):
+    jobs = reference_jobs(env, job, own)
+    for stage, reference in enumerate(jobs, start=2):  # the evaluation itself is the first
         passive = reference.partners.ids == (PASSIVE,)
-        what = "robots with a passive human" if passive else "reference egos"
-        shown = functools.partial(report, what)
+        what = "robots with a passive human" if passive else "reference robots"
+        shown = staged(on_progress, stage, 1 + len(jobs), what)
         place = folder / reference.digest()[:20]
         played.append(run_job(env, reference, place, on_progress=shown, **options).table)
         files.append(place / tables.EPISODES_FILE)

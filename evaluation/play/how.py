@@ -14,7 +14,7 @@ class PlaySettings:
     """Settings of a play of robots and partners.
 
     Attributes:
-        task: Task, such as scratch.
+        task: Task, such as scratch. Default: that of the names.
         episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
             turns, 4 with persons, and 8 in the other tasks.
         seed: Seed of the episodes. Each partner has its own episodes, the same for every robot.

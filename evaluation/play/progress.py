@@ -14,10 +14,20 @@ class Progress:
     done: int
     total: int
     seconds: float  # spent in the environment and the networks, without compilation
-    what: str = "policies"  # name of the policies that play, for messages
+    what: str = "robots with humans"  # name of the policies that play, for messages
+    stage: int = 1  # of a work of several runs, which run this is
+    stages: int = 1
 
 
 OnProgress = Callable[[Progress], None] | None  # called with the progress of a run
+
+
+def staged(on_progress: OnProgress, stage: int, stages: int, what: str) -> OnProgress:
+    """Return a function that reports a run as one stage of a work; None if there is no listener."""
+    if on_progress is None:
+        return None
+    named = {"what": what, "stage": stage, "stages": stages}
+    return lambda state: on_progress(dataclasses.replace(state, **named))
 
 
 class Meter:

@@ -7,11 +7,13 @@ import jax
 import numpy as np
 import polars as pl
 
+from assistax_envs.preferences import PREFERRED
 from evaluation.cast.egos import Clipping
 from evaluation.cast.roster import Roster
 from evaluation.play.jobs import Job
 from evaluation.play.tiles import StackSlice, Tile
-from evaluation.record.columns import METRIC_PREFIX, SCHEMA, TERM_PREFIX
+from evaluation.record.columns import COLUMNS, METRIC_PREFIX, SCHEMA, TERM_PREFIX, VIOLATIONS
+from population.play.caring import caring_columns
 from population.play.tally import Tally
 
 
@@ -41,7 +43,7 @@ def planned_rows(job: Job, tile: Tile) -> pl.DataFrame:
     if job.preferences:
         names = job.preferences_of(partners["partner"].to_list(), tile.episodes)
         preferences = {"preference": np.broadcast_to(names, (e, p, k)).ravel()}
-    return _with(rows, {**places, **preferences, "key": keys.ravel()})
+    return with_columns(rows, {**places, **preferences, "key": keys.ravel()})
 
 
 def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.DataFrame:
@@ -53,13 +55,25 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
     elif job.egos.hosts:
         clipped = {"clipped": np.full(e * p * k, None)}
     tally = jax.tree.map(lambda leaf: leaf[:e, :p, :k].reshape(-1), tally)
+    added = {
+        METRIC_PREFIX + name: column.end(tally.columns[name], tally.steps)
+        for name, column in job.columns.items()
+    }
+    return with_columns(planned_rows(job, tile), measured(job.task, tally) | clipped | added)
+
+
+def measured(task: str, tally: Tally) -> dict[str, Any]:
+    """Return the measured columns of finished episodes by name, from a tally with leaves [N]."""
     touches = {}
     if tally.violated is not None:
         touches = {"contact_peak": tally.contact_peak, "violated": tally.violated}
     if how := dict(tally.touch):
         touches["end_share"] = how.pop("end_steps") / np.maximum(tally.steps, 1)
         touches |= how
-    measured = {
+    cared = caring_columns(tally.caring, PREFERRED.get(task, ()))
+    if "violation" in cared:
+        cared["violation"] = np.array(VIOLATIONS)[cared["violation"]]
+    return {
         "return": tally.returns,
         "discounted_return": tally.discounted,
         **{TERM_PREFIX + name: value for name, value in tally.terms.items()},
@@ -67,26 +81,27 @@ def played_rows(job: Job, tile: Tile, tally: Tally, act: Clipping | None) -> pl.
         "force_mean": tally.force_sum / np.maximum(tally.steps, 1),
         "force_peak": tally.force_peak,
         **touches,
+        **cared,
         "first_contact": np.where(tally.first_contact > 0, tally.first_contact, tally.steps),
         "distance_mean": tally.distance_sum / np.maximum(tally.steps, 1),
         **{f"{role}_travel": value for role, value in tally.travel.items()},
         "nonfinite": tally.nonfinite,
         "steps": tally.steps,
-        **clipped,
-        **{
-            METRIC_PREFIX + name: column.end(tally.columns[name], tally.steps)
-            for name, column in job.columns.items()
-        },
     }
-    return _with(planned_rows(job, tile), measured)
 
 
-def _with(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
-    """Return rows with columns added, cast to the types of the episode table."""
-    return rows.with_columns(
-        pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
-        for name, value in columns.items()
-    )
+def with_columns(rows: pl.DataFrame, columns: Mapping[str, Any]) -> pl.DataFrame:
+    """Return rows with columns added, cast to the types of the episode table.
+
+    A NaN of a column that may be empty becomes an empty value.
+    """
+
+    def typed(name: str, value: Any) -> pl.Series:
+        series = pl.Series(name, value).cast(SCHEMA.get(name, pl.Float32()))
+        empty = name in COLUMNS and COLUMNS[name].nullable and series.dtype.is_float()
+        return series.fill_nan(None) if empty else series
+
+    return rows.with_columns(typed(name, value) for name, value in columns.items())
 
 
 def _described(seat: str, roster: Roster, ids: list[str]) -> pl.DataFrame:

@@ -21,7 +21,7 @@ from assistax_envs.drawing.overlay import LEVELS, MEANINGS
 from assistax_envs.drawing.render import picture_model, pressing
 from assistax_envs.env import EPISODE_LENGTH
 from assistax_envs.physics import SUBSTEPS
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import HEARD, PREFERRED, WORDS
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
 from evaluation.player.scene import scene_content
 
@@ -57,6 +57,7 @@ class Episode:
     reward: np.ndarray  # [T]
     terms: dict[str, np.ndarray]  # name -> [T]
     stopped: bool  # by a protective stop
+    said: np.ndarray | None = None  # [T] codes of words said before each moment; None without words
 
 
 def read_episode(path: Path, number: int = 0) -> Episode:
@@ -121,6 +122,7 @@ def episode_content(episode: Episode) -> dict[str, Any]:
         "speed": None if episode.speed is None else _numbers(episode.speed, 4),
         "distance": _numbers(_gaps(episode), 4) if "distance" in episode.preferences else None,
         "rests": (episode.terms.get("rest", np.zeros(len(episode.reward))) > 0.0).tolist(),
+        "words": _heard(episode),
         "reward": _numbers(episode.reward, 5),
         "terms": {name: _numbers(values, 5) for name, values in episode.terms.items()},
         "levels": [
@@ -215,7 +217,15 @@ def _episode(table: pl.DataFrame, about: Mapping[str, Any], number: int) -> Epis
         reward=gained("reward"),
         terms={name.removeprefix("term_"): gained(name) for name in terms},
         stopped=bool(stops.any()),
+        said=_said(gained("word")) if "word" in rows.columns else None,
     )
+
+
+def _said(codes: np.ndarray) -> np.ndarray:
+    """Return checked codes of words."""
+    if not np.isin(codes, np.arange(len(WORDS) + 1)).all():
+        raise _UnplayableError("its column word has codes that no word has")
+    return codes.astype(int)
 
 
 def _column(rows: pl.DataFrame, name: str, width: int = 0, *, last: bool = True) -> np.ndarray:
@@ -263,9 +273,27 @@ def _facts(episode: Episode) -> list[tuple[str, str]]:
         ("person", about["person"]),
         ("body", about["setting"]),
         ("prefers", ", ".join(preferences) or "people of this task have no preferences"),
+        *([] if episode.said is None else [("says", _counted(episode.said))]),
         ("task", f"{about['task']}, version {about['version']}. {REGISTERED[about['task']].goal}"),
         ("episode", f"{about['number']} of seed {about['seed']}, {steps} steps{end}"),
     ]
+
+
+def _heard(episode: Episode) -> list[str] | None:
+    """Return the word that is heard at each moment, "" in silence; None without words."""
+    if episode.said is None:
+        return None
+    heard, word, left = [], "", 0
+    for code in episode.said:
+        word, left = (WORDS[code - 1], HEARD) if code else (word, max(left - 1, 0))
+        heard.append(word if left else "")
+    return heard
+
+
+def _counted(said: np.ndarray) -> str:
+    """Return how often each word was said, as text."""
+    counts = [(word, int((said == code).sum())) for code, word in enumerate(WORDS, 1)]
+    return ", ".join(f"{word} {count}×" for word, count in counts if count) or "nothing"
 
 
 def _short(name: str, value: float) -> str:

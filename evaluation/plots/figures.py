@@ -10,16 +10,20 @@ from matplotlib.figure import Figure
 from assistax_base.bounded_reading import parse_json
 from evaluation.figures.comparable import method_figures
 from evaluation.figures.metrics import curves
-from evaluation.figures.summary import read_summary
+from evaluation.figures.metrics.caring import adaptations, persons_done
+from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots import charts
+from evaluation.plots.adaptation import adaptation_panels
 from evaluation.plots.captions import provenance
-from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.matrix import Order, arrange
+from evaluation.plots.crossplay.heatmap import crossplay_heatmap
+from evaluation.plots.crossplay.layout import LegendPlace
+from evaluation.plots.crossplay.matrix import Order, arrange
 from evaluation.plots.persons import described_panels
 from evaluation.plots.population import population_grid
 from evaluation.plots.style import check_path, save_figure, spelled
 from evaluation.plots.sweep import sweep_panels
 from evaluation.record import tables
+from evaluation.record.record import Record
 from evaluation.record.verification import check_whole, strange_tables_refused
 
 
@@ -74,6 +78,37 @@ def evaluation_figure(
     return save_figure(drawn, path, bare=bare)
 
 
+def adaptation_figure(
+    folder: Path, path: Path, *, width: float | None = None, bare: bool = False
+) -> Figure:
+    """Draw what the robots of an evaluation did beside what persons like, to a file.
+
+    Raises:
+        ValueError: The folder has other content, or its episodes do not measure wishes.
+    """
+    check_path(path)
+    _require(folder, "evaluate", tables.SUMMARY_FILE, tables.EPISODES_FILE)
+    with strange_tables_refused(folder):
+        drawn = adaptation_of(folder, width=width)
+    return save_figure(drawn, path, bare=bare)
+
+
+def adaptation_of(folder: Path, *, width: float | None = None) -> Figure:
+    """Return the figure of a folder's adaptation, `width` inches wide."""
+    summary = read_summary(folder)
+    if not isinstance(summary, EvaluationSummary):
+        raise ValueError(f"{folder} holds a cross-play; this figure is of an evaluation")
+    left_out = summary.met.left_out if summary.met else ()
+    returns = Record.read(folder).without(left_out).returns.evaluated_side
+    return adaptation_panels(
+        persons_done(returns),
+        adaptations(returns),
+        title=f"Adaptation: {summary.task}, {summary.side} partners",
+        caption=provenance({folder.resolve().name: tables.to_json(summary)}),
+        width=width,
+    )
+
+
 def persons_figure(summary: Mapping[str, Any], path: Path) -> Figure:
     """Draw the effects of persons' numbers, a result of `summarise_parameters`, to a file."""
     return save_figure(described_panels(summary), path)
@@ -86,11 +121,12 @@ def crossplay_figure(
     *,
     width: float | None = None,
     bare: bool = False,
+    legend: LegendPlace | None = None,
 ) -> Figure:
     """Draw the clustered matrix of a cross-play, `width` inches wide, to a file.
 
-    A bare one has no title and caption. The order is computed from the pairs, not read from the
-    file of the order.
+    A bare one has no title and caption, and no legend unless its place is given. The order is
+    computed from the pairs, not read from the file of the order.
 
     Raises:
         ValueError: The folder has other content, or the axes have no shared order.
@@ -99,7 +135,9 @@ def crossplay_figure(
     _require(folder, "crossplay", tables.SUMMARY_FILE, tables.PAIRS_FILE)
     with strange_tables_refused(folder):
         matrix = arrange(tables.read_parquet(folder / tables.PAIRS_FILE), order)
-        drawn = crossplay_heatmap(matrix, tables.to_json(read_summary(folder)), width=width)
+        summary = tables.to_json(read_summary(folder))
+        place = legend or ("none" if bare else None)
+        drawn = crossplay_heatmap(matrix, summary, width=width, legend=place)
     return save_figure(drawn, path, bare=bare)
 
 

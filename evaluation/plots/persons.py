@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from evaluation.plots import style
 
-_WORDS = {"return": "mean return", "safe_success": "safe success", "success": "success"}
+_WORDS = {"return": "mean return", "success": "success"}
 # Inches: letters can be read at the width of a page.
 _WIDTH, _HEIGHT = 7.0, 6.6
 # Points.
@@ -32,7 +32,7 @@ def described_panels(summary: Mapping[str, Any]) -> Figure:
 def person_panels(summary: Mapping[str, Any], *, caption: str) -> Figure:
     """Draw a summary of `evaluation.figures.by_parameter.summarise_parameters`.
 
-    There is a column for the return and one for safe success. Above are means in cells of two
+    There is a column for the return and one for success. Above are means in cells of two
     numbers, with the count of persons. Below is each number's share of the variance, with 95%
     intervals.
     """

@@ -43,25 +43,31 @@ END = 7.5  # points of the letters of a line's name at its end
 BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}  # of a name
 _CAPTION_LINE, _MARGIN = 0.14, 0.04  # inches
 # One colour for an algorithm in all figures and reports; an ego has its algorithm's. Algorithms and
-# settings stand side by side in strips: all of these were chosen together, by a search for the
+# levels stand side by side in strips: all of these were chosen together, by a search for the
 # largest least distance (CIEDE2000) for every vision. Tests hold what it found.
 ALGORITHMS = {
     **{"ippo": "#990011", "mappo": "#ff8800", "isac": "#88eeaa", "masac": "#7777aa"},
-    **{"mep": "#002222", "ppo": "#990011", "sac": "#88eeaa"},
+    **{"mep": "#6a615f", "ppo": "#990011", "sac": "#88eeaa"},
 }
 # Of a league's rows beside ppo and sac, found by the same search.
 ROWS = {
     **{"asymmetric": "#33bbaa", "asymmetric_gru": "#ff0088", "gru": "#0000dd", "liam": "#aabb66"},
     **{"palm": "#6699aa", "rl2": "#aa44ff", "rma": "#0055bb", "mirror": "#aa1177"},
+    "osi": "#cc9988",
     **{"told-preference": "#996677", "told-gru": "#550066", View.NUMBERS.condition: "#aa8855"},
 }
-OTHERS = ("#dd1111", "#cc99dd", "#447744", "#005544")  # of methods that are not ours
+OTHERS = ("#dd1111", "#cc99dd", "#005544", "#447744")  # of methods that are not ours
 MARKERS, DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", ":", "-.")
 # One hue for each level of the elbow's range, lighter as strength falls.
 _DISABILITY = {
-    **{"d1": "#331100", "d2": "#bb5566", "d3": "#eeaabb"},
-    **{"d4": "#000033", "d5": "#1100aa", "d6": "#9900ee"},
-    **{"d7": "#553355", "d8": "#ee55ff", "d9": "#ccccff"},
+    **{"d1": "#644600", "d2": "#a37402", "d3": "#d6a95f"},
+    **{"d4": "#085cab", "d5": "#3d8ef6", "d6": "#acc3fe"},
+    **{"d7": "#d01b70", "d8": "#fe70a3", "d9": "#fec9d8"},
+}
+# Of strips with an order: one hue each, lighter as less is left.
+_LEVELS = {
+    "strength": {1.0: "#013ee3", 0.7: "#9386ff", 0.4: "#e0d8ff"},
+    "range": {1.0: "#883863", 0.7: "#d17ba6", 0.4: "#ffd0e5"},
 }
 
 
@@ -104,6 +110,13 @@ def titled_figure(
 def caption_height(text: str, width: float) -> float:
     """Return the height of a caption in a figure of a width, both in inches."""
     return _CAPTION_LINE * len(_wrap(text, width))
+
+
+def words(figure: Figure) -> str:
+    """Return title and caption of a figure, also of a bare one, from the top, each on a line."""
+    parts = [text for text in figure.texts if text.get_gid() == WORDS]
+    parts.sort(key=lambda text: -text.get_position()[1])
+    return "\n".join(" ".join(part.get_text().split()) for part in parts)
 
 
 def check_width(width: float | None, least: float) -> None:
@@ -173,7 +186,7 @@ def band(axes: Axes, table: pl.DataFrame, x: str, y: str, colour: str, label: st
 
 def _wrap(text: str, width: float) -> list[str]:
     return [
-        line for part in text.split("\n") for line in textwrap.wrap(part, int(15.5 * (width - 0.4)))
+        line for part in text.split("\n") for line in textwrap.wrap(part, int(18 * (width - 0.4)))
     ]
 
 
@@ -238,6 +251,11 @@ def disability_colours(names: Iterable[str | None]) -> dict[str, str]:
         for i, name in enumerate(others)
     }
     return {name: _DISABILITY.get(name, extra.get(name, UNKNOWN)) for name in known}
+
+
+def level_colour(trait: str, level: float) -> str:
+    """Return the colour of a level of "strength" or "range", a share that is left."""
+    return _LEVELS[trait][level]
 
 
 def bare(axes: Axes, sides: Sequence[str] = (), *, ticks: bool = True) -> None:

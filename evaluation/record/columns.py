@@ -8,13 +8,17 @@ from typing import Literal
 
 import polars as pl
 
+from assistax_envs.preferences import VALUES
+
 SIDES = ("train", "validation", "test")
 TERM_PREFIX = "term_"  # of the reward terms (`term_<name>`, Float32), which differ by task
+VIOLATIONS = ("none", "impact", "pressed")  # kinds, in the order of their numbers in `care`
 METRIC_PREFIX = "metric_"  # of the columns of installed packages (`metric_<name>`, Float32)
 
 # Tables that have a column: with behaviour (all since manifest format 2), of gentle tasks, of tasks
-# whose version measures contact with people, of series of episodes, of robots from outside.
-Family = Literal["behaviour", "gentle", "touch", "series", "outside"]
+# whose version measures contact with people, of tasks whose version measures care, of series of
+# episodes, of robots from outside.
+Family = Literal["behaviour", "gentle", "touch", "care", "series", "outside"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +31,14 @@ class Column:
 
 
 _TEXT, _WHOLE, _REAL, _FLAG = pl.String(), pl.Int64(), pl.Float32(), pl.Boolean()
+# Of each wish of the task, in its unit: what the person likes; what was done of it, the geometric
+# mean over seconds 10 to 20 while it was judged; the share of these steps within a factor 1.5 of
+# what is liked. The last two are null where it was never judged then.
+_WISHES = {
+    f"{prefix}_{wish}": Column(_REAL, "care", nullable=prefix != "liked")
+    for wish in VALUES
+    for prefix in ("liked", "done", "within")
+}
 COLUMNS = {
     "ego": Column(_TEXT),
     "ego_team": Column(_TEXT, nullable=True),
@@ -45,7 +57,7 @@ COLUMNS = {
     "key": Column(_WHOLE),
     "return": Column(_REAL),
     "discounted_return": Column(_REAL),
-    "success": Column(_FLAG),
+    "success": Column(_FLAG),  # of care, if the task's version measures that
     "force_mean": Column(_REAL),
     "force_peak": Column(_REAL),
     "contact_peak": Column(_REAL, "gentle"),  # N, of one contact
@@ -56,6 +68,9 @@ COLUMNS = {
     "face_least": Column(_REAL, "touch"),  # m, the tool's least distance from the face
     "together_peak": Column(_REAL, "touch"),  # N, the largest sum of contacts at once
     "sustained_force": Column(_REAL, "touch"),  # N, the largest mean over 1 s of all contacts
+    **_WISHES,
+    "discomfort_share": Column(_REAL, "care"),  # of felt steps
+    "violation": Column(_TEXT, "care"),  # one of VIOLATIONS
     "first_contact": Column(_WHOLE, "behaviour"),  # steps until it; all steps without a contact
     "distance_mean": Column(_REAL, "behaviour"),
     "robot_travel": Column(_REAL, "behaviour"),  # rad, summed over joints and steps
@@ -66,9 +81,9 @@ COLUMNS = {
     "clipped": Column(_REAL, "outside", nullable=True),
 }
 SCHEMA = {name: column.dtype for name, column in COLUMNS.items()}
-BEHAVIOUR, GENTLE, TOUCH = (
+BEHAVIOUR, GENTLE, TOUCH, CARE = (
     tuple(name for name, column in COLUMNS.items() if column.family == family)
-    for family in ("behaviour", "gentle", "touch")
+    for family in ("behaviour", "gentle", "touch", "care")
 )
 # Names of the columns about contact with people, in tables for readers.
 TOUCHES = {
@@ -81,7 +96,7 @@ TOUCHES = {
 EGO_COLUMNS = tuple(name for name in COLUMNS if name.startswith("ego"))
 PARTNER_COLUMNS = (*(name for name in COLUMNS if name.startswith("partner")), "side")
 _OUTCOMES = (
-    *("success", "safe_success", "violated", "force_mean", "force_peak", "contact_peak"),
+    *("success", "discomfort_share", "violated", "force_mean", "force_peak", "contact_peak"),
     *TOUCH,
 )
 
@@ -96,11 +111,14 @@ def metric_columns(table: pl.DataFrame) -> tuple[str, ...]:
     return tuple(name for name in table.columns if name.startswith(METRIC_PREFIX))
 
 
-def with_safety(table: pl.DataFrame) -> pl.DataFrame:
-    """Return a table with `safe_success`, success without violation, if it has `violated`."""
-    if "violated" not in table.columns:
-        return table
-    return table.with_columns(safe_success=pl.col("success") & ~pl.col("violated"))
+def measures_care(table: pl.DataFrame) -> bool:
+    """Return whether success in a table is caring success."""
+    return "discomfort_share" in table.columns
+
+
+def wishes_of(table: pl.DataFrame) -> tuple[str, ...]:
+    """Return the names of the wishes of a table's task."""
+    return tuple(wish for wish in VALUES if f"done_{wish}" in table.columns)
 
 
 def outcome_columns(table: pl.DataFrame) -> tuple[str, ...]:
@@ -135,13 +153,20 @@ def validate_episodes(table: pl.DataFrame) -> pl.DataFrame:
         raise ValueError("the episode table has no rows; at least one episode is needed")
     for name in table.columns:
         _validate_column(table, name, COLUMNS.get(name, Column(_REAL)))
-    sides = [side for side in table["side"].drop_nulls().unique().sort() if side not in SIDES]
-    if sides:
-        raise ValueError(
-            f"column side holds {', '.join(map(repr, sides))}; allowed are "
-            f"{', '.join(map(repr, SIDES))} and null"
-        )
+    _validate_values(table, "side", SIDES)
+    if "violation" in table.columns:
+        _validate_values(table, "violation", VIOLATIONS)
     return table
+
+
+def _validate_values(table: pl.DataFrame, name: str, allowed: tuple[str, ...]) -> None:
+    found = table[name].drop_nulls().unique().sort()
+    if strange := [value for value in found if value not in allowed]:
+        null = " and null" * COLUMNS[name].nullable
+        raise ValueError(
+            f"column {name} holds {', '.join(map(repr, strange))}; allowed are "
+            f"{', '.join(map(repr, allowed))}{null}"
+        )
 
 
 def _validate_column(table: pl.DataFrame, name: str, expected: Column) -> None:

@@ -15,8 +15,8 @@ from evaluation.record.columns import (
     PARTNER_COLUMNS,
     SIDES,
     TOUCH,
+    measures_care,
     validate_episodes,
-    with_safety,
 )
 from evaluation.record.manifest import read_manifest
 from evaluation.record.tables import EPISODES_FILE, read_episodes
@@ -34,11 +34,11 @@ class Returns:
     episodes: Int[np.ndarray, " K"]  # episode numbers
     table: pl.DataFrame = dataclasses.field(repr=False)  # one row an episode
     rows: Int[np.ndarray, "E P K"]  # row of the table of each episode
-    # Only for a gentle task: each episode's preference, success without a violation of the force
-    # limit, and violation.
+    # Only for a gentle task: each episode's preference, and violation; only if the task's version
+    # measures care: its caring success.
     preferences: Shaped[np.ndarray, "E P K"] | None = None
-    safe: Bool[np.ndarray, "E P K"] | None = None
     violated: Bool[np.ndarray, "E P K"] | None = None
+    caring: Bool[np.ndarray, "E P K"] | None = None
     # Measures of contact with the person, by column of the table; empty if not measured.
     touch: Mapping[str, Float[np.ndarray, "E P K"]] = dataclasses.field(default_factory=dict)
 
@@ -149,7 +149,7 @@ def lay_out(table: pl.DataFrame) -> Returns:
     Raises:
         ValueError: A pair lacks an episode or has one twice, or one id has two descriptions.
     """
-    table = with_safety(validate_episodes(table))
+    table = validate_episodes(table)
     egos = _described(table, EGO_COLUMNS)
     partners = _described(table, PARTNER_COLUMNS)
     episodes = table["episode"].unique().sort().to_numpy()
@@ -163,7 +163,9 @@ def lay_out(table: pl.DataFrame) -> Returns:
 
     rows = np.empty(np.prod(shape), np.int64)
     rows[cells] = np.arange(table.height)
-    gentle = {"preferences": "preference", "safe": "safe_success", "violated": "violated"}
+    gentle = {"preferences": "preference", "violated": "violated"}
+    if measures_care(table):
+        gentle["caring"] = "success"
     return Returns(
         values=dense("return", float),
         nonfinite=dense("nonfinite", bool),

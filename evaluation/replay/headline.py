@@ -1,10 +1,12 @@
 """A folder's headline figure, and the verdict of a replay on it."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Literal
 
 import polars as pl
 
+from assistax_envs.persons.rows import FAMILIES, OWN_FAMILY, OWN_PREFIX, family_group
 from evaluation.figures.summary import CrossPlaySummary, EvaluationSummary
 
 # same: every episode of the figure was replayed with the same bits.
@@ -18,11 +20,29 @@ MOST_HIDDEN = 0.05  # share of the figure
 
 @dataclasses.dataclass(frozen=True)
 class Headline:
-    """The main figure of a folder: the mean return of some of its episodes."""
+    """The main figure of a folder: the mean return of some of its episodes.
+
+    Attributes:
+        name: Such as "M_test".
+        value: The figure.
+        rows: Filter of its episodes.
+        groups: Filters of groups of these episodes, if the figure is the mean of their means.
+    """
 
     name: str
     value: float
-    rows: pl.Expr  # filter of the episodes
+    rows: pl.Expr
+    groups: tuple[pl.Expr, ...] = ()
+
+    @property
+    def means(self) -> tuple[pl.Expr, ...]:
+        """Filters of the episodes of each mean of which the figure is the mean."""
+        return self.groups or (self.rows,)
+
+    def mean_bias(self, bias: Callable[[pl.Expr], float | None]) -> float | None:
+        """Return the figure's bias by that of each of its means; None if one is unknown."""
+        biases = [found for found in map(bias, self.means) if found is not None]
+        return sum(biases) / len(biases) if len(biases) == len(self.means) else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +71,15 @@ def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
         figure = getattr(summary, f"m_{summary.side}")
         left_out = list(summary.met.left_out) if summary.met else []
         rows = (pl.col("side") == summary.side) & ~pl.col("partner").is_in(left_out)
-        return Headline(f"M_{summary.side}", figure.mean, rows)
+        family, groups = pl.col("partner_algorithm").cast(pl.String), []
+        for group in summary.by_group:
+            members = [name for name in FAMILIES if family_group(name) == group]
+            own = family.str.starts_with(OWN_PREFIX)
+            groups.append(rows & (own if group == OWN_FAMILY else family.is_in(members)))
+        if figure is None:  # a group did not play
+            values = [found.mean for found in summary.by_group.values()]
+            return Headline("mean of groups", sum(values) / len(values), rows, tuple(groups))
+        return Headline(f"M_{summary.side}", figure.mean, rows, tuple(groups))
     teams = (pl.col(f"{seat}_team").cast(pl.String) for seat in ("ego", "partner"))
     together = pl.Expr.eq(*teams).fill_null(value=False)
     if summary.cross_play is not None:

@@ -59,6 +59,11 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
 
     folder, manifest = record.folder, record.manifest
     summary, identity = read_summary(folder), manifest["identity"]
+    if identity.get("people"):
+        raise ValueError(
+            f"{folder} holds episodes of people, whose actions are in their logs; replay each log, "
+            "or read the folder of logs anew"
+        )
     task = identity["task"]
     partners = [registry.policy(row[0]) for row in identity["partners"]]
     split = _split_of(summary, registry, task)

@@ -8,7 +8,7 @@ forger cannot enlarge them.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,7 @@ def differing_rows(kept: pl.DataFrame, played: pl.DataFrame) -> np.ndarray:
 
 
 def noise_problems(
-    task: str, kept: pl.DataFrame, played: pl.DataFrame, figure: pl.Expr | None = None
+    task: str, kept: pl.DataFrame, played: pl.DataFrame, *figures: pl.Expr
 ) -> list[str]:
     """Return problems of groups of episodes that differ by more than processors do.
 
@@ -84,8 +84,8 @@ def noise_problems(
         task: The task whose measured differences are used.
         kept: The folder's episodes.
         played: The same episodes in the same order, played here.
-        figure: Filter of the headline figure's episodes. Without it, a forger could raise these
-            and lower others.
+        *figures: Filters of the headline figure's episodes, one for each mean of which it is the
+            mean. Without them, a forger could raise these and lower others.
     """
     of_random = kept["ego"] == RANDOM
     if of_random.any() and not of_random.all():
@@ -101,7 +101,7 @@ def noise_problems(
             continue
         signed = signed_gaps(kept, played, name)
         rounding = _rounding(played, name)
-        for group, rows, of_robots in _every_group(kept, figure):
+        for group, rows, of_robots in _every_group(kept, figures):
             far = of_robots and _beyond(np.abs(signed[rows]), rounding[rows], scale)
             if far:
                 problems.append(f"{name} of {_named(group)}: {far}")
@@ -177,15 +177,16 @@ def _one_sided(signed: np.ndarray, rounding: np.ndarray) -> str | None:
 
 
 def _every_group(
-    table: pl.DataFrame, figure: pl.Expr | None
+    table: pl.DataFrame, figures: Sequence[pl.Expr]
 ) -> Iterator[tuple[tuple[str, ...], np.ndarray, bool]]:
     """Yield each group's name and rows, and whether it has all episodes of its robots.
 
     Quantiles were measured for groups with all episodes of a robot.
     """
     yield (), np.arange(table.height), True
-    if figure is not None and (rows := _rows_of(table, figure)).size:
-        yield ("the headline figure",), rows, False
+    for figure in figures:
+        if (rows := _rows_of(table, figure)).size:
+            yield ("the headline figure",), rows, False
     for keys in (["ego"], ["partner"], ["ego", "partner"]):
         for group, rows in groups_of(table, keys):
             yield group, rows, keys == ["ego"]

@@ -14,6 +14,7 @@ import contextlib
 import dataclasses
 import secrets
 from collections.abc import Generator, Mapping, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -274,9 +275,8 @@ def _judge(
     if exact and differing:
         problems = [f"{differing} episodes played again have other values"]
     elif differing:
-        figures = (rebuilt.headline.rows, *[None] * (len(pairs) - 1))
-        for (old, new), figure in zip(pairs, figures, strict=True):
-            problems += noise_problems(task, old, new, figure)
+        problems += noise_problems(task, *pairs[0], *rebuilt.headline.means)
+        problems += [text for pair in pairs[1:] for text in noise_problems(task, *pair)]
     report = dataclasses.replace(
         report,
         episodes=kept[0].height,
@@ -305,14 +305,17 @@ def _with_verdict(
         report.tiles,
         report.of_tiles,
         whole.filter(headline.rows).height - kept.len(),
-        0.0 if same else hidden_bias(task, pair[1], headline.rows),
+        0.0 if same else headline.mean_bias(partial(hidden_bias, task, pair[1])),
         None if kept.is_empty() else float(np.mean((found - kept).to_numpy())),
     )
     flags = [name for name in ("success", "violated") if name in whole.columns]
     biases = (
         {}
         if report.exact
-        else {name: hidden_bias(task, pair[1], headline.rows, name) for name in flags}
+        else {
+            name: headline.mean_bias(partial(hidden_bias, task, pair[1], name=name))
+            for name in flags
+        }
     )
     return dataclasses.replace(
         report,

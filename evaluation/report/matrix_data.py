@@ -10,7 +10,8 @@ from matplotlib.colors import to_hex
 
 from evaluation.figures.clustering import clustered_order
 from evaluation.plots import style
-from evaluation.plots.matrix import short_names
+from evaluation.plots.crossplay.matrix import short_names
+from evaluation.plots.crossplay.traits import traits_of
 
 MEASURES = {  # column of the pairs -> label, unit
     "return": ("mean return", ""),
@@ -30,6 +31,11 @@ Places = tuple[list[int], list[int]]  # an order along an axis, and where lines 
 def matrix_data(pairs: pl.DataFrame, strategies: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return axes, measures as [robots][humans] in the table's order, orders and palettes."""
     rows, columns = (_axis(pairs, seat) for seat in ("ego", "partner"))
+    both = [*rows, *columns]
+    traits = traits_of(*([one[name] for one in both] for name in ("algorithm", "disability")))
+    for one in both:
+        policy = one["algorithm"], one["disability"]
+        one["traits"] = {trait.name: trait.value(*policy) for trait in traits}
     shape = len(rows), len(columns)
     measures = {
         name: {
@@ -40,7 +46,6 @@ def matrix_data(pairs: pl.DataFrame, strategies: Mapping[str, Any] | None = None
         for name, (label, unit) in MEASURES.items()
         if name in pairs.columns
     }
-    both = [*rows, *columns]
     return {
         "rows": rows,
         "columns": columns,
@@ -56,10 +61,8 @@ def matrix_data(pairs: pl.DataFrame, strategies: Mapping[str, Any] | None = None
             to_hex(colour)
             for colour in matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 256))
         ],
-        "palettes": {
-            "algorithm": style.algorithm_colours(policy["algorithm"] for policy in both),
-            "disability": style.disability_colours(policy["disability"] for policy in both),
-        },
+        "strips": [trait.name for trait in traits],  # from the matrix outwards
+        "palettes": {trait.name: trait.colours for trait in traits},
     }
 
 

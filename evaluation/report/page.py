@@ -17,7 +17,6 @@ import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures.by_parameter import summarise_parameters
 from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import league_table, read_league, row_folders
@@ -25,9 +24,10 @@ from evaluation.figures.normalised import REFERENCE_ORDER
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.plots.captions import provenance
 from evaluation.plots.charts import performance_profile, trait_points, zsc_dots
-from evaluation.plots.heatmap import crossplay_heatmap
+from evaluation.plots.crossplay.heatmap import crossplay_heatmap
+from evaluation.plots.crossplay.matrix import arrange, short_names
+from evaluation.plots.figures import adaptation_of
 from evaluation.plots.league import league_chart
-from evaluation.plots.matrix import arrange, short_names
 from evaluation.plots.persons import described_panels
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
@@ -78,11 +78,16 @@ def write_report(
 
 
 def figures_html(
-    figures: Mapping[str, Mapping[str, Any] | None], what: str, notes: Iterable[str]
+    figures: Mapping[str, Mapping[str, Any] | None],
+    what: str,
+    notes: Iterable[str],
+    picture: Path,
 ) -> str:
-    """Return estimates as an HTML table, with their notes."""
+    """Return estimates as an HTML table, with their notes and a picture, a .png file."""
     template = templates().get_template("figures.html")
-    return template.render(figures=list(figures.items()), what=what, notes=list(notes))
+    source = f"data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}"
+    shown = list(figures.items())
+    return template.render(figures=shown, what=what, notes=list(notes), picture=source)
 
 
 @functools.cache
@@ -102,7 +107,6 @@ def templates() -> jinja2.Environment:
     known: dict[str, Any] = {
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
         "letter": lambda number: chr(ord("A") + number),
-        "settings": DISABILITY_SETTINGS,
         "touches": TOUCHES,
         "reference_order": REFERENCE_ORDER,
     }
@@ -155,6 +159,7 @@ def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
             notes=[*notes],
             image=_embedded(league_chart({league.context.task: table})),
             rows=table.rows(named=True),
+            wishes=list(dict.fromkeys(wish for row in league.rows for wish in row.care.adaptation)),
             contrasts=contrasts,
             episodes=(),
             run=None,
@@ -171,16 +176,20 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
     drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
-    known = {key: column for key, column in _PARTNER.items() if column in partners.columns}
+    persons = kind_of(partners["partner"].to_list()).has_numbers
+    shown_of = _NAMES | (_FAMILY if persons else _SETTING) | _MEASURED
+    known = {key: column for key, column in shown_of.items() if column in partners.columns}
     headings, columns = [*known], [*known.values()]
     images = {"returns with training and test partners": zsc_dots(named)}
-    if kind_of(partners["partner"].to_list()).has_numbers:
+    if persons:
         images |= _effects_figure(folder)
     else:
         images["returns by the partner's disability setting"] = trait_points(named)
     images["performance profile"] = drawn
     if summary["by_preference"]:
         images["returns by the human's preference"] = trait_points(named, "preference")
+    if summary["adaptation"]:
+        images["done beside liked"] = adaptation_of(folder)
     if (folder / tables.BOUNDS_FILE).is_file():
         bounds = tables.read_parquet(folder / tables.BOUNDS_FILE)
         partners = partners.join(
@@ -189,6 +198,7 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
         headings, columns = [*headings, *_BOUNDS], [*columns, *_BOUNDS.values()]
     shown = partners.with_columns(pl.Series("partner", short_names(list(partners["partner"]))))
     return {
+        "persons": persons,
         "images": {alt: _embedded(figure) for alt, figure in images.items()},
         "headings": headings,
         "rows": shown.select(columns).sort("return").rows(),
@@ -208,13 +218,15 @@ def _effects_figure(folder: Path) -> dict[str, Figure]:
 
 
 # Heading and unit -> column; some of gentle tasks alone.
-_PARTNER = {
-    ("partner", ""): "partner",
-    ("side", ""): "side",
-    ("disability", ""): "partner_disability",
+_NAMES = {("partner", ""): "partner", ("side", ""): "side"}
+_FAMILY, _SETTING = (
+    {("family", ""): "partner_algorithm"},
+    {("disability", ""): "partner_disability"},
+)
+_MEASURED = {
     ("mean return", ""): "return",
     ("success", "of episodes"): "success",
-    ("safe success", "of episodes"): "safe_success",
+    ("discomfort", "of felt steps"): "discomfort_share",
     ("violations", "of episodes"): "violated",
     ("force mean", "N"): "force_mean",
     ("force peak", "N"): "force_peak",

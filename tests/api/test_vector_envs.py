@@ -11,6 +11,7 @@ import pytest
 
 import assistax_zoo as az
 from assistax_base.errors import SplitError
+from assistax_envs.persons.rows import side
 from tests.untrained import gentle_specs, published, teams_of
 from zoo.parameters import storage
 from zoo.registry import load_registry
@@ -93,11 +94,28 @@ def codes(state: Any) -> set[int]:
     return set(np.asarray(state.env.params.preference_code).tolist())
 
 
-def test_preferences_may_be_a_text() -> None:
-    options: dict[str, Any] = {"partners": "gentle_scratch/ippo-d1-s1-v3", "form": "jaxmarl"}
-    env = az.vector_env("gentle_scratch", 8, preferences="p2,p7", backend="native", **options)
+def test_preferences_may_be_a_text(tmp_path: Path) -> None:
+    task = "gentle_scratch"
+    path = published(teams_of(2, *gentle_specs(task), task=task), tmp_path)
+    options: dict[str, Any] = {"form": "jaxmarl", "backend": "native", "zoo": path}
+    env = az.vector_env(task, 8, preferences="p2,p7", **options)
     _, state = jax.jit(env.reset)(jax.random.key(0))
     assert codes(state) == {2, 7}
+
+
+def test_a_gentle_task_has_persons_by_default() -> None:
+    seated = {}
+    for partners in (None, "gentle_scratch/person-0004*-v1"):
+        env = az.vector_env("gentle_scratch", 2, partners=partners, backend="native")
+        env.reset(seed=0)
+        seated[partners] = [int(name.removeprefix("person-")) for name in env.partner_names()]
+    assert {side(number) for numbers in seated.values() for number in numbers} == {"training"}
+    assert {number // 10 for number in seated["gentle_scratch/person-0004*-v1"]} == {4}
+    for partners in ("gentle_scratch/person-09000-v1", "gentle_scratch/person-20000-v1"):
+        with pytest.raises(SplitError, match="one of its test side"):
+            az.vector_env("gentle_scratch", 2, partners=partners, backend="native")
+    with pytest.raises(ValueError, match="persons have no preferences to choose"):
+        az.vector_env("gentle_scratch", 2, preferences="p1", backend="native")
 
 
 def test_forms_and_wrong_arguments() -> None:

@@ -5,11 +5,14 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 import yaml
 
 from assistax_base.digest import sha256
+from assistax_zoo.commands.partners.cite import DOI
 from assistax_zoo.shell.main import run
 from tests.cli.test_zoo_commands import write_run
+from tests.zoo.conftest import put, trained_teams
 from zoo.registry import load_registry
 from zoo.verify import verify
 
@@ -47,11 +50,21 @@ def test_citation_agrees_with_the_citation_file(capsys) -> None:
 
 def test_citation_names_release_root_and_registry(capsys) -> None:
     registry = load_registry()
-    for release in ("v1", "v3"):  # v3's root covers its persons
-        note = cited(capsys, "--release", release)[f"assistax_zoo_{release}"]["note"]
-        assert f"root {registry.root(release)}" in note
-        assert f"registry {sha256(registry.path.read_bytes())}" in note
-        assert all(split in note for split in registry.data.releases[release].splits.values())
+    note = cited(capsys, "--release", "v1")["assistax_zoo_v1"]["note"]
+    assert f"root {registry.root('v1')}" in note
+    assert f"registry {sha256(registry.path.read_bytes())}" in note
+    assert all(split in note for split in registry.data.releases["v1"].splits.values())
+
+
+def test_a_lock_and_another_release_are_refused(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "registry.json"
+    put(trained_teams(), path)
+    put(trained_teams(), path, "v1")
+    own, lock = ["--registry", str(path)], str(tmp_path / "paper.lock")
+    assert run(["lock", "--release", "v1", "--out", lock, *own]) == 0
+    capsys.readouterr()
+    assert run(["cite", "--lock", lock, "--release", "v0", *own]) == 1
+    assert "pins release v1, not v0" in capsys.readouterr().err
 
 
 def test_citation_names_the_pins_of_a_lock(tmp_path: Path, capsys) -> None:
@@ -61,8 +74,6 @@ def test_citation_names_the_pins_of_a_lock(tmp_path: Path, capsys) -> None:
     note = cited(capsys, "--lock", str(lock))["assistax_zoo_v1"]["note"]
     assert f"lock {json.loads(lock.read_text())['sha256']}" in note
     assert "scratch/half-s0-v1-524fe016" in note and "bed_bath/" not in note
-    assert run(["cite", "--lock", str(lock), "--release", "v3"]) == 1
-    assert "pins release v1, not v3" in capsys.readouterr().err
     assert run(["cite", "--release", "v9"]) == 1
     assert "v9" in capsys.readouterr().err
 
@@ -90,3 +101,29 @@ def test_foreign_zoo_is_cited_by_its_wish(tmp_path: Path, monkeypatch, capsys) -
     assert f"registry {sha256(registry.path.read_bytes())}" in entry["note"]
     assert run([*words, "--url", "lab.example/{zoo}"]) == 1
     assert "citation" in capsys.readouterr().err
+
+
+def test_a_result_is_cited_by_what_it_used(tmp_path: Path, capsys) -> None:
+    team, out = "scratch/ippo-d1-s0", str(tmp_path / "out")
+    play = ["--episodes", "1", "--backend", "native", "--no-references", "--split", "both"]
+    robots = ["evaluate", "scratch/ppo-ego-s0", "--partners", "scratch/ippo-d1-s[01]"]
+    assert run([*robots, *play, "--out", out]) == 0
+    capsys.readouterr()
+    registry = load_registry()
+    note = cited(capsys, out)["assistax_zoo_v1"]["note"]
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert f"root {registry.root('v1')}; scratch in version 1; split scratch/half" in note
+    assert f"result {manifest['sha256']}" in note and team not in note
+    assert run(["cite", out, "--release", "v1"]) == 1
+    assert "says what was used" in capsys.readouterr().err
+    path = tmp_path / "registry.json"
+    put(trained_teams(), path, "v1")
+    assert run(["cite", out, "--registry", str(path)]) == 1
+    assert "which the registry in use does not have" in capsys.readouterr().err
+
+
+def test_software_has_a_doi_once_there_is_one(capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation.get("doi", "") == DOI
+    monkeypatch.setattr("assistax_zoo.commands.partners.cite.DOI", "10.5281/zenodo.1")
+    assert cited(capsys)["assistax_zoo"]["doi"] == "10.5281/zenodo.1"

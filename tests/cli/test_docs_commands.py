@@ -60,10 +60,10 @@ def test_the_guides_have_commands() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "assistax-zoo evaluate --task scratch --policy x --nothing 3",
+        "assistax-zoo evaluate --task scratch x --nothing 3",
         "assistax-zoo unknown --task scratch",
         "X=1 assistax-zoo train population --plan p.json --out r --block 2 # comment",
-        "assistax-zoo evaluate --policy x",
+        "assistax-zoo crossplay --robots x",
     ],
 )
 def test_a_planted_mistake_is_found(line: str) -> None:

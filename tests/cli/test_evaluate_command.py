@@ -44,7 +44,7 @@ def evaluate(registry: Path, *words: Any, policy: Any = "zoo:scratch/ippo-d1-s0-
     options = {"--task": "scratch", "--episodes": 2, "--backend": "native"}
     defaults = [word for option in options.items() if option[0] not in words for word in option]
     defaults += [] if "--references" in words else ["--no-references"]
-    return call("evaluate", "--policy", policy, "--registry", registry, *defaults, *words)
+    return call("evaluate", policy, "--registry", registry, *defaults, *words)
 
 
 def failure(capfd, code: int) -> str:
@@ -73,7 +73,7 @@ def test_json_is_the_object_of_the_design(registry: Path, capfd):
 
 @pytest.mark.slow
 def test_both_sides_give_the_gap_and_keep_the_tables(registry: Path, tmp_path: Path, capfd):
-    assert evaluate(registry, "--split", "both", "--out", tmp_path / "out") == 0
+    assert evaluate(registry, "--all", "--split", "both", "--out", tmp_path / "out") == 0
     printed = capfd.readouterr().out
     words = ("M_test", "M_train - M_test", "d9", "worst partner", str(tmp_path / "out"))
     assert all(word in printed for word in words)
@@ -110,10 +110,10 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert len(list((tmp_path / "cache" / "assistax-zoo" / "references").iterdir())) == 3
     run_of = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run_of["command"].startswith("assistax-zoo evaluate")
-    assert evaluate(registry, *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
+    assert evaluate(registry, "--all", *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
     printed = capfd.readouterr()
     assert "zero action" in printed.out
-    assert "reference egos" not in printed.err  # played once for all policies
+    assert "reference robots" not in printed.err  # played once for all policies
 
 
 @pytest.mark.slow
@@ -149,7 +149,7 @@ def test_a_wrong_share_is_refused(registry: Path, tmp_path: Path, words, message
 
 
 def test_several_policies_are_seeds_of_one_method(registry: Path, capfd):
-    words = ["--policy", "zoo:scratch/ippo-d1-s1-v0/robot", "--partners", "scratch/ippo-d9-*"]
+    words = ["zoo:scratch/ippo-d1-s1-v0/robot", "--partners", "scratch/ippo-d9-*"]
     assert evaluate(registry, *words, "--split", "test", "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     assert len(summary["egos"]) == 2
@@ -162,7 +162,7 @@ def test_crossplay_diagonal_is_self_play(registry: Path, tmp_path: Path, capfd):
     """Two teams of each setting; self-play is what `evaluate` gives for a robot's own human."""
     out, teams = tmp_path / "xp", "scratch/ippo-d?-s[01]-v0"
     words = [*SCRATCH, "--episodes", 2, "--registry", registry, "--out", out]
-    words += ["--egos", f"{teams}/robot", "--partners", f"{teams}/human"]
+    words += ["--robots", f"{teams}/robot", "--humans", f"{teams}/human"]
     assert call("crossplay", *words, "--json") == 0
     summary = json.loads(capfd.readouterr().out)
     assert set(summary["self_play"]) >= FIGURE
@@ -224,13 +224,13 @@ def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, 
         (["--split", "both", "--partners", "scratch/ippo-d1-s0-*"], "let include_own count them"),
         (["--split", "half:best"], "after the colon test, train, validation, both are"),
         (["--partners", "scratch/ippo-d1-s77-v0/human"], "nearest: scratch/ippo-d1-"),
-        (["--policy", "zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
-        (["--policy", "zoo:scratch/ippo-d1-s0-v0/robot"], "is given 2 times"),
-        (["--policy", "robot"], "unknown form; allowed are an id such as"),
-        (["--policy", "robot.py:make"], "did you mean python:robot.py:make?"),
-        (["--policy", "bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
-        (["--policy", "robot.onnx"], "there is no file robot.onnx"),
-        (["--policy", "python:never_imported:f", "--out", "/dev/null/x"], "choose another folder"),
+        (["zoo:scratch/ippo-d1-s00-v0/robot"], "nearest: scratch/ippo-d1-s0-v0/robot"),
+        (["zoo:scratch/ippo-d1-s0-v0/robot"], "is given 2 times"),
+        (["robot"], "unknown form; allowed are an id such as"),
+        (["robot.py:make"], "did you mean python:robot.py:make?"),
+        (["bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
+        (["robot.onnx"], "there is no file robot.onnx"),
+        (["python:never_imported:f", "--out", "/dev/null/x"], "choose another folder"),
     ],
 )
 def test_bad_input_gets_one_clear_line(registry: Path, words: list[str], message: str, capfd):
@@ -249,7 +249,7 @@ def test_a_release_of_another_environment_version_is_refused(registry: Path, cap
 
 def run_apart(published: Path, folder: Path, code: str, *words: str, **variables: str) -> Any:
     """Evaluate a robot of a registry in a process of its own."""
-    evaluation = ["evaluate", "--task", "scratch", "--policy", "scratch/ippo-d9-s2-v0/robot"]
+    evaluation = ["evaluate", "--task", "scratch", "scratch/ippo-d9-s2-v0/robot"]
     return subprocess.run(
         [sys.executable, "-c", code, *evaluation, "--registry", str(published), *words],
         cwd=folder,

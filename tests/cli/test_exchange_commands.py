@@ -100,9 +100,19 @@ def test_robot_is_shared_in_two_commands(tmp_path: Path, capsys) -> None:
     assert run(["show", FIRST, *registry, "--card", str(mine / "cards" / "first.md")]) == 0
     card = (mine / "cards" / "first.md").read_text()
     assert "assistax-zoo add ADDRESS-OF-THIS-ZOO --as NAME" in card  # its readers do not have it
-    assert f"--policy NAME:{FIRST}/robot" in card and f"export NAME:{FIRST}/robot" in card
+    assert f"NAME:{FIRST}/robot" in card and f"export NAME:{FIRST}/robot" in card
     capsys.readouterr()
     assert answer(capsys, "verify", *registry)["ok"] is True
+
+
+def test_only_the_named_seeds_are_published(tmp_path: Path, capsys) -> None:
+    run_folder, mine = str(write_run(tmp_path / "run")), ("--to", str(tmp_path / "my-zoo"))
+    words = ("publish", run_folder, "--release", "v0", *mine, "--seeds")
+    added = answer(capsys, *words, "1,3")["added"]
+    assert {name.rpartition("-v0")[0] for name in added} == {
+        f"scratch/ippo-{setting}-s{seed}" for setting in ("d1", "d9") for seed in (1, 3)
+    }
+    assert "seed 7 is not in the runs; allowed are 0, 1, 2, 3" in refusal(capsys, *words, "1,7")
 
 
 def test_deep_names_policies_that_do_not_fit_the_environment(zoo: Path, capsys) -> None:
@@ -167,7 +177,7 @@ def test_onnx_robot_earns_its_originals_return(tmp_path: Path, capsys, monkeypat
     words = ("evaluate", "--task", "scratch", "--partners", f"{TEAM}/human", "--episodes", "2")
     means = []
     for name, policy in (("ours", f"zoo:{TEAM}/robot"), ("onnx", f"onnx:{robot}")):
-        out = ("--include-own", "--policy", policy, "--out", str(tmp_path / name))
+        out = ("--include-own", policy, "--out", str(tmp_path / name))
         figures = answer(capsys, *words, *out)
         means.append((figures["m_train"] or figures["m_test"])["mean"])
     ours, theirs = means

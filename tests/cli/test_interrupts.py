@@ -15,7 +15,7 @@ from assistax_zoo.shell.interrupts import CONTINUED
 ROOT = Path(__file__).parents[2]
 TEAM = "zoo:scratch/ippo-d1-s0-v1"
 COMMANDS = {
-    "evaluate": f"--policy {TEAM}/robot --backend native --episodes 200 --no-references",
+    "evaluate": f"{TEAM}/robot --backend native --episodes 200 --no-references",
     "crossplay": "--episodes 8 --backend native",
     "train": "--steps 2M --num-envs 64 --backend native",
     "render": f"--robot random --human {TEAM}/human",

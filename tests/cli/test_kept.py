@@ -24,7 +24,7 @@ from zoo.registry import load_registry
 
 TABLE = Path(__file__).parents[2] / "docs" / "tables" / "kept.csv"
 ROBOTS = "scratch/ippo-d1-s*-v0/robot"
-EVALUATE = ("evaluate", "--task", "scratch", "--policy", f"zoo:{ROBOTS}", "--split", "both")
+EVALUATE = ("evaluate", "--task", "scratch", f"zoo:{ROBOTS}", "--split", "both")
 EVALUATE += ("--episodes", "2", "--include-own", "--backend", "native")
 CROSSPLAY = ("crossplay", "--task", "scratch", "--episodes", "2", "--backend", "native")
 TINY = ("--num-envs", "4", "--set", "rollout_steps=2", "--set", "minibatches=1")

@@ -50,6 +50,25 @@ def test_crossplay_draws_the_saved_matrix_and_says_where(
     assert capfd.readouterr().out == f"{out}\n"
 
 
+def test_a_bare_crossplay_has_no_legend_and_prints_its_words(
+    crossplay_folder: Path, tmp_path: Path, capfd
+):
+    sizes = {}
+    for legend in ((), ("--legend", "below"), ("--bare",), ("--bare", "--legend", "below")):
+        out = tmp_path / "x.svg"
+        words = ("crossplay", crossplay_folder, "--out", out, "--width", "3.3", *legend)
+        assert call(*words) == 0
+        printed = capfd.readouterr().out.splitlines()
+        drawn = out.read_text(encoding="utf-8")
+        assert 'width="237.6pt"' in drawn
+        assert (">0.4 (d9)<" in drawn) == (legend != ("--bare",))
+        sizes[legend] = len(printed)
+        assert printed[0] == str(out)
+        if "--bare" in legend:
+            assert printed[1] == "Cross-play: scratch" and "n = 6 robots" in printed[3]
+    assert list(sizes.values()) == [1, 1, 4, 4]
+
+
 def test_a_forged_order_is_not_drawn(crossplay_folder: Path, tmp_path: Path):
     path, drawn = crossplay_folder / tables.ORDER_FILE, []
     forged = tables.read_json(path)

@@ -75,8 +75,8 @@ def test_told_robots_are_played_alone_where_they_are_told(tmp_path, capfd):
     assert run(["train-ego", *task, *words, "--out", str(out)]) == 0
     file = str(out / "policies" / "liam-s0.safetensors")
     spec, _, metadata = storage.read_policy_file(file)
-    assert metadata["told"] is True and spec.observation_size == 46 + 3 and spec.latent == 16
-    words = ["--policy", file, "--persons", "2", "--episodes", "1", "--backend", "native"]
+    assert metadata["told"] is True and spec.observation_size == 54 + 3 and spec.latent == 16
+    words = [file, "--persons", "2", "--episodes", "1", "--backend", "native"]
     capfd.readouterr()
     assert run(["evaluate", *task, *words, "--out", str(tmp_path / "refused")]) == 1
     assert "references are not: leave references out" in capfd.readouterr().err

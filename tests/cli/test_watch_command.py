@@ -69,7 +69,7 @@ class Window:
 
 @pytest.mark.slow
 def test_without_a_display_a_page_is_written(tmp_path: Path, capfd) -> None:
-    assert run(["watch", "scratch", "random", "zero", *STEPS]) == 0
+    assert run(["watch", "random", "zero", "--task", "scratch", *STEPS]) == 0
     assert capfd.readouterr().out == "watch.html\n"
     text = (tmp_path / "watch.html").read_text(encoding="utf-8")
     assert "An episode of scratch" in text and "data-autoplay" in text
@@ -217,20 +217,21 @@ def test_a_pair_of_another_registry_is_not_played(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("scratch zero", "scratch has a robot and no human; give both"),
-        ("gone.trajectory", "there is no file gone.trajectory"),
-        ("gone.trajectory --preference p1", "leave out preference"),
-        ("gone.trajectory --steps 2 --seed 1", "leave out steps, seed"),
-        ("scratch zero zero --out x.gif", "x.gif ends in '.gif'; allowed are .html"),
-        ("scratch zero zero --episode 2", "episode is for recordings"),
-        ("scratch zero best", "policy 'best' has an unknown form"),
-        ("swim zero zero", "task is 'swim'; allowed are scratch"),
-        ("scratch zero zero --steps 0", "steps is 0; allowed are 1 to 1000"),
+        ("zero", "no recording is at zero; give a robot and a human"),
+        ("gone.trajectory", "no recording is at gone.trajectory"),
+        ("there.trajectory --preference p1", "leave out preference"),
+        ("there.trajectory --steps 2 --seed 1", "leave out steps, seed"),
+        ("zero zero --task scratch --out x.gif", "x.gif ends in '.gif'; allowed are .html"),
+        ("zero zero --task scratch --episode 2", "episode is for recordings"),
+        ("zero best --task scratch", "policy 'best' has an unknown form"),
+        ("zero zero --task swim", "task is 'swim'; allowed are scratch"),
+        ("zero zero --task scratch --steps 0", "steps is 0; allowed are 1 to 1000"),
     ],
 )
 def test_wrong_words_get_one_line(words: str, message: str, tmp_path: Path, capfd) -> None:
+    Path("there.trajectory").touch()
     assert run(["watch", *words.split()]) == 1
     printed = capfd.readouterr()
     assert printed.out == "" and printed.err.startswith("error: ")
     assert message in printed.err and printed.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["there.trajectory"]

@@ -106,10 +106,10 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
 
     together, files = play(0.3)
     assert counts(together) == {SELF_PLAY: 6, RANDOM: 6, ZERO: 6}
-    assert set(seen) == {"reference egos 48", "reference egos 24"}
+    assert set(seen) == {"reference robots 48", "reference robots 24"}
     again, same = play(-0.9)
     assert again.equals(together) and same == files and all(path.is_file() for path in files)
-    assert set(seen) == {"reference egos 0"}
+    assert set(seen) == {"reference robots 0"}
 
 
 @pytest.fixture
@@ -168,7 +168,8 @@ def test_task_script_is_a_policy():
     _, actions = policy.act(None, (), obs, jnp.zeros(obs.shape[:2], bool))
     _, few = policy.act(None, (), obs[1], jnp.zeros(5, bool))
     assert actions.shape == (2, 5, 7) and float(jnp.abs(actions).max()) <= 1.0
-    np.testing.assert_allclose(actions[1], few, atol=1e-5)
+    # Another program, of observations that no scene has: quaternions of any length, say.
+    np.testing.assert_allclose(actions[1], few, atol=1e-4)
     assert float(jnp.abs(few).max()) > 0.1
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from assistax_envs.persons.parameters import PARAMETERS, index
-from assistax_envs.persons.rows import persons
+from assistax_envs.persons.rows import PARAMETERS, index, persons
 from assistax_zoo.shell.main import run
 from evaluation.figures.by_parameter import (
     Outcomes,
@@ -26,13 +25,13 @@ TASK = "gentle_scratch"
 
 
 def outcomes_of(count: int = 1000, *, slope: float = 1.0, noise: float = 0.0, seed: int = 0):
-    """Return persons whose return is their strength's rank, and luck; safe success is luck."""
+    """Return persons whose return is their strength's rank, and luck; success is luck."""
     rows, rng = persons(TASK)[:count], np.random.default_rng(seed)
     strength = rows[:, index(TASK)["strength"]].astype(float)
     rank = (strength - strength.mean()) / strength.std()
     values = {
         "return": slope * rank + noise * rng.normal(size=count),
-        "safe_success": rng.integers(0, 5, count) / 4,
+        "success": rng.integers(0, 5, count) / 4,
     }
     return Outcomes(TASK, rows, values, 4 * count, 1)
 
@@ -52,7 +51,7 @@ def test_effect_of_one_number_is_found() -> None:
 def test_luck_alone_is_no_effect() -> None:
     shares = []
     for seed in range(10):
-        ordered, chance = effects(outcomes_of(seed=seed), "safe_success", resamples=200, seed=seed)
+        ordered, chance = effects(outcomes_of(seed=seed), "success", resamples=200, seed=seed)
         shares += [effect.share for effect in ordered]
         assert ordered[0].share_ci[0] < 0.005
         assert sum(effect.share > chance for effect in ordered) <= 2
@@ -104,13 +103,13 @@ def test_cell_without_persons_is_none() -> None:
     assert empty and all(cells.values["return"][x][y] is None for x, y in empty)
 
 
-NETWORK = "gentle_scratch/ippo-d1-s0-v3/human"
+NETWORK = "gentle_scratch/ippo-d1-s0-v1/human"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with 40 persons, two robots, and one partner that is no person."""
-    partners = [f"gentle_scratch/person-{number:05d}-v3/human" for number in range(40)]
+    partners = [f"gentle_scratch/person-{number:05d}-v1/human" for number in range(40)]
     returns = np.random.default_rng(0).normal(100.0, 30.0, (2, 41, 2))
     table = episode_table(returns, ["a", "b"], teams(41), ["test"] * 41)
     old = table["partner"].unique(maintain_order=True)
@@ -124,7 +123,7 @@ def test_a_folder_is_read_person_by_person(folder: Path) -> None:
     record = Record.read(folder)
     of = outcomes(record)
     np.testing.assert_array_equal(of.rows, persons(TASK)[:40])
-    somebody = record.table.filter(partner="gentle_scratch/person-00007-v3/human")
+    somebody = record.table.filter(partner="gentle_scratch/person-00007-v1/human")
     assert of.values["return"][7] == pytest.approx(np.mean(somebody["return"].to_list()))
     assert of.egos == 2 and of.episodes == record.table.height - record.table.height // 41
     summary = summarise_parameters(record, ("strength", "pace"), most=3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from assistax_base.errors import RegistryVersionError, UnknownIdError
+from assistax_envs.versions import VERSIONS
 from evaluation import evaluate
 from evaluation.cast.cast import choose_partners, env_version, in_release
 from evaluation.cast.egos import EgoError
@@ -69,13 +70,14 @@ def test_other_version_error_names_fitting_releases(tmp_path: Path) -> None:
 
 def test_fitting_releases_exclude_those_without_partners() -> None:
     registry, task = load_registry(), "gentle_feeding"
-    releases = registry.data.releases
-    egos = releases["v5"].model_copy(update={"splits": {}, "persons": {}})
-    more = {"releases": {**releases, "mine:v0": egos}}
+    releases, now = registry.data.releases, VERSIONS["gentle_feeding"]
+    egos = releases["v1"].model_copy(update={"splits": {}, "persons": {}})
+    before = egos.model_copy(update={"environments": {task: now - 1}})
+    more = {"releases": {**releases, "v5": before, "mine:v0": egos}}
     registry = dataclasses.replace(registry, data=registry.data.model_copy(update=more))
-    names = ("asymmetric_gru-ego-s114-v5", "gru-ego-s3-v4")
-    newer, older = (registry.policy(f"{task}/{name}/robot") for name in names)
-    with pytest.raises(RegistryVersionError, match=r"of version 2: partners persons$"):
+    newer = registry.of_task(task, "robot")[0]
+    older = dataclasses.replace(newer, id="older", release="v5")
+    with pytest.raises(RegistryVersionError, match=rf"of version {now}: partners persons$"):
         env_version(registry, task, [newer, older])
 
 

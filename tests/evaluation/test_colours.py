@@ -24,6 +24,10 @@ COLOUR_VISION = {
 }
 XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
 SETTINGS = style.disability_colours([f"d{i}" for i in range(1, 10)])
+LEVELS = {
+    name: [style.level_colour(name, level) for level in (1.0, 0.7, 0.4)]
+    for name in ("strength", "range")
+}
 OURS = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "mep"])
 OTHERS = style.algorithm_colours(["e", "f", "g", "h"])
 # Rows whose learning curves usually stand in one figure.
@@ -31,6 +35,7 @@ KNOWN = KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR
 ROWS = style.algorithm_colours(["ppo", "sac", *METHODS, *KNOWN])
 MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
 CLEAR, SEEN = 15.0, 8.0  # CIEDE2000: of two colours for full vision, and for any vision
+APART = 6.5  # of two strips, which their places tell apart too
 
 
 def lab(colours: Iterable[object], vision: str = "normal") -> np.ndarray:
@@ -90,8 +95,13 @@ def test_strip_colours_differ(vision: str):
     for strip in (OURS, SETTINGS, ROWS):
         for (one, first), (two, other) in itertools.combinations(strip.items(), 2):
             assert closest([first], [other], vision) > least, (one, two)
-    assert closest(OURS.values(), SETTINGS.values(), vision) > least
-    assert closest([*OURS.values(), *SETTINGS.values()], MAP, vision) > 5.0
+    for colours in LEVELS.values():
+        for first, other in itertools.combinations(colours, 2):
+            assert closest([first], [other], vision) > CLEAR
+        assert closest(OURS.values(), colours, vision) > APART
+        assert closest(colours, MAP, vision) > 5.0
+    assert closest(LEVELS["strength"], LEVELS["range"], vision) > APART
+    assert closest(OURS.values(), MAP, vision) > 5.0
 
 
 @pytest.mark.parametrize("vision", COLOUR_VISION)
@@ -102,7 +112,6 @@ def test_other_methods_differ_from_ours_and_among_themselves(vision: str):
     assert closest(OTHERS.values(), rows.values(), vision) > SEEN
     for colours in (OTHERS, rows):
         assert closest(colours.values(), OURS.values(), vision) > SEEN
-        assert closest(colours.values(), SETTINGS.values(), vision) > 6.0
 
 
 @pytest.mark.parametrize(
@@ -114,8 +123,26 @@ def test_planted_defect_similar_colours_are_caught(algorithm: str, setting: str)
 
 
 def test_strips_differ_in_grey():
-    for strip, step in ((OURS, 9.0), (SETTINGS, 5.0)):
-        assert min(np.diff(np.sort(lab(strip.values())[:, 0]))) > step
+    families = list(OTHERS.values())[:3]  # of persons
+    for strip, step in ((OURS.values(), 9.0), (SETTINGS.values(), 5.0), (families, 9.0)):
+        assert min(np.diff(np.sort(lab(strip)[:, 0]))) > step
+    for colours in LEVELS.values():  # one hue, lighter as less is left
+        lightness, a, b = lab(colours).T
+        assert min(np.diff(lightness)) > 20
+        hues = np.degrees(np.arctan2(b, a))
+        assert np.ptp(hues) < 25
+
+
+def test_no_colour_of_a_strip_is_nearly_black():
+    strips = [*OURS.values(), *SETTINGS.values(), *LEVELS["strength"], *LEVELS["range"]]
+    assert lab(strips)[:, 0].min() > 30
+
+
+def test_planted_defect_nearly_black_is_caught():
+    assert lab(["#331100", "#000033", "#002222"])[:, 0].max() < 30
+
+
+def test_settings_are_lighter_as_strength_falls():
     for first in (1, 4, 7):  # lighter as strength falls
         lightness = lab(SETTINGS[f"d{i}"] for i in range(first, first + 3))[:, 0]
         assert min(lightness[1:] - lightness[0]) > 12
@@ -126,6 +153,7 @@ def test_algorithm_colour_is_constant():
         assert style.algorithm_colours(names)["masac"] == style.ALGORITHMS["masac"]
     assert style.algorithm_colours(["PPO"])["PPO"] == style.ALGORITHMS["ippo"]
     known = {*style.ALGORITHMS.values(), *style.ROWS.values(), *SETTINGS.values()}
+    known |= {colour for colours in LEVELS.values() for colour in colours}
     for folder in ("evaluation", "assistax_zoo", "tools"):
         for path in (ROOT / folder).rglob("*.py"):
             named = re.findall(r"#[0-9a-fA-F]{6}", path.read_text(encoding="utf-8"))

@@ -38,8 +38,8 @@ def test_my_robot_against_the_zoo_in_ten_lines(
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 10)
     words = ["evaluate", "--task", "gentle_scratch", "--episodes", "1", "--backend", "native"]
-    words += ["--partners", "gentle_scratch/ippo-d1-s[12]-v3/human", "--split", "both"]
-    assert run([*words, "--policy", f"python:{name}:make", "--no-references", "--json"]) == 0
+    words += ["--partners", "gentle_scratch/person-0900[12]-v1/human", "--split", "both"]
+    assert run([*words, f"python:{name}:make", "--no-references", "--json"]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["egos"] == [f"python:{name}:make"]
     assert summary["episodes"] == 2
@@ -53,7 +53,7 @@ def test_docs_split_by_behaviour_is_reproduced(
     [example] = re.findall(r"```python\n(.*?create_split.*?)```", page, re.DOTALL)
     before = (ROOT / "registry.json").read_bytes()
     monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
-    (tmp_path / "xp").symlink_to(ROOT / "docs" / "data" / "v1" / "crossplay" / "scratch")
+    (tmp_path / "xp").symlink_to(ROOT / "docs" / "data" / "paper" / "crossplay" / "scratch")
     monkeypatch.chdir(tmp_path)
     exec(example, {})
     few = create_split(task="scratch", rule="small-train")

@@ -7,7 +7,7 @@ import pytest
 
 from assistax_workshop.press.publish import publish
 from evaluation.play.how import PlaySettings
-from evaluation.plots.matrix import arrange
+from evaluation.plots.crossplay.matrix import arrange
 from evaluation.record import tables
 from evaluation.record.verification import check_sources
 from tests.attack.commands import HUMAN, ROBOT, small_zoo

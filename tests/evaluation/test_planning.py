@@ -20,7 +20,7 @@ from evaluation.figures.planning import (
 )
 from tests.evaluation.test_variance import drawn
 
-EGOS = Path(__file__).parents[2] / "docs" / "data" / "v1" / "egos"
+EGOS = Path(__file__).parents[2] / "docs" / "data" / "paper" / "egos"
 TRUE = Spread(seeds=30.0, partners=50.0, pairs=40.0, episodes=80.0, starts=90.0)
 
 

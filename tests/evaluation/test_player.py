@@ -18,8 +18,10 @@ import assistax_zoo as az
 from assistax_base.digest import sha256
 from assistax_base.files import METADATA_KEY
 from assistax_envs.drawing.render import picture_model
+from assistax_envs.persons.rows import index, person
 from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import REGISTERED
+from assistax_envs.versions import VERSIONS
 from evaluation.player.episode import (
     PREFERENCE_WORDS,
     Episode,
@@ -32,9 +34,15 @@ from tests.board.browser import browsing, opened
 from tests.system import CHROMIUM, needs
 
 ROOT = Path(__file__).parents[2]
-TASK, STEPS = "gentle_scratch", 60
-ROBOT, HUMAN = f"{TASK}/ippo-d1-s0-v3/robot", f"{TASK}/mep-d1-s0-v3/human"
-PERSON = f"{TASK}/person-00042-v3"
+TASK, STEPS = "gentle_scratch", 100
+PERSON = f"{TASK}/person-00042-v1"
+SCRIPT = f"""
+import assistax_envs
+from assistax_envs.tasks.chain import script_of
+
+def make():
+    return script_of("{TASK}", assistax_envs.make("{TASK}", "native").model)
+"""
 HOSTILE = "x</script><script>alert(1)</script>"
 
 
@@ -47,8 +55,10 @@ def record(folder: Path, robot: str, human: str, steps: int, seed: int = 0) -> P
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A robot that touches the person 0.8 s after the start."""
-    return record(tmp_path_factory.mktemp("pair"), ROBOT, HUMAN, STEPS)
+    """The task's script, which touches the person in the first two seconds."""
+    folder = tmp_path_factory.mktemp("pair")
+    (folder / "follower.py").write_text(SCRIPT)
+    return record(folder, f"python:{folder / 'follower.py'}:make", PERSON, STEPS, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +95,8 @@ def test_an_episode_is_that_of_the_table(recording: Path, episode: Episode) -> N
         steps["reward"].to_numpy(), abs=1e-4
     )
     wishes = {"force": rows["wish_force"][0], "speed": rows["wish_speed"][0]}
-    assert episode.preferences == wishes and wishes["force"] in (2.0, 4.0, 8.0)
+    liked = person(TASK, 42).row[[index(TASK)[f"liked_{wish}"] for wish in wishes]]
+    assert episode.preferences == wishes and list(wishes.values()) == pytest.approx(liked)
     assert not episode.stopped
 
 
@@ -338,7 +349,7 @@ def test_page_handles_keys_and_shows_preferences(
 @needs("chromium", CHROMIUM)
 def test_person_page_names_preferences(browser: Browser, tmp_path: Path) -> None:
     shown = read_episode(record(tmp_path, "random", PERSON, 3))
-    assert shown.about["version"] == 3
+    assert shown.about["version"] == VERSIONS[TASK]
     write_episode(episode_content(shown), tmp_path / "page.html")
     for page in shown_in(browser, tmp_path / "page.html"):
         who = page.locator(".episode-who")

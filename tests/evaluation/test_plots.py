@@ -16,6 +16,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from assistax_envs.disability import DISABILITY_SETTINGS
 from evaluation.figures import saved_tables as derived
 from evaluation.figures import summary
 from evaluation.plots import style
@@ -27,8 +28,9 @@ from evaluation.plots.charts import (
     trait_points,
     zsc_dots,
 )
-from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.matrix import Matrix, arrange, short_names
+from evaluation.plots.crossplay.heatmap import crossplay_heatmap
+from evaluation.plots.crossplay.matrix import Matrix, arrange, short_names
+from evaluation.plots.crossplay.traits import traits_of
 from evaluation.plots.population import population_grid
 from evaluation.record import tables
 from tests.evaluation.episode_tables import (
@@ -99,7 +101,8 @@ def test_heatmap_has_all_parts():
     population = teams(32, ("ippo",), ("d1", "d3", "d7", "d9"))
     matrix, figure = draw(population, clusters=4)
     parts = axes_by_label(figure)
-    kinds = ("tree:{}", "clusters:{}", "strip:{}:algorithm", "strip:{}:disability")
+    strips = (f"strip:{{}}:{name}" for name in ("algorithm", "range", "strength"))
+    kinds = ("tree:{}", "clusters:{}", *strips)
     beside = {kind.format(seat) for kind in kinds for seat in ("ego", "partner")}
     assert set(parts) == {"matrix", "colourbar", "legend"} | beside
     assert parts["matrix"].get_xlabel() == "human (partner)"
@@ -114,7 +117,8 @@ def test_heatmap_has_all_parts():
         "n = 32 robots × 32 humans, 1 episode a pair (1,024 episodes, 0 non-finite)",
         "Release v0, split scratch-half-v0",
         "self-play on the diagonal",
-        "d9  range 0.4, strength 0.4",
+        "0.4 (d7 d9)",
+        "0.4 (d3 d9)",
         "n = 8, medoid ippo-d1",
     ):
         assert words in caption
@@ -124,14 +128,29 @@ def test_strips_follow_order_of_policies():
     matrix, figure = draw(teams(12, ("ippo", "isac"), ("d1", "d5", "d9")))
     parts = axes_by_label(figure)
     for seat, side, axis in (("ego", matrix.rows, 0), ("partner", matrix.columns, 1)):
-        for trait, values, palette in (
-            ("algorithm", side.algorithms, style.algorithm_colours(side.algorithms)),
-            ("disability", side.disabilities, style.disability_colours(side.disabilities)),
+        palette = style.algorithm_colours(side.algorithms)
+        levels = [DISABILITY_SETTINGS[str(name)] for name in side.disabilities]
+        for trait, colours in (
+            ("algorithm", [palette[str(name)] for name in side.algorithms]),
+            ("strength", [style.level_colour("strength", one.strength) for one in levels]),
+            ("range", [style.level_colour("range", one.elbow_range) for one in levels]),
         ):
             shown = np.asarray(parts[f"strip:{seat}:{trait}"].images[0].get_array())
             assert shown.shape[axis] == 12
-            expected = [to_rgb(palette[str(value)]) for value in values]
+            expected = [to_rgb(colour) for colour in colours]
             np.testing.assert_allclose(shown.reshape(12, 3), expected)
+
+
+def test_settings_without_meaning_are_shown_by_name_if_they_differ():
+    several = traits_of(["ippo"], ["d1", "tremor-1", "tremor-2", None])
+    assert [trait.name for trait in several] == ["strength", "range", "disability", "algorithm"]
+    values = [[trait.value("ippo", name) for trait in several] for name in ("d1", "tremor-1", None)]
+    assert values == [
+        ["1 (d1)", "1 (d1)", None, "IPPO"],
+        [None, None, "tremor-1", "IPPO"],
+        [None, None, None, "IPPO"],
+    ]
+    assert [trait.name for trait in traits_of(["gru"], [None, "own", "own"])] == ["algorithm"]
 
 
 def test_strips_and_dendrograms_are_aligned_with_the_matrix():
@@ -252,7 +271,8 @@ def test_equal_figures_give_equal_files(tmp_path: Path, ending: str):
 def test_drawing_never_imports_pyplot():
     code = (
         "import sys\n"
-        "from evaluation.plots import charts, heatmap, population\n"
+        "from evaluation.plots import charts, population\n"
+        "from evaluation.plots.crossplay import heatmap\n"
         "sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -465,18 +485,62 @@ def test_speeds_and_names_are_inside_figure():
     assert legend.y1 < figure.texts[0].get_window_extent(renderer).y0  # below the title
 
 
-@pytest.mark.parametrize("width", [4.5, 7.0])
-def test_matrix_has_given_width(tmp_path: Path, width: float):
-    pairs, figures = saved(teams(80), clusters=3)
-    figure = crossplay_heatmap(arrange(pairs), figures, width=width)
+def text_sizes(figure: Figure) -> dict[str, float]:
+    return {text.get_text(): float(text.get_fontsize()) for text in visible_texts(figure)}
+
+
+SETTINGS = tuple(f"d{i}" for i in range(1, 10))
+
+
+@pytest.mark.parametrize("legend", [None, "beside", "below", "none"])
+@pytest.mark.parametrize("width", [3.3, 6.75])
+def test_matrix_has_given_width(tmp_path: Path, width: float, legend: Any):
+    pairs, figures = saved(teams(118, ("ippo", "mappo", "masac", "mep"), SETTINGS), clusters=3)
+    if (width, legend) == (3.3, "beside"):
+        with pytest.raises(
+            ValueError, match=r"width is 3.3 inches; allowed for this figure are 3.\d"
+        ):
+            crossplay_heatmap(arrange(pairs), figures, width=width, legend=legend)
+        return
+    figure = crossplay_heatmap(arrange(pairs), figures, width=width, legend=legend)
     assert figure.get_size_inches()[0] == width
+    assert min(text_sizes(figure).values()) >= 4.0
     words = [text.get_text() for text in figure.texts]
     for bare, name in ((False, "whole.svg"), (True, "bare.svg")):
         content = style.save_figure(figure, tmp_path / name, bare=bare).get_size_inches()
         text = (tmp_path / name).read_text(encoding="utf-8")
         assert content[0] == width and f'width="{width * 72:g}pt"' in text
-        assert ">IPPO</text>" in text or ">IPPO<" in text  # letters, not outlines of letters
+        # Letters, not outlines of letters.
+        assert (">IPPO</text>" in text or ">IPPO<" in text) == (legend != "none")
         assert all((word.split("\n")[0][:20] in text) != bare for word in words)
+
+
+def test_matrix_takes_most_of_a_column():
+    pairs, figures = saved(teams(118, ("ippo", "masac"), SETTINGS), clusters=3)
+    figure = crossplay_heatmap(arrange(pairs), figures, width=3.3)
+    parts = axes_by_label(figure)
+    assert parts["matrix"].get_position().width > 0.7
+    legend = parts["legend"].get_window_extent().height / figure.dpi
+    assert legend < 0.15 * figure.get_size_inches()[1]
+    caption = " ".join(style.words(figure).split())
+    assert (
+        "Left out, as smaller than 4 points: names of 118 robots, names of 118 humans." in caption
+    )
+    without = crossplay_heatmap(arrange(pairs), figures, width=3.3, legend="none")
+    assert "legend" not in axes_by_label(without)
+    assert "Strips from the matrix outwards: strength, range, algorithm" in style.words(without)
+
+
+@pytest.mark.parametrize(("count", "seen"), [(6, True), (14, False)])
+def test_numbers_of_cells_are_left_out_where_too_small(count: int, seen: bool):
+    values = np.full((count, count, 1), -123456.0) + 10 * np.eye(count)[:, :, None]
+    population = teams(count)
+    pairs, figures = written(episode_table(values, population, population))
+    figure = crossplay_heatmap(arrange(pairs), figures, width=3.3)
+    numbers = axes_by_label(figure)["matrix"].texts
+    assert bool(numbers) == seen and min(text_sizes(figure).values()) >= 4.0
+    assert ("numbers in cells" in style.words(figure)) != seen
+    assert ("marked by dots" in style.words(figure)) != seen
 
 
 def test_too_small_width_is_refused():

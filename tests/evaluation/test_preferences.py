@@ -27,7 +27,12 @@ from evaluation.play.how import PlaySettings
 from evaluation.play.jobs import Job
 from evaluation.plots.charts import trait_points
 from evaluation.record import tables
-from evaluation.record.columns import GENTLE, TOUCH, TOUCHES, validate_episodes, with_safety
+from evaluation.record.columns import (
+    GENTLE,
+    TOUCH,
+    TOUCHES,
+    validate_episodes,
+)
 from evaluation.record.record import Record
 from evaluation.replay.replay import replay_folder
 from evaluation.report.page import write_report
@@ -129,11 +134,7 @@ def test_figures_by_preference_are_means_over_partners(tmp_path: Path) -> None:
     assert {name: figure.n for name, figure in few.by_preference.items()} == {
         str(name): 2 * count for name, count in counts.items()
     }
-    safe = with_safety(table)
-    assert summary.safe_success is not None
-    assert summary.safe_success.mean == pytest.approx(safe["safe_success"].mean())
-    hurt = safe.filter(pl.col("violated"))
-    assert hurt["success"].any() and not hurt["safe_success"].any()
+    assert summary.caring_success is None and summary.adaptation == {}  # not measured here
 
 
 def test_gentle_folder_has_tables_and_report(tmp_path: Path) -> None:
@@ -147,7 +148,8 @@ def test_gentle_folder_has_tables_and_report(tmp_path: Path) -> None:
     assert [label.get_text() for label in axes.get_xticklabels()] == sorted(NAMES)
     write_report(tmp_path, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "test partners of p3" in text and "safe success" in text and "contact peak" in text
+    assert "test partners who prefer p3" in text
+    assert "how people fared" in text and "contact peak" in text
     paper = {**shown, "by_preference": {}}
     with pytest.raises(ValueError, match="no partner of these folders has a preference"):
         trait_points({"mine": paper}, "preference")

@@ -94,6 +94,31 @@ def test_hard_partners_do_not_blur_order() -> None:
     assert rank_methods(shuffled).places.tolist() == [1, 1]
 
 
+def test_groups_of_partners_count_alike() -> None:
+    """Of 40 partners 30 are of one group, in which the first method is better by 20."""
+    groups = ["known"] * 30 + ["unseen"] * 10
+    first = np.where(np.array(groups) == "known", 20.0, -30.0)
+    rng = np.random.default_rng(15)
+    scores = [level + rng.normal(0, 1, (3, 40)) for level in (first, np.zeros(40))]
+    assert rank_methods(scores).places.tolist() == [1, 2]
+    assert rank_methods(scores, groups=groups).places.tolist() == [2, 1]
+    alone = rank_methods(scores, groups=[*["known"] * 39, "unseen"])
+    assert alone.places.tolist() == [1, 1], "of one partner nobody knows how far others differ"
+    with pytest.raises(ValueError, match="2 groups for 40 partners"):
+        rank_methods(scores, groups=["known", "unseen"])
+
+
+def test_unequal_groups_keep_the_level() -> None:
+    """Equal methods whose partners of the small group differ five times as much."""
+    groups = ["known"] * 24 + ["unseen"] * 6
+    spread, rng = np.where(np.array(groups) == "known", 1.0, 5.0), np.random.default_rng(16)
+    lists = (
+        rank_methods([spread * rng.normal(size=(1, 30)) for _ in range(4)], groups=groups)
+        for _ in range(2000)
+    )
+    assert np.mean([(ranks.places > 1).any() for ranks in lists]) < 0.06  # its error is 0.5%
+
+
 def test_claims_are_transitive() -> None:
     """A noisy loser: both links of the chain are certain, so its ends are apart as well."""
     better = rank_methods(played(np.array([0.0, 15.0, 30.0]), np.random.default_rng(4))).better
@@ -200,7 +225,7 @@ def measure_seed_sds(folder: Path) -> dict[str, list[float]]:
     What chance between seeds and partners adds to it is taken off.
     """
     seed_sds: dict[str, list[float]] = {}
-    for path in sorted(folder.glob("v1/egos/*/pairs.parquet")):
+    for path in sorted(folder.glob("paper/egos/*/pairs.parquet")):
         task = path.parent.name.rsplit("-", 1)[0]
         scores = mean_returns(pl.read_parquet(path))
         if len(scores) > 1:

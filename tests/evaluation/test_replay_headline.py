@@ -147,3 +147,14 @@ def test_replay_command_prints_verdict(
         assert run(["replay", "out"]) == 0
     printed = capfd.readouterr().out
     assert said in printed and unsaid not in printed
+
+
+def test_the_bias_of_groups_is_the_mean_of_theirs() -> None:
+    """So a group of few partners hides as much of M_test as one of many."""
+    test = pl.col("partner_algorithm") == "stepper", pl.col("partner_algorithm") != "stepper"
+    figure = Headline("M_test", 100.0, pl.lit(value=True), test)
+    biases: dict[int, float | None] = {id(test[0]): 4.0, id(test[1]): 1.0}
+    assert figure.mean_bias(lambda rows: biases[id(rows)]) == 2.5
+    biases[id(test[1])] = None
+    assert figure.mean_bias(lambda rows: biases[id(rows)]) is None
+    assert FIGURE.mean_bias(lambda rows: 3.0) == 3.0

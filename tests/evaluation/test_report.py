@@ -170,7 +170,7 @@ def test_person_page_has_effects_of_numbers(people: int, shown: bool, tmp_path: 
         rng.normal(100.0, 30.0, (1, people, 2)), ["a"], partners, ["test"] * people
     )
     names = {
-        str(name): f"gentle_scratch/person-{number:05d}-v3/human"
+        str(name): f"gentle_scratch/person-{number:05d}-v1/human"
         for number, name in enumerate(table["partner"].unique(maintain_order=True))
     }
     table = table.with_columns(pl.col("partner").replace_strict(names))
@@ -182,6 +182,10 @@ def test_person_page_has_effects_of_numbers(people: int, shown: bool, tmp_path: 
     text = page_of(folder, tmp_path)
     assert ('alt="which numbers of persons matter"' in text) == shown  # too few are no figure
     assert "disability setting" not in text and "person-00007" in text
+    body = re.sub(r"<(script|style|svg).*?</\1>", "", text, flags=re.DOTALL)
+    assert "Robot:" in body or "Robots, " in body
+    assert "test persons of the family " in body and "Each person" in body
+    assert not re.search(r"Policy:|\bone ego\b|partners of own|>own<|[Rr]eference egos", body)
 
 
 def test_ids_cannot_break_out_of_the_page(evaluation: Path, tmp_path: Path):
@@ -270,8 +274,7 @@ def test_templates_escape_values():
         environment.from_string("{{ missing }}").render()
     assert set(environment.list_templates()) == {
         *("crossplay.html", "evaluation.html", "figures.html", "league.html", "macros.html"),
-        "page.html",
-        "watch.html",
+        *("page.html", "seat.html", "watch.html"),
     }
     for path in (ROOT / "evaluation" / "report").glob("**/*.*"):
         if path.suffix in (".py", ".html"):

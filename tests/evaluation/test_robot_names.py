@@ -18,6 +18,7 @@ from evaluation.cast.robot_names import parse_reference
         ("onnx:a.model", ("onnx", "a.model", "", {})),
         ("python:pkg.mod:make", ("python", "pkg.mod", "make", {})),
         ("python:x.py:make", ("python", "x.py", "make", {})),
+        ("x.py", ("python", "x.py", "make", {})),
         (
             "python:/abs/x.py:make?weights=a:b.pt&size=3&note=",
             ("python", "/abs/x.py", "make", {"weights": "a:b.pt", "size": "3", "note": ""}),
@@ -37,7 +38,6 @@ def test_every_form_is_read(text: str, parts: tuple) -> None:
     [
         ("best", "unknown form; allowed are an id such as scratch/"),
         ("x.py:make", "did you mean python:x.py:make?"),
-        ("x.py", "did you mean python:x.py:FACTORY?"),
         ("robot.pt", "python:FILE.py:FACTORY?weights=robot.pt"),
         ("python:mod", "lacks a part"),
         ("python::make", "lacks a part"),

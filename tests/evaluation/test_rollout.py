@@ -270,8 +270,9 @@ def parameters_per_simulation(program: Any, simulations: int, kernel: int) -> li
 def test_no_simulation_has_parameters_of_its_own():
     wide = PolicySpec("robot", observation_size=3, action_size=2, hidden=(64, 64), normalise=False)
     block = block_of(wide, episodes=50)
-    loop = programs(wide).start(block)
-    program = jax.make_jaxpr(programs(wide).advance)(loop, block, None)
+    made = programs(wide)
+    loop = made.start(block, made.env.reset(*made.episodes(block)))
+    program = jax.make_jaxpr(made.advance)(loop, block, None)
     assert parameters_per_simulation(program.jaxpr, 300, 64 * 64) == []
 
     def gathered(obs: jax.Array, kernels: jax.Array) -> jax.Array:
@@ -286,9 +287,9 @@ def test_threads_share_one_compilation(monkeypatch: pytest.MonkeyPatch):
     traced: list[Any] = []
     start = Programs.start
 
-    def counted(self: Programs, block: Block) -> Loop:
+    def counted(self: Programs, block: Block, state: Any) -> Loop:
         traced.append(self.layout(block))
-        return start(self, block)
+        return start(self, block, state)
 
     monkeypatch.setattr(Programs, "start", counted)
     robot, human = stack_of(robots(-0.5)), stack_of(humans(0.5))

@@ -74,7 +74,7 @@ def test_single_ego_and_episode_are_noted():
     assert figures["m_test"]["generalises_to"] == "partners"
     assert figures["cvar_10"] is None
     assert figures["worst_partner"]["crossfit"] is None
-    assert figures["notes"][0].startswith("one ego: intervals speak about new partners")
+    assert figures["notes"][0].startswith("one robot: intervals speak about new partners")
     assert any("groups of partners have as few as" in note for note in figures["notes"])
 
 

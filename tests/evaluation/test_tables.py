@@ -13,7 +13,7 @@ from assistax_base.files import atomic_path
 from assistax_base.parquet import check_readable, write_parquet
 from evaluation.figures.saved_tables import pair_table
 from evaluation.record import tables
-from evaluation.record.columns import BEHAVIOUR, GENTLE, SCHEMA, TOUCH, validate_episodes
+from evaluation.record.columns import BEHAVIOUR, CARE, GENTLE, SCHEMA, TOUCH, validate_episodes
 from evaluation.record.record import Record, lay_out
 from tests.evaluation.episode_tables import episode_table, recorded, teams
 
@@ -102,7 +102,13 @@ def test_parquet_gives_the_table_back(tmp_path: Path):
     path = tmp_path / "run" / tables.EPISODES_FILE
     tables.write_episodes(small(), path)
     episodes = tables.read_episodes(path)
-    absent = (*GENTLE, *TOUCH, "place", "clipped")  # of gentle tasks, series, robots from outside
+    absent = (
+        *GENTLE,
+        *TOUCH,
+        *CARE,
+        "place",
+        "clipped",
+    )  # of gentle tasks, series, robots from outside
     written = {name: dtype for name, dtype in SCHEMA.items() if name not in absent}
     assert {name: dtype for name, dtype in episodes.schema.items() if name in SCHEMA} == written
     np.testing.assert_array_equal(lay_out(episodes).values, lay_out(small()).values)

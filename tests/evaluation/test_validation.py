@@ -41,7 +41,7 @@ def test_persons_have_a_validation_side() -> None:
     with pytest.raises(ValueError, match="no validation side"):
         validation_side(registry, registry.split("scratch", "half"))
     persons = registry.split("gentle_scratch", "persons")
-    assert validation_side(registry, persons) == "persons:validation"
+    assert validation_side(registry, persons) == f"{persons.id}:validation"
 
 
 @pytest.mark.slow
@@ -57,7 +57,7 @@ def test_choices_are_those_of_the_validation_side(
     answer = json.loads(printed.out)["choices"]
     # Counters begin anew in the second.
     assert "\nstage 1 of 2, training of scratch ppo: " in printed.err
-    assert "\nstage 2 of 2, validation of scratch, steps of policies: " in printed.err
+    assert "\nstage 2 of 2, validation of scratch, robots with humans: compiling, " in printed.err
     split = prepare(load_registry(registry), "scratch", steps=288).split
     played = Record.read(out / "validation").returns
     assert set(played.partners["partner_team"]) == set(split.validation)

@@ -2,16 +2,26 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from assistax_zoo.commands.options import Page
 from zoo.registry import load_registry
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 OrderName = Literal["shared", "separate"]
+LegendName = Literal["beside", "below", "none"]
 
 
 def crossplay(
-    folder: Path, /, *, out: Path, order: OrderName | None = None, page: Page = Page()
+    folder: Path,
+    /,
+    *,
+    out: Path,
+    order: OrderName | None = None,
+    legend: LegendName | None = None,
+    page: Page = Page(),
 ) -> None:
     """Draw the clustered cross-play matrix that `crossplay` saved.
 
@@ -23,15 +33,16 @@ def crossplay(
         out: Figure to write, .png, .pdf or .svg.
         order: shared for one order of teams on both axes, or separate for one order each; default
             shared if possible.
+        legend: Place of the legend: beside or below the matrix, or none; default by the room that
+            there is, and none with --bare.
         page: Its width, and whether title and caption are left out.
 
     Example:
-        assistax-zoo plot crossplay xp --out crossplay.pdf
+        assistax-zoo plot crossplay xp --width 3.3 --out crossplay.pdf
     """
     from evaluation.plots.figures import crossplay_figure
 
-    crossplay_figure(folder, out, order, **page.given())
-    print(out)
+    _tell(crossplay_figure(folder, out, order, legend=legend, **page.given()), out, page)
 
 
 def zsc(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
@@ -83,6 +94,25 @@ def preference(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) 
     _draw(folders, "preference", out, page)
 
 
+def adaptation(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
+    """Draw done values of each wish beside the liked ones, a point for each person.
+
+    There is a panel for each wish of the gentle task. A robot that listens follows the diagonal;
+    one that plays for the average person draws a flat line.
+
+    Args:
+        folder: Folder that `assistax-zoo evaluate --out` filled, with persons as partners.
+        out: Figure to write, .png, .pdf or .svg.
+        page: Its width, and whether title and caption are left out.
+
+    Example:
+        assistax-zoo plot adaptation results/gru --out adaptation.png
+    """
+    from evaluation.plots.figures import adaptation_figure
+
+    _tell(adaptation_figure(folder, out, **page.given()), out, page)
+
+
 def profile(folders: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
     """Draw performance profiles: the share of robot-partner pairs above each return.
 
@@ -111,8 +141,7 @@ def curves(run: Path, /, *, out: Path, page: Page = Page()) -> None:
     """
     from evaluation.plots.figures import curves_figure
 
-    curves_figure(run, out, **page.given())
-    print(out)
+    _tell(curves_figure(run, out, **page.given()), out, page)
 
 
 def speed(measured: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> None:
@@ -128,8 +157,7 @@ def speed(measured: tuple[Path, ...], /, *, out: Path, page: Page = Page()) -> N
     """
     from evaluation.plots.figures import speed_figure
 
-    speed_figure(measured, out, **page.given())
-    print(out)
+    _tell(speed_figure(measured, out, **page.given()), out, page)
 
 
 def sweep(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
@@ -145,8 +173,7 @@ def sweep(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
     """
     from evaluation.plots.figures import sweep_figure
 
-    sweep_figure(folder, out, **page.given())
-    print(out)
+    _tell(sweep_figure(folder, out, **page.given()), out, page)
 
 
 def population(
@@ -172,12 +199,19 @@ def population(
     from evaluation.plots.figures import population_figure
 
     entries = load_registry(registry).select(task=task, role="human", release=release)
-    population_figure(entries, out, **page.given())
-    print(out)
+    _tell(population_figure(entries, out, **page.given()), out, page)
 
 
 def _draw(folders: Sequence[Path], kind: str, out: Path, page: Page) -> None:
     from evaluation.plots.figures import evaluation_figure
 
-    evaluation_figure(folders, kind, out, **page.given())
+    _tell(evaluation_figure(folders, kind, out, **page.given()), out, page)
+
+
+def _tell(figure: "Figure", out: Path, page: Page) -> None:
+    """Print a figure's file; of a bare one also title and caption, which the file lacks."""
+    from evaluation.plots.style import words
+
     print(out)
+    if page.bare:
+        print(words(figure))

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from assistax_zoo.shell.console import answer, progress, stdout_is_data
+from assistax_zoo.shell.console import answer, stdout_is_data, step_progress
 
 EPISODE = 1000  # steps
 
@@ -51,7 +51,7 @@ def render(
         from assistax_zoo.films import render as film
 
         size = {"fps": fps, "width": width, "height": height, "camera": camera}
-        with progress(f"render {task}", steps or EPISODE) as advance:
+        with step_progress(f"render {task}", steps or EPISODE) as advance:
             film(
                 robot,
                 human,
@@ -111,7 +111,7 @@ def trajectories(
     with stdout_is_data():
         from assistax_zoo.recording import trajectories as record
 
-        with progress(f"record {task}", episodes * (steps or EPISODE)) as advance:
+        with step_progress(f"record {task}", episodes * (steps or EPISODE)) as advance:
             table = record(
                 robot,
                 human,

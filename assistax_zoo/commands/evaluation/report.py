@@ -18,6 +18,7 @@ from assistax_zoo.shell.console import (
 )
 
 if TYPE_CHECKING:
+    from assistax_zoo.comparing import Comparison
     from evaluation.figures.metrics import Difference
 
 
@@ -63,6 +64,7 @@ def compare(
         {"a": str(a), "b": str(b), **comparison.to_json()},
         f"{comparison.task}: return of {a} minus return of {b}",
         *(_difference_line(side, difference) for side, difference in sides if difference),
+        *_care_lines(comparison),
         *(printable(f"note: {note}") for note in comparison.notes),
     )
 
@@ -207,6 +209,20 @@ def _difference_line(side: str, difference: "Difference") -> str:
         f"better with {difference.partners_better:.0%} of partners; means "
         f"{_common_means(difference, 1)}"
     )
+
+
+def _care_lines(comparison: "Comparison") -> list[str]:
+    """Return the lines about care in a gentle task."""
+    lines = [
+        f"  {name.replace('_', ' ')}: {difference.mean:+.3f}"
+        + (" [{:+.3f}, {:+.3f}]".format(*difference.mean_ci) if difference.mean_ci else "")
+        + f"; {_common_means(difference, 3)}"
+        for name, difference in comparison.care.items()
+    ]
+    for wish, slopes in comparison.slopes.items():
+        both = " and ".join("-" if slope is None else f"{slope.value:.2f}" for slope in slopes)
+        lines.append(f"  adaptation slope, {wish}: {both}")
+    return lines
 
 
 # Heads of columns whose names are too wide for a table of 80 characters.

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assistax_zoo.commands.evaluation.render import EPISODE
-from assistax_zoo.shell.console import progress, stdout_is_data
+from assistax_zoo.shell.console import stdout_is_data, step_progress
 
 if TYPE_CHECKING:
     from evaluation.player.episode import Episode
@@ -15,11 +15,11 @@ DEFAULT_PAGE = Path("watch.html")
 
 
 def watch(
-    what: str,
-    robot: str | None = None,
+    robot: str,
     human: str | None = None,
     /,
     *,
+    task: str | None = None,
     out: Path | None = None,
     steps: int | None = None,
     seed: int = 0,
@@ -34,11 +34,12 @@ def watch(
     that plays the episode in a browser and loads nothing from elsewhere.
 
     Args:
-        what: A task, such as gentle_scratch, then robot and human; or alone a file that
-            `trajectories` wrote.
-        robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random.
+        robot: An id, a .safetensors or .onnx file, python:FILE.py:FACTORY, zero, or random; or
+            alone a file that `trajectories` wrote.
         human: An id, also of a person, a .safetensors file, zero, or random.
-        out: Page to write, .html; or .episode, which players of other pages load.
+        task: Task, if no id says it.
+        out: Page to write, .html; or .episode, which players of other pages load. Default:
+            watch.html, or the next free name, watch-2.html.
         steps: Steps of 20 ms to play; the whole episode of 1000 if not given.
         seed: Seed of the episode.
         episode: Which episode of a file.
@@ -47,27 +48,29 @@ def watch(
         registry: Registry to read instead of the installed one: a file, a folder or an address.
 
     Example:
-        assistax-zoo watch gentle_scratch random gentle_scratch/person-00042-v3 --out watch.html
+        assistax-zoo watch random gentle_scratch/person-00042 --out watch.html
     """
     chosen = {"steps": steps, "disability": disability, "preference": preference}
     with stdout_is_data():
+        from evaluation.cast.robot_names import task_of
         from evaluation.player.viewer import has_display, view
 
-        _check(what, (robot, human), out, {**chosen, "seed": seed or None}, episode)
-        if robot is None or human is None:
-            shown = _read(Path(what), episode)
+        _check(robot, human, out, {**chosen, "task": task, "seed": seed or None}, episode)
+        if human is None:
+            shown = _read(Path(robot), episode)
         else:
-            shown = _play(what, robot, human, {**chosen, "seed": seed, "zoo": registry})
+            task = task or task_of((robot, human))
+            shown = _play(task, robot, human, {**chosen, "seed": seed, "zoo": registry})
         if out is None and has_display():
             view(shown)
             return
-        path = _write(shown, out or DEFAULT_PAGE)
+        path = _write(shown, out or _free(DEFAULT_PAGE))
     print(path)
 
 
 def _check(
-    what: str,
-    seats: tuple[str | None, str | None],
+    robot: str,
+    human: str | None,
     out: Path | None,
     playing: dict[str, Any],
     episode: int,
@@ -75,13 +78,11 @@ def _check(
     """Check the arguments before any work is done."""
     from evaluation.film import check_place
 
-    if (seats[0] is None) != (seats[1] is None):
-        raise ValueError(
-            f"{what} has a robot and no human; give both after the task, or one file alone"
-        )
-    if seats[0] is None and (given := [name for name, value in playing.items() if value]):
-        raise ValueError(f"{what} is a recording, as it was played; leave out {', '.join(given)}")
-    if seats[0] is not None and episode:
+    if human is None and not Path(robot).is_file():
+        raise ValueError(f"no recording is at {robot}; give a robot and a human, or such a file")
+    if human is None and (given := [name for name, value in playing.items() if value]):
+        raise ValueError(f"{robot} is a recording, as it was played; leave out {', '.join(given)}")
+    if human is not None and episode:
         raise ValueError("episode is for recordings; choose another seed to play another episode")
     if out is not None and out.suffix.lower() not in (PAGE, PACKED):
         raise ValueError(
@@ -96,13 +97,19 @@ def _play(task: str, robot: str, human: str, chosen: dict[str, Any]) -> "Episode
 
     with (
         tempfile.TemporaryDirectory(prefix="watch-") as folder,
-        progress(f"play {task}", chosen["steps"] or EPISODE) as advance,
+        step_progress(f"play {task}", chosen["steps"] or EPISODE) as advance,
     ):
         out = Path(folder) / "episode.trajectory"
         options: dict[str, Any] = {"episodes": 1, "backend": "native", **chosen}
         options["on_step"] = lambda: advance(1)
         trajectories(robot, human, task=task, out=out, **options)
         return _read(out, 0)
+
+
+def _free(path: Path) -> Path:
+    """Return the path, numbered if there is a file of that name: nothing is overwritten unasked."""
+    names = (path, *(path.with_stem(f"{path.stem}-{number}") for number in range(2, 1000)))
+    return next((name for name in names if not name.exists()), path)
 
 
 def _read(path: Path, number: int) -> "Episode":

@@ -2,18 +2,24 @@
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from assistax_base.errors import UnknownIdError, counted, listing, printable, shorten
+from assistax_envs.persons.rows import PROGRAM_VERSION
+from assistax_envs.registered import track_of
+from assistax_envs.versions import TASKS
 from assistax_zoo.commands.partners.provenance import verify_results
 from assistax_zoo.shell.console import MOST_LINES, answer, first_lines, progress, stdout_is_data
 from population.networks.spec import Role
 from zoo.exports.card import find_cards, write_card
-from zoo.partners.person_tables import person_glob, person_tables
+from zoo.ids import EGO
+from zoo.namespaces import split_namespace
+from zoo.partners.person_tables import person_tables
 from zoo.registry import Registry, load_registry
-from zoo.schema import SelfPlay
+from zoo.schema import Persons, PolicyEntry, SelfPlay
 
 if TYPE_CHECKING:
     from evaluation.replay.self_play_check import SelfPlayReport, TeamReplay
@@ -31,11 +37,11 @@ def list_policies(
     registry: Path | None = None,
     json: bool = False,
 ) -> None:
-    """List the published policies.
+    """List the published policies: a line for each kind, or for each policy of a glob.
 
     Args:
-        pattern: Glob over policy ids, such as `'scratch/ippo-*/human'`; a team's id lists both its
-            policies.
+        pattern: A task, for its kinds alone; or a glob over ids, such as `'scratch/ippo-*/human'`,
+            for a line each; `'*'` for all.
         task: Only this task.
         algorithm: Only this algorithm.
         disability: Only this disability setting, such as d3.
@@ -45,22 +51,31 @@ def list_policies(
         json: Print JSON.
 
     Example:
-        assistax-zoo list 'scratch/ippo-*/human' --disability d3
+        assistax-zoo list scratch
     """
     fields = {"algorithm": algorithm, "disability": disability, "role": role, "release": release}
     loaded = load_registry(registry)
-    whole = not (pattern or algorithm or disability or role == "robot")
-    persons = list(_person_lines(loaded, task, release)) if whole else []
+    if pattern in TASKS:
+        task, pattern = pattern, None
+    kinds = not (pattern or algorithm or disability or role)
+    persons = [table for table in person_tables(loaded.data) if task in (None, table[1])]
+    persons = [table for table in persons if kinds and release in (None, table[0])]
     try:
         entries = loaded.select(pattern, task=task, **fields)
     except UnknownIdError:
         if not persons:
             raise
         entries = []
-    rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
-    columns = ("policy", "self-play", "95% interval", "episodes")
-    lines = table_lines(columns, rows, counted(len(entries), "policy"))
-    answer(json, [entry.brief() for entry in entries], *lines, *persons)
+    if kinds:
+        columns = ("track", "task", "kind", "number", "names")
+        rows = _kind_rows(entries, persons, by_algorithm=task is not None)
+        caption = f"{counted(len(entries), 'policy')}; a task or a glob of names lists more"
+    else:
+        columns = ("policy", "self-play", "95% interval", "episodes")
+        rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
+        caption = counted(len(entries), "policy")
+    lines = table_lines(columns, rows, caption)
+    answer(json, [entry.brief() for entry in entries], *lines)
 
 
 def show(
@@ -157,12 +172,36 @@ def verify(
         raise SystemExit(1)
 
 
-def _person_lines(registry: Registry, task: str | None, release: str | None) -> Iterator[str]:
-    """Yield a line for each task's persons of a release, by the glob that names them."""
-    for its_release, its_task, table in person_tables(registry.data):
-        if task in (None, its_task) and release in (None, its_release):
-            glob = person_glob(its_task, its_release)
-            yield f"{glob}: {counted(table.count, 'person')}, partners made of numbers"
+def _kind_rows(
+    entries: Sequence[PolicyEntry],
+    persons: Sequence[tuple[str, str, Persons]],
+    by_algorithm: bool,
+) -> list[tuple[str, ...]]:
+    """Return track, task, kind, count and glob of each kind of a task's partners and robots.
+
+    Args:
+        entries: Policies of teams, and robots without a human.
+        persons: Release, task and table of persons.
+        by_algorithm: Whether teams and robots of each algorithm have a line of their own.
+    """
+    counts: Counter[tuple[str, str, str, str]] = Counter()
+    for entry in {entry.team: entry for entry in entries}.values():
+        zoo, algorithm = split_namespace(entry.id)[0], entry.algorithm if by_algorithm else "*"
+        kind, names = ("robots", "*-ego-*") if entry.disability == EGO else ("teams", "*")
+        names = names if algorithm == "*" else f"{algorithm}-{names.removeprefix('*-')}"
+        glob = f"{zoo}{':' * bool(zoo)}{entry.task}/{names}"
+        counts[track_of(entry.task), entry.task, f"{kind} by {algorithm}", glob] += 1
+    for release, task, table in persons:
+        zoo, kind = split_namespace(release)[0], "persons"
+        if table.program != PROGRAM_VERSION:
+            kind += " of another program, which cannot be played here"
+        counts[track_of(task), task, kind, f"{zoo}{':' * bool(zoo)}{task}/person-*"] += table.count
+    places = {task: place for place, task in enumerate(TASKS)}
+    rows = sorted(counts.items(), key=lambda row: (places.get(row[0][1], len(places)), *row[0]))
+    return [
+        (track, task, kind.removesuffix(" by *"), str(count), glob)
+        for (track, task, kind, glob), count in rows
+    ]
 
 
 def _report_lines(report: "Report") -> list[str]:
@@ -188,7 +227,7 @@ def _m_test(folder: Path, robot: str) -> dict[str, Any]:
             return {**figures, "split": found.split.id}
     raise ValueError(
         f"{folder} has no M_test of {robot} alone with an interval; make one with "
-        f"`assistax-zoo evaluate --policy {robot} --out FOLDER`, with two partners or more"
+        f"`assistax-zoo evaluate {robot} --out FOLDER`, with two partners or more"
     )
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import counted, printable
 from assistax_zoo.commands.options import Source
@@ -32,7 +32,7 @@ def verify_results(folder: Path, registry: Path | None, json: bool) -> bool:
 
 
 def replay(
-    folder: Path,
+    what: Path,
     /,
     *,
     sample: int = 20,
@@ -44,18 +44,22 @@ def replay(
 ) -> None:
     """Recompute a folder's figures and play a sample again; exit code 0 only if they are confirmed.
 
-    The job is made again from the registry. Every table and figure is computed again from the
-    episodes. A sample of the episodes is played again, those of the references too. If the folder
-    names a machine of this kind, every bit must be the same. If not, each robot, partner and pair
-    may differ by as much as was measured between processors. Any folder can name another machine.
-    So the answer says which of the two applied, how much of the headline figure could be hidden,
-    and what was not checked. Exit code 1: they differ. Exit code 3: more than 5% could be hidden
-    behind another processor, and the figure can neither be confirmed nor refuted.
+    Given a log of the browser page instead, play its actions again from its start. The physics is
+    that of the page, the robot's actions are computed again, and the figures are printed. A log
+    that does not fit is refused (exit code 1). No log proves that a person played.
+
+    Of a folder the job is made again from the registry. Every table and figure is computed again
+    from the episodes. A sample of the episodes is played again, those of the references too. If the
+    folder names a machine of this kind, every bit must be the same. If not, each robot, partner and
+    pair may differ by as much as was measured between processors. Any folder can name another
+    machine. So the answer says which of the two applied, how much of the headline figure could be
+    hidden, and what was not checked. Exit code 1: they differ. Exit code 3: more than 5% could be
+    hidden behind another processor, and the figure can neither be confirmed nor refuted.
 
     Args:
-        folder: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled.
-        sample: Episodes; those that were simulated together are played together, so there may be
-            more.
+        what: Folder that `assistax-zoo evaluate --out` or `crossplay --out` filled, or a log.
+        sample: Episodes of a folder; those that were simulated together are played together, so
+            there may be more.
         seed: Seed of the choice, to repeat one; if not given, a new one, which is printed.
         run_code: Run a robot from Python code, or read a robot's file outside the folder, that the
             folder names; read it first.
@@ -66,12 +70,15 @@ def replay(
     Example:
         assistax-zoo replay results --sample 20
     """
+    if what.is_file():
+        _replay_log(what, source, json)
+        return
     with stdout_is_data():
         from evaluation.replay.replay import replay_folder
 
         registry = load_registry(source.registry)
         report = replay_folder(
-            folder,
+            what,
             registry,
             sample=sample,
             seed=seed,
@@ -84,6 +91,27 @@ def replay(
         raise SystemExit(1)
     if report.verdict == "cannot be told":
         raise SystemExit(UNDECIDED)
+
+
+def _replay_log(path: Path, source: Source, json: bool) -> None:
+    """Play a log of the browser page again, and print its figures."""
+    with stdout_is_data():
+        from evaluation.people.replaying import replay_log
+
+        played = replay_log(path, load_registry(source.registry))
+    log, figures = played.recorded.log, dict(played.figures)
+    content: dict[str, Any] = {"log": str(path), "sha256": log.sha256, "ok": True}
+    content |= {"task": log.task, "robot": log.robot.name, "off": played.off, "figures": figures}
+    answer(
+        json,
+        content,
+        f"{log.steps} steps of {log.task} with {log.robot.name} played again from start "
+        f"{log.start}: the robot's actions are within {played.off:.1g} of the recorded ones",
+        f"return {figures['return']:.3f}, caring success {'yes' if figures['success'] else 'no'}, "
+        f"discomfort in {figures['discomfort_share']:.0%} of felt steps, violation "
+        f"{figures['violation']}",
+        f"{path} fits its episode, which does not prove that a person played",
+    )
 
 
 def _replay_lines(report: "ReplayReport") -> list[str]:

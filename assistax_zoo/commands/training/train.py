@@ -86,7 +86,7 @@ def shown_training(name: str, json_lines: bool) -> Generator[Callable[["Progress
     with (
         os.fdopen(os.dup(1), "w") as stdout,
         stdout_is_data(),
-        contextlib.closing(TrainingLine(name)) as line,
+        TrainingLine(name) as line,
     ):
         yield functools.partial(_print_json_line, stdout) if json_lines else line
 

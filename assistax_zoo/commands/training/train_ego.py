@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from assistax_base.errors import counted
 from assistax_zoo.commands.options import Choosing, Training, parse_names
 from assistax_zoo.commands.training.train import shown_training
-from assistax_zoo.shell.console import answer, command_line, study_progress
+from assistax_zoo.shell.console import StudyLine, answer, command_line
 from zoo.registry import Registry, load_registry
 from zoo.schema import RULES
 
@@ -113,7 +113,7 @@ def _choices(
     from evaluation.validation import choose
 
     task = prepared.config.task
-    with study_progress(f"stage 2 of 2, validation of {task}") as line:
+    with StudyLine(f"stage 2 of 2, validation of {task}") as line:
         where = registry, prepared, egos.run, PlaySettings(task, backend=backend)
         return choose(*where, best_of=choosing.best_of, on_progress=line)
 
@@ -143,6 +143,6 @@ def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lin
     lines = [
         *chosen,
         f"{counted(len(egos.files), 'robot')} in {Path(files).parent}; next:",
-        f"assistax-zoo evaluate --task {run.config.task} {whom} --policy {shlex.quote(str(files))}",
+        f"assistax-zoo evaluate --task {run.config.task} {whom} {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))

@@ -9,9 +9,11 @@ from evaluation.figures.metrics.bounds import (
     regret,
 )
 from evaluation.figures.metrics.comparison import (
+    Agreement,
     Difference,
     Stability,
     paired_difference,
+    rank_agreement,
     rank_stability,
 )
 from evaluation.figures.metrics.crossplay import CrossPlay, Traits, cross_play, same_teams
@@ -22,6 +24,8 @@ from evaluation.figures.metrics.generalisation import (
     cvar_crossfit,
     fairness,
     group_draws,
+    group_weights,
+    mean_of_groups,
     worst_partner,
     zero_shot,
 )
@@ -29,6 +33,7 @@ from evaluation.figures.metrics.ranks import SEED_SDS, Ranks, rank_methods
 
 __all__ = [
     "SEED_SDS",
+    "Agreement",
     "Bounds",
     "Coverage",
     "CrossPlay",
@@ -45,8 +50,11 @@ __all__ = [
     "cvar_crossfit",
     "fairness",
     "group_draws",
+    "group_weights",
+    "mean_of_groups",
     "normalised_return",
     "paired_difference",
+    "rank_agreement",
     "rank_methods",
     "rank_stability",
     "regret",

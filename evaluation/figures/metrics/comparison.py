@@ -11,9 +11,11 @@ from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
     Estimate,
+    Interval,
     draw_counts,
     draw_starts,
     generalises_to,
+    interval,
     replicate_crossed,
 )
 
@@ -102,6 +104,72 @@ def rank_stability(
         raise ValueError("all egos have the same scores; there is no ranking to compare")
     low, high = np.quantile(taus, (0.025, 0.975))
     return Stability(float(np.mean(taus)), (float(low), float(high)), len(taus))
+
+
+@dataclasses.dataclass(frozen=True)
+class Agreement:
+    """Kendall's tau-b between the rankings of R egos with partners of two kinds."""
+
+    tau: Interval  # its `n` is the number of egos
+    places: tuple[tuple[float, ...], tuple[float, ...]]  # of each ego with either kind, from 1
+
+
+def rank_agreement(
+    a: Num[np.ndarray, "R P"],
+    b: Num[np.ndarray, "R Q"],
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Agreement | None:
+    """Return how far two rankings of R egos, by their means over partners, agree.
+
+    The interval resamples the partners of either kind, and no egos. With few egos it is wide, and
+    its ends are among few values: three egos have the taus -1, -1/3, 1/3 and 1.
+
+    Args:
+        a: Scores with partners of one kind; NaN where an ego did not meet a partner.
+        b: Scores of the same egos, in the same order, with those of the other kind.
+        resamples: Number of resamples.
+        seed: Seed of the resamples.
+
+    Returns:
+        The agreement; None if there are fewer than two egos, or all tie.
+    """
+    from scipy import stats  # half a second, hence not at every start
+
+    if len(a) != len(b):
+        raise ValueError(f"there are {len(a)} and {len(b)} egos; give scores of the same egos")
+    rng = np.random.default_rng(seed)
+    ones = [np.ones((1, scores.shape[1])) for scores in (a, b)]
+    means = [_means(scores, one)[0] for scores, one in zip((a, b), ones, strict=True)]
+    if len(a) < 2 or not all(np.ptp(mean) > 0 for mean in means):
+        return None
+    drawn = [
+        _means(scores, draw_counts(scores.shape[1], resamples, rng)) if scores.shape[1] > 1 else
+        np.broadcast_to(mean, (resamples, len(mean)))
+        for scores, mean in zip((a, b), means, strict=True)
+    ]  # fmt: skip
+    several = max(a.shape[1], b.shape[1]) > 1
+    to = "partners" if several else NOTHING
+    tau = float(stats.kendalltau(*means).statistic)
+    places = tuple(tuple(map(float, stats.rankdata(-mean))) for mean in means)
+    return Agreement(Interval(tau, interval(_taus(*drawn), to), len(a), to), (places[0], places[1]))
+
+
+def _means(scores: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return the means [B, R] of egos over the partners that each met, for counts [B, P]."""
+    met = np.isfinite(scores)
+    sums, number = counts @ np.where(met, scores, 0.0).T, counts @ met.T.astype(float)
+    return np.divide(sums, number, out=np.full_like(sums, np.nan), where=number > 0)
+
+
+def _taus(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return Kendall's tau-b [B] of rows [B, R]; NaN where one is not defined."""
+    first, second = np.triu_indices(a.shape[1], 1)
+    x, y = (np.sign(means[:, first] - means[:, second]) for means in (a, b))
+    size = np.sqrt((x * x).sum(axis=1) * (y * y).sum(axis=1))
+    agreed = (x * y).sum(axis=1)
+    return np.divide(agreed, size, out=np.full_like(size, np.nan), where=size > 0)
 
 
 def _share_positive(values: np.ndarray) -> float:

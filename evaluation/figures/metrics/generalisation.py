@@ -1,12 +1,15 @@
 """Metrics over partners: M_test, M_train and their gap, figures by group, the lower tail."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Num
 
 from assistax_base.statistics import returns_of, tail_weights
+from assistax_envs.persons.rows import KNOWN_FAMILIES, UNSEEN_FAMILY
 from evaluation.figures.bootstrap import (
     RESAMPLES,
     Counts,
@@ -21,6 +24,10 @@ from evaluation.figures.bootstrap import (
     replicate_crossed,
 )
 
+G = TypeVar("G", str, tuple[str, str])
+
+GROUPS = (KNOWN_FAMILIES, UNSEEN_FAMILY)  # of a test side that has groups
+
 
 @dataclasses.dataclass(frozen=True)
 class ZeroShot:
@@ -30,6 +37,7 @@ class ZeroShot:
     m_train: Estimate | None
     gap: Estimate | None  # m_train - m_test, the same resampled seeds on both sides
     m_validation: Estimate | None = None
+    by_group: dict[str, Estimate] = dataclasses.field(default_factory=dict)  # of the test side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,32 +60,80 @@ class WorstPartner:
 
 
 def zero_shot(
-    scores: np.ndarray, sides: Sequence[str | None], *, common_starts: bool = False
+    scores: np.ndarray,
+    sides: Sequence[str | None],
+    groups: Sequence[str] | None = None,
+    *,
+    common_starts: bool = False,
 ) -> ZeroShot:
     """Return M(s) = mean over partners p of J[s, p], separately for the partners of each side.
+
+    If the test side has groups, M_test is the mean of the groups' means: each group counts the
+    same. It is None if one of `GROUPS` did not play, so that a robot that suits one group alone
+    cannot hide.
 
     Args:
         scores: Returns [S, P, K], or mean returns J [S, P].
         sides: "test", "validation", "train" or None (on no side) for each partner [P].
+        groups: The group of each partner [P]; None if the test side has no groups.
         common_starts: Whether all partners played the same K starts.
     """
-    groups = group_draws(scores, sides, common_starts=common_starts)
-    test, validation, train = (groups.get(side) for side in ("test", "validation", "train"))
-    if not (test or validation or train):
+    in_groups = groups or [""] * len(sides)
+    labels = [
+        (side, group if side == "test" else "") if side else None
+        for side, group in zip(sides, in_groups, strict=True)
+    ]
+    draws = group_draws(scores, labels, common_starts=common_starts)
+    tested = {group: found for (side, group), found in draws.items() if side == "test"}
+    validation, train = (draws.get((side, "")) for side in ("validation", "train"))
+    if not (tested or validation or train):
         raise ValueError("no partner is on a side; evaluate against a split")
+    whole = bool(tested) and (groups is None or tested.keys() >= set(GROUPS))
+    test = _mean_of(tuple(tested.values())) if whole else None
     gap = train - test if train and test else None
     figures = (test, train, gap, validation)
-    return ZeroShot(*(draws.estimate() if draws else None for draws in figures))
+    by_group = {group: found.estimate() for group, found in tested.items() if group}
+    return ZeroShot(*(found.estimate() if found else None for found in figures), by_group)
+
+
+def mean_of_groups(
+    scores: np.ndarray,
+    groups: Sequence[str],
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> tuple[Estimate, dict[str, Estimate]]:
+    """Return the mean of the groups' means, in which each group counts the same, and each group.
+
+    Args:
+        scores: Mean returns [S, P].
+        groups: The group of each partner [P].
+        resamples: Number of resamples; partners are resampled within each group.
+        seed: Seed of the resamples.
+    """
+    draws = group_draws(scores, groups, resamples=resamples, seed=seed)
+    by_group = {group: found.estimate() for group, found in draws.items()}
+    return _mean_of(tuple(draws.values())).estimate(), by_group
+
+
+def group_weights(groups: Sequence[str]) -> np.ndarray:
+    """Return weights [P] of mean 1: the mean of weighted scores is the mean of the groups' means.
+
+    Args:
+        groups: The group of each partner [P].
+    """
+    sizes = Counter(groups)
+    return np.array([len(groups) / (len(sizes) * sizes[group]) for group in groups])
 
 
 def group_draws(
     scores: np.ndarray,
-    groups: Sequence[str | None],
+    groups: Sequence[G | None],
     *,
     common_starts: bool = False,
     resamples: int = RESAMPLES,
     seed: int = 0,
-) -> dict[str, Draws]:
+) -> dict[G, Draws]:
     """Return mean and IQM with replicates for each group of partners, sorted by name.
 
     Seeds are resampled once for all groups, and so are starts that all partners have in common.
@@ -97,10 +153,11 @@ def group_draws(
             f"there are {len(groups)} groups for {scores.shape[1]} partners; give one for each "
             "partner"
         )
-    labels, rng = np.array(groups, object), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     seed_counts = draw_counts(len(scores), resamples, rng)
     members = {
-        name: labels == name for name in sorted({name for name in groups if name is not None})
+        name: np.array([group == name for group in groups])
+        for name in sorted({name for name in groups if name is not None})
     }
     partner_counts = {
         name: draw_counts(int(mask.sum()), resamples, rng) for name, mask in members.items()
@@ -117,6 +174,18 @@ def group_draws(
         counts = Counts(seed_counts, partner_counts[name], starts, to)
         draws[name] = replicate_crossed(part, counts)
     return draws
+
+
+def _mean_of(groups: Sequence[Draws]) -> Draws:
+    """Return the mean of groups' figures, each of which counts the same whatever its size."""
+    return Draws(
+        mean=float(np.mean([group.mean for group in groups])),
+        iqm=float(np.mean([group.iqm for group in groups])),
+        means=np.mean([group.means for group in groups], axis=0),
+        iqms=np.mean([group.iqms for group in groups], axis=0),
+        n=sum(group.n for group in groups),
+        generalises_to=max((group.generalises_to for group in groups), key=len),
+    )
 
 
 def fairness(draws: dict[str, Draws]) -> Fairness:

@@ -18,6 +18,12 @@ seed variances: Satterthwaite's, with 1 added to each before and taken off after
 does with 2, and no more than their sum. A quantile for each source keeps the level where two seeds
 happen to be alike; with one quantile for the sum of all three, 10 to 20% of lists are wrong then.
 
+**Groups of partners.** Where each group of partners counts the same in a method's mean, whatever
+its size, scores are weighted so that their mean is the mean of the groups' means, and V_p is the
+sum of the groups' own variances, at Satterthwaite's degrees of freedom: other draws have as many
+partners of each group. If a group has a single partner, V_p is that of all weighted differences,
+which is too wide.
+
 **All pairs at once.** A pair is tested at 5% divided by the number of pairs that may still be
 equal: first all, then fewer, since equal methods form groups and every pair of a group must still
 be open (Shaffer, 1986; the number is bounded from above by the cores of the graph of open pairs).
@@ -59,6 +65,7 @@ from jaxtyping import Bool, Int
 
 from assistax_base.statistics import score_matrix
 from assistax_envs.registered import ByTask
+from evaluation.figures.metrics.generalisation import group_weights
 
 CONFIDENCE = 0.95
 ENOUGH_SEEDS = 5  # from here on a method's own seeds say how far they differ
@@ -96,15 +103,17 @@ class Ranks:
 def rank_methods(
     scores: Sequence[np.ndarray],
     *,
+    groups: Sequence[str] | None = None,
     seed_sd: float | None = None,
     unseen: int = 0,
     confidence: float = CONFIDENCE,
 ) -> Ranks:
-    """Return the ranks of methods by their mean over partners.
+    """Return the ranks of methods by their mean over partners, or over groups of partners.
 
     Args:
         scores: Mean returns [S, P] of each method: its seeds, and the same P partners in the same
             order and on the same episodes for every method.
+        groups: The group of each partner [P], if each group counts the same in a method's mean.
         seed_sd: Standard deviation between seeds of one method, known beforehand, such as
             `SEED_SDS[task]`; None if unknown.
         unseen: Number of further methods that were scored and are not listed.
@@ -119,7 +128,12 @@ def rank_methods(
         raise ValueError(f"seed_sd is {seed_sd}; allowed is a positive number of points, or None")
     if unseen < 0:
         raise ValueError(f"unseen is {unseen}; allowed is 0 or a number of methods")
-    pairs = _compare(matrices, seed_sd)
+    if groups is not None and len(groups) != matrices[0].shape[1]:
+        raise ValueError(
+            f"there are {len(groups)} groups for {matrices[0].shape[1]} partners; give one for "
+            "each partner"
+        )
+    pairs = _compare(matrices, seed_sd, groups)
     return Ranks(_transitive_closure(_step_down(pairs, 1 - confidence, unseen)))
 
 
@@ -131,7 +145,7 @@ class _Pairs:
     of_seeds: np.ndarray  # [M, M]
     seed_df: np.ndarray  # [M, M]
     of_partners: np.ndarray  # [M, M]
-    partner_df: int
+    partner_df: np.ndarray  # [M, M]
     rounding: float
 
     def apart(self, level: float) -> np.ndarray:
@@ -146,24 +160,54 @@ class _Pairs:
         return np.square(self.difference) > np.maximum(bar, self.rounding**2)
 
 
-def _compare(matrices: Sequence[np.ndarray], seed_sd: float | None) -> _Pairs:
+def _compare(
+    matrices: Sequence[np.ndarray], seed_sd: float | None, groups: Sequence[str] | None
+) -> _Pairs:
+    if groups is not None:
+        weights = group_weights(groups)
+        matrices = [matrix * weights for matrix in matrices]
     columns = np.stack([matrix.mean(axis=0) for matrix in matrices])  # [M, P]
-    partners = columns.shape[1]
     means = columns.mean(axis=1)
-    centred = columns - means[:, None]
-    products = centred @ centred.T
-    own = np.diagonal(products)
-    of_partners = (own[:, None] + own - 2 * products) / (partners * (partners - 1))
+    of_partners, partner_df = _partner_variance(columns, groups)
     variances, df = np.array([_seed_variance(matrix, seed_sd) for matrix in matrices]).T
     of_seeds = variances[:, None] + variances
     return _Pairs(
         difference=means[:, None] - means,
         of_seeds=of_seeds,
         seed_df=_summed_df(variances, df, of_seeds),
-        of_partners=np.maximum(of_partners, 0.0),
-        partner_df=partners - 1,
+        of_partners=of_partners,
+        partner_df=partner_df,
         rounding=_ROUNDING * float(np.abs(means).max()),
     )
+
+
+def _partner_variance(
+    columns: np.ndarray, groups: Sequence[str] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance [M, M] of the mean of paired differences, and its degrees of freedom.
+
+    Args:
+        columns: Means over seeds [M, P], weighted by the partners' groups.
+        groups: The group of each partner; None if they are of one.
+    """
+    named = np.array(groups if groups is not None else [""] * columns.shape[1])
+    masks = [named == name for name in sorted(set(named.tolist()))]
+    if min(mask.sum() for mask in masks) < 2:
+        masks = [np.ones(len(named), bool)]
+    total = np.zeros((len(columns), len(columns)))
+    squares = np.zeros_like(total)
+    for mask in masks:
+        count = int(mask.sum())
+        centred = columns[:, mask] - columns[:, mask].mean(axis=1, keepdims=True)
+        products = centred @ centred.T
+        own = np.diagonal(products)
+        sums = np.maximum(own[:, None] + own - 2 * products, 0.0)
+        part = sums * count / ((count - 1) * columns.shape[1] ** 2)
+        total += part
+        squares += part**2 / (count - 1)
+    most = float(len(named) - len(masks))
+    df = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), most)
+    return total, np.minimum(df, most)
 
 
 def _seed_variance(matrix: np.ndarray, seed_sd: float | None) -> tuple[float, float]:

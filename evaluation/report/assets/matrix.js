@@ -13,7 +13,8 @@ function crossPlayMatrix(data, options = {}) {
   const STRIP = 10,
     GAP = 3,
     FAMILY = "system-ui, 'DejaVu Sans', sans-serif",
-    NAME = `11px ${FAMILY}`;
+    NAME = `11px ${FAMILY}`,
+    STRIPS = data.strips.length * (STRIP + GAP);
   const DARK = "#1d2733",
     LIGHT = "#fff",
     MARK = "#d9480f"; // on cells of any colour
@@ -87,8 +88,8 @@ function crossPlayMatrix(data, options = {}) {
         width / 5,
         Math.max(...names.map((one) => context.measureText(one.short).width)) + 8,
       );
-    const left = longest(data.rows) + 2 * (STRIP + GAP) + 18,
-      top = longest(data.columns) + 2 * (STRIP + GAP) + 18;
+    const left = longest(data.rows) + STRIPS + 18,
+      top = longest(data.columns) + STRIPS + 18;
     const cell = Math.min(48, (width - left - 4) / columns, Math.max(900 - top, 300) / rows);
     plot = { left, top, width: cell * columns, height: cell * rows, fit: cell };
     const height = Math.ceil(top + plot.height + 4),
@@ -198,8 +199,8 @@ function crossPlayMatrix(data, options = {}) {
     for (let i = first; i < last; i++) {
       const one = isRow ? robot(i) : human(i),
         at = isRow ? top(i, cell) : left(i, cell);
-      ["disability", "algorithm"].forEach((trait, k) => {
-        context.fillStyle = data.palettes[trait][one[trait]] ?? "#c8c8c8";
+      data.strips.forEach((trait, k) => {
+        context.fillStyle = data.palettes[trait][one.traits[trait]] ?? "#c8c8c8";
         const offset = (isRow ? plot.left : plot.top) - (k + 1) * (STRIP + GAP);
         if (isRow) context.fillRect(offset, at, STRIP, cell + 0.5);
         else context.fillRect(at, offset, cell + 0.5, STRIP);
@@ -207,7 +208,7 @@ function crossPlayMatrix(data, options = {}) {
       const hit = found && one.name.toLowerCase().includes(found);
       if (cell < 10 && !hit) continue;
       context.fillStyle = hit ? MARK : ink;
-      const end = (isRow ? plot.left : plot.top) - 2 * (STRIP + GAP) - 4;
+      const end = (isRow ? plot.left : plot.top) - STRIPS - 4;
       context.textAlign = isRow ? "right" : "left";
       if (isRow) context.fillText(one.short, end, at + cell / 2, end - 18);
       else {

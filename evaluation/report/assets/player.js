@@ -51,6 +51,7 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
       const [right, bottom] = [stage.clientWidth + 60, stage.clientHeight + 60];
       label.hidden = !at || at[0] < -60 || at[1] < -60 || at[0] > right || at[1] > bottom;
       if (label.hidden) continue;
+      if (kind === "person") label.textContent = episode.words?.[state.step] ? `says: ${episode.words[state.step]}` : kind;
       if (kind === "target") label.style.borderColor = episode.targets[0].colour;
       if (kind === "force") {
         label.textContent = `${figure(episode.force[state.step])} N`;
@@ -249,7 +250,7 @@ function playEpisode(place, episode, { autoplay = false } = {}) {
     const [time, never] = name === "force"
       ? ["Of the time with a touch", "The robot never touches the person."]
       : ["Of the time that the arm rests", "The arm never rests."];
-    const told = isNaN(share) ? never : `${time}, ${figure(100 * share, 0)}% was as preferred (within a factor of two).`;
+    const told = isNaN(share) ? never : `${time}, ${figure(100 * share, 0)}% was as preferred (within a factor of ${LIKED}).`;
     curve.append(strip, key, element("p", "episode-share", told));
   }
 

@@ -16,7 +16,9 @@ function levelOf(episode, newtons) {
   return episode.levels.filter((level, i) => !i || newtons >= level.from).at(-1);
 }
 
-// Whether a value is within a factor of two of the preference. The hook's distance counts while the
+const LIKED = 1.5; // factor from the preference up to which a value is as preferred
+
+// Whether a value is as preferred. The hook's distance counts while the
 // arm rests, other values while the person is touched.
 function moodOf(episode, step, name) {
   const preference = episode.preferences.find((one) => one.name === name);
@@ -24,7 +26,7 @@ function moodOf(episode, step, name) {
   const counts = name === "distance" ? episode.rests[step] : episode.force[step] > FELT;
   if (!preference || !counts) return "none";
   const share = episode[name][step] / preference.value;
-  return share < 0.5 ? "less" : share > 2 ? "more" : "preferred";
+  return share < 1 / LIKED ? "less" : share > LIKED ? "more" : "preferred";
 }
 
 // Share of the counting time in which a value was as preferred; NaN if no time counted.
@@ -63,7 +65,7 @@ function curveOf(values, { height, low, high, preference, label, roots = false }
   const y = (value) => 100 - 100 * (roots ? Math.sqrt(share(value)) : share(value));
   const svg = shape("svg", { viewBox: `0 0 ${last} 100`, preserveAspectRatio: "none", role: "img", "aria-label": label });
   if (preference) {
-    const [top, bottom] = [y(2 * preference.value), y(preference.value / 2)];
+    const [top, bottom] = [y(LIKED * preference.value), y(preference.value / LIKED)];
     svg.append(shape("rect", { class: "preferred", x: 0, y: top, width: last, height: bottom - top }));
     svg.append(shape("path", { class: "preference", d: `M0 ${y(preference.value)}H${last}` }));
   }

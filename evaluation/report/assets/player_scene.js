@@ -39,11 +39,12 @@ function bodyPlaces(bodies, pose) {
   return places;
 }
 
-// Draws an episode on a canvas. `show(step)` poses it, `labels()` says where words belong.
-function episodeScene(canvas, episode) {
+// Draws an episode on a canvas. `show(step)` poses it, `labels()` says where words belong. A plain
+// scene has smooth edges and shadows left out, for machines that draw without a graphics processor.
+function episodeScene(canvas, episode, { plain = false } = {}) {
   const { scene: described } = episode;
-  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-  renderer.shadowMap.enabled = true;
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: !plain });
+  renderer.shadowMap.enabled = !plain;
   const world = new THREE.Scene();
   world.background = new THREE.Color("#eaeef2");
   const camera = new THREE.PerspectiveCamera(described.camera.fovy, 4 / 3, 0.02, 30);
@@ -182,7 +183,7 @@ function episodeScene(canvas, episode) {
     home.elevation = Math.asin(-towards.z);
     home.target = target;
   }
-  const view = { close: false };
+  const view = { close: false, sharpness: 1 }; // share of the screen's dots
   function reset(close = false) {
     Object.assign(view, home, { target: home.target.clone(), close });
     if (close) view.distance = 0.85;
@@ -209,7 +210,7 @@ function episodeScene(canvas, episode) {
   function draw() {
     const { clientWidth: width, clientHeight: height } = canvas.parentElement;
     if (!width || !height) return;
-    renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    renderer.setPixelRatio(Math.min(2, devicePixelRatio) * view.sharpness);
     renderer.setSize(width, height, false);
     if (view.close) {
       const seen = targets.flat().filter((mark) => mark.visible);
@@ -290,5 +291,5 @@ function episodeScene(canvas, episode) {
   const bodies = () =>
     Object.fromEntries(described.bodies.map(({ name }, i) => [name, groups[i].position.toArray()]));
 
-  return { show, draw, labels, orbit, pan, zoom, reset, view, bodies };
+  return { show, draw, labels, orbit, pan, zoom, reset, view, bodies, camera, onCanvas };
 }

@@ -1,0 +1,1 @@
+"""Episodes in which a visitor of the browser page was the person."""

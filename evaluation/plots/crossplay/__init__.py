@@ -1,0 +1,1 @@
+"""The clustered cross-play matrix: its order, layout, strips and legend."""
