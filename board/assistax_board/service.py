@@ -36,7 +36,6 @@ from assistax_board.store.database import Database, Reader, Transaction
 from assistax_board.store.queries import Queries, unplayed_b
 from assistax_board.store.receipts import Signer
 from assistax_board.store.schema import JOB, SUBMISSION
-from assistax_board.vocabulary import REFERENCE
 
 Admit = Callable[[bytes, str], Admitted]  # (file, task); raises Refusal
 
@@ -172,6 +171,7 @@ class Service:
     disqualify = organising.disqualify
     delete_draft = organising.delete_draft
     adopt_version = upgrading.adopt_version
+    add_references = upgrading.add_references
 
     def failures(self) -> list[organising.Failure]:
         """Return the submissions of which jobs have failed, the newest first."""
@@ -186,15 +186,6 @@ class Service:
         """Tell the organiser something; see `notices`."""
         with self.begin() as transaction:
             notices.note(transaction, kind, about)
-
-    def add_references(self) -> None:
-        """Queue the reference rows of every board, each once, behind all other submissions."""
-        with self.begin() as transaction:
-            owner = tokens.find_or_add(transaction, REFERENCE, None)
-        for task in self.catalogue.tasks:
-            for name, method in self.catalogue.references(task).items():
-                request = f"{task} {name}"
-                self.submit(owner, Draft(task, method, request, kind="reference", format=name))
 
     def fail(self, submission: str, reason: str) -> None:
         """End a submission without a score, for a reason of `vocabulary.FAILURES`."""

@@ -132,7 +132,7 @@ def hand_in(
         client: Of the server.
         files: Of the robots, or ids of robots of the zoo.
         fields: Of each submission, None where nothing is said.
-        card: Of an entry, see `rules.entries.Card`; None of a single robot.
+        card: Of an entry, see `cards.Card`; None of a single robot.
         watch: Whether to wait for the end.
     """
     robots = [read_file(file) for file in files]

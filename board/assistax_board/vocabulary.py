@@ -16,6 +16,7 @@ BACKEND = "fused"  # what a service plays with, if no other is named
 # Where commands find the server and the token that no option names.
 SERVER_VARIABLE, TOKEN_VARIABLE = "ASSISTAX_ZOO_SERVER", "ASSISTAX_ZOO_TOKEN"
 
+PEOPLE = "people"  # the ledger's word for accepted logs of people
 REFERENCE = "reference"  # the submitter of rows that others are measured by
 GONE_STATES: tuple[SubmissionState, ...] = ("refused", "failed", "retracted")  # that no board has
 FINAL_STATES: tuple[SubmissionState, ...] = ("scored", *GONE_STATES)

@@ -96,6 +96,19 @@ def fill(folder: Path, robots: tuple[Robot, ...]) -> Database:
     return database
 
 
+def add_care(folder: Path) -> None:
+    """Let the scored robots of a folder's database have played a gentle task."""
+    slope = {"slope": 0.5, "slope_ci": None, "within": 0.7}
+    care: dict[str, Any] = {"violations": 0.1, "caring_success": 0.55}
+    care |= {"failed_persons": 0.4, "discomfort": 0.1}
+    care |= {"by_preference": {}, "slopes": {"force": slope, "speed": slope}}
+    score = schema.scores.c
+    with Database(f"sqlite:///{folder / 'service.db'}").write() as connection:
+        for row in connection.execute(sa.select(schema.scores)).all():
+            update = sa.update(schema.scores).where(score.submission == row.submission)
+            connection.execute(update.values(released=row.released | care))
+
+
 class Writer:
     """Writes rows as the service would, with ids that are the same in every run."""
 

@@ -9,9 +9,10 @@ import numpy as np
 import polars as pl
 
 from assistax_base.digest import sha256
+from assistax_board.cards import Card
 from assistax_board.problems import Refusal
 from assistax_board.rules import entries, jobs
-from assistax_board.rules.catalogue import version_id
+from assistax_board.rules.catalogue import ZooEntry, version_id
 from assistax_board.rules.scoring import Work, encode_table
 from assistax_board.rules.submissions import Admitted, Draft
 from assistax_board.rules.tokens import authenticate
@@ -27,6 +28,7 @@ TASK = "scratch"
 class FakeCatalogue:
     def __init__(self, partners: int = 60, version: int = 1) -> None:
         self._partners, self._version = partners, version
+        self.entries: tuple[ZooEntry, ...] = ()
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -36,7 +38,11 @@ class FakeCatalogue:
         return tuple(f"partner-{i:03d}" for i in range(self._partners))
 
     def references(self, task: str) -> dict[str, str]:
-        return {"zero-action": "zero-action", "self-play": "self-play"}
+        rows = {"zero-action": "zero-action", "self-play": "self-play"}
+        return rows | {name: entry.method for entry in self.entries for name in entry.seeds}
+
+    def published(self, task: str) -> tuple[ZooEntry, ...]:
+        return self.entries
 
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
@@ -120,7 +126,7 @@ def draft(strength: float = 1.0, request: str = "r1", **fields: Any) -> Draft:
     return Draft(task=TASK, method=method, request=request, data=data, **fields)
 
 
-CARD = entries.Card(1_000_000, "train side of fcp-1", "not published", 3)
+CARD = Card(1_000_000, "train side of fcp-1", "not published", 3)
 
 
 def declaration(

@@ -11,7 +11,7 @@ import pytest
 from limits import parse
 from starlette.testclient import TestClient
 
-from assistax_board.api.guards import MAX_BODY
+from assistax_board.api.guards import MAX_BODY, MOST_BODY
 from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.problems import Problem
@@ -157,7 +157,8 @@ def test_who_asks_comes_before_what_is_asked(http: TestClient, path: str) -> Non
     [
         (64 * 1024, ("/api/work/lease", "/api/work/x/refused", f"/pairs/{TASK}/a/b", "/api/none")),
         (4 * 1024 * 1024 + 64 * 1024, ("/api/work/x/result",)),
-        (MAX_BODY, ("/api/submissions", "/submit")),
+        (MAX_BODY, ("/api/submissions",)),
+        (MOST_BODY, ("/submit",)),
     ],
 )
 def test_body_limit_depends_on_route(http: TestClient, paths: tuple[str, ...], most: int) -> None:

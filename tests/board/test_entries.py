@@ -12,12 +12,12 @@ from starlette.testclient import TestClient
 
 from assistax_base.digest import sha256
 from assistax_board.app import create_app
+from assistax_board.cards import Card
 from assistax_board.pages.boards import Board, Boards
 from assistax_board.pages.crossplays import CrossPlays
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.places import boards
 from assistax_board.problems import Problem
-from assistax_board.rules import entries
 from assistax_board.service import Service
 from assistax_board.store import schema
 from assistax_board.store.database import Database, alembic_config
@@ -170,10 +170,10 @@ def test_a_refused_file_ends_its_entry(service: Service) -> None:
         ({"task": "chess"}, "task 'chess'"),
         ({"method": "a\nb"}, "method has 1 to 80"),
         ({"season": "gone"}, "no season 'gone'"),
-        ({"card": entries.Card(0, "p", "c", 2)}, "steps is 0"),
-        ({"card": entries.Card(1, "p", "c", 1)}, "trained is 1 and there are 2 files"),
-        ({"card": entries.Card(1, "", "c", 2)}, "partners has 1 to 200"),
-        ({"card": entries.Card(1, "p", "c" * 201, 2)}, "code has 1 to 200"),
+        ({"card": Card(0, "p", "c", 2)}, "steps is 0"),
+        ({"card": Card(1, "p", "c", 1)}, "trained is 1 and there are 2 files"),
+        ({"card": Card(1, "", "c", 2)}, "partners has 1 to 200"),
+        ({"card": Card(1, "p", "c" * 201, 2)}, "code has 1 to 200"),
     ],
 )
 def test_a_wrong_declaration_is_one_clear_error(

@@ -74,7 +74,7 @@ def addresses(client: TestClient, submissions: tuple[str, str]) -> list[str]:
         *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/heatmap", "/tasks/nowhere"),
         *("/tasks/scratch?sort=iqm&search=o&show=methods", "/tasks/scratch/compare"),
         *("/tasks/scratch/partners", "/tasks/scratch/partners?algorithm=ippo&disability=d3"),
-        *("/partners/scratch/ippo-d1-s0-v1", "/partners/gentle_scratch/person-00042-v3"),
+        *("/partners/scratch/ippo-d1-s0-v1", "/partners/gentle_scratch/person-00042-v1"),
         *(PAIR, EXPLORER, *submissions, f"{submissions[0]}/method"),
         *("/seasons", linked(client, "/seasons", r"/seasons/\w+"), "/ledger"),
         *("/submit", "/submit?task=bed_bath", "/organise", "/docs"),
@@ -197,17 +197,17 @@ def test_partners_are_filtered_by_every_trait(client: TestClient) -> None:
 
 
 def test_person_card_shows_numbers_with_ranges(client: TestClient) -> None:
-    assert "person-00000-v3" in client.get("/tasks/gentle_scratch/partners").text
+    assert "person-00000-v1" in client.get("/tasks/gentle_scratch/partners").text
     assert "person-" not in client.get("/tasks/scratch/partners").text
-    card = client.get("/partners/gentle_scratch/person-00042-v3").text
+    card = client.get("/partners/gentle_scratch/person-00042-v1").text
     for name, number in described_numbers(person("gentle_scratch", 42)).items():
         row = re.search(rf">{name.replace('_', ' ')}</th>(.*?)</tr>", card, re.DOTALL)
         assert row, name
         shown = re.findall(r'class="number">([^<]*)<', row[1])[:3]
         assert shown == [f"{number[key]:.4g}" for key in ("value", "low", "high")]
     assert person("gentle_scratch", 42).identity in card and "no model of a patient" in card
-    assert "person-00041-v3" in card and "person-00043-v3" in card
-    for absent in ("person-10000-v3", "person-00042-v2", "person-x"):
+    assert "person-00041-v1" in card and "person-00043-v1" in card
+    for absent in ("person-30000-v1", "person-00042-v2", "person-x"):
         assert client.get(f"/partners/gentle_scratch/{absent}").status_code == 404
 
 
@@ -510,12 +510,18 @@ def test_gentle_board_shows_violations(service: Service) -> None:
     with service.database.write() as connection:
         rows = connection.execute(sa.select(schema.scores).order_by(SCORE.submission)).all()
         for row, violations in zip(rows, (0.1, 0.3), strict=True):
-            gentle = {"violations": violations, "safe_success": 0.55, "by_preference": {}}
+            gentle = {"violations": violations, "caring_success": 0.55, "by_preference": {}}
+            gentle |= {"failed_persons": 0.4, "discomfort": 0.1}
+            gentle["slopes"] = {"force": {"slope": violations, "slope_ci": None, "within": 0.7}}
             update = sa.update(schema.scores).where(SCORE.submission == row.submission)
             connection.execute(update.values(released=row.released | gentle))
     page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
     assert 'data-label="Violations">20%<' in page  # of two seeds
-    assert 'data-label="Safe success">55%<' in page
+    assert 'data-label="Caring success">55%<' in page
+    assert 'data-label="Persons failed">40%<' in page
+    assert 'data-label="Discomfort">10%<' in page and 'data-label="Slope force">0.20<' in page
+    table = TestClient(create_app(service)).get(f"/tasks/{TASK}.csv").text
+    assert "caring_success,failed_persons,discomfort,violations,slope_force," in table
 
 
 def test_submission_page_is_headed_by_its_mean(service: Service) -> None:

@@ -19,7 +19,7 @@ READ = (
     *("/", "/tasks/scratch", "/tasks/arm_assist", "/tasks/scratch/compare"),
     *("/tasks/scratch?search=ego&sort=iqm&show=methods", "/tasks/scratch/heatmap"),
     *("/tasks/scratch/partners?disability=d3", "/partners/scratch/ippo-d1-s0-v1"),
-    *("/tasks/gentle_scratch/partners", "/partners/gentle_scratch/person-00042-v3"),
+    *("/tasks/gentle_scratch/partners", "/partners/gentle_scratch/person-00042-v1"),
     *("/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1", "/tasks/scratch/explorer"),
     *("/seasons", "/seasons/5ea5011", "/submit?task=scratch", "/ledger", "/organise", "/docs"),
 )

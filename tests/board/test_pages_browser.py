@@ -13,7 +13,7 @@ from assistax_board import pages
 from evaluation.player.episode import Episode, episode_content
 from evaluation.player.page import pack
 from tests.board import running
-from tests.board.board_data import make_app
+from tests.board.board_data import add_care, make_app
 from tests.board.browser import accessibility_faults, opened
 from tests.board.fakes import new_service, work_off
 from tests.board.test_pages import Films
@@ -99,21 +99,40 @@ def tab_to(page: Page, target: object) -> None:
     pytest.fail("the keyboard does not lead there")
 
 
+LINES = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
+  const boxes = [...row.children].map((cell) => cell.getBoundingClientRect());
+  const middles = boxes.filter((box) => box.height).map((box) => box.y + box.height / 2);
+  middles.sort((a, b) => a - b);
+  return 1 + middles.slice(1).filter((y, i) => y - middles[i] > 10).length;
+})"""
+HEIGHT = "document.querySelector('.board tbody tr').getBoundingClientRect().height"
+
+
 def test_board_row_is_three_lines_on_telephone(browser: Browser, address: str) -> None:
     """Each method: its place and name, its return and interval, and two figures more."""
-    lines = """[...document.querySelectorAll(".board tbody tr")].map((row) => {
-      const boxes = [...row.children].map((cell) => cell.getBoundingClientRect());
-      const middles = boxes.filter((box) => box.height).map((box) => box.y + box.height / 2);
-      middles.sort((a, b) => a - b);
-      return 1 + middles.slice(1).filter((y, i) => y - middles[i] > 10).length;
-    })"""
-    height = "document.querySelector('.board tbody tr').getBoundingClientRect().height"
     with opened(browser, 400) as page:
         page.goto(f"{address}/tasks/scratch")
-        assert page.evaluate(lines) == [3] * 7
-        assert page.evaluate(height) < 110
+        assert page.evaluate(LINES) == [3] * 7
+        assert page.evaluate(HEIGHT) < 110
         row = page.get_by_role("row", name="ppo ego").inner_text()
         assert "987" in row and " to " in row and "4 of 4 declared" in row
+
+
+def test_columns_of_care_stay_within_the_page(browser: Browser, tmp_path: Path) -> None:
+    """A row of them is three lines on a telephone too; elsewhere a wide table scrolls by itself."""
+    app = make_app(tmp_path)
+    add_care(tmp_path)
+    with running.serving(app) as address:
+        for width in (400, 1010, 1280):
+            with opened(browser, width) as page:
+                page.goto(f"{address}/tasks/scratch")
+                assert page.evaluate("document.documentElement.scrollWidth") <= width
+                assert accessibility_faults(page) == []
+                row = page.get_by_role("row", name="ppo ego").inner_text()
+                assert "10%" in row and ("0.50" in row) == (width > 400)
+                if width == 400:
+                    assert page.evaluate(LINES) == [3] * 7
+                    assert page.evaluate(HEIGHT) < 110
 
 
 def test_colour_switch_works_with_and_without_scripts(browser: Browser, address: str) -> None:

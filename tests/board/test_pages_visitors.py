@@ -4,7 +4,6 @@ import csv
 import io
 import re
 import threading
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,14 +15,13 @@ from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.pages import behind, boards
 from assistax_board.pages.cache import PageCache
-from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.store.database import Database
 from assistax_board.store.queries import Queries
 from tests.board.board_data import HOSTILE, VERSION, Robot, make_app
 from tests.board.fakes import TASK, advance, draft, new_service, new_submitter, scored, work_off
-from tests.board.test_pages import Films, form_token, inline
+from tests.board.test_pages import inline
 from tests.board.test_submit_form import filled, send
 
 BOARD = "/tasks/scratch"
@@ -151,26 +149,19 @@ def test_methods_and_partners_are_a_map(client: TestClient) -> None:
     assert client.get("/tasks/bed_bath/heatmap").status_code == 404
 
 
-def test_home_page_shows_newest_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    films, address = Films(), "/pairs/scratch/ippo-d1-s0-v1/ippo-d1-s1-v1"
-    monkeypatch.setattr(pages, "run_command", lambda words, folder, registry: films(words, folder))
-    with TestClient(make_app(tmp_path, ())) as reader:
-        reader.post(address, data={FIELD: form_token(reader, address)})
-        end = time.monotonic() + 120
-        while "<figure>" not in (page := reader.get("/").text) and time.monotonic() < end:
-            time.sleep(0.1)
-        film = re.search(r'class="film" src="([^"]+)"', page)
-        assert film
-        assert reader.get(film[1]).content == b"film"
-        assert f'href="{address}"' in page
-        assert inline(page) == []
-    [note] = (tmp_path / "films").glob("*/pair.json")
-    note.write_text(note.read_text().replace("ippo-d1-s0-v1", "gone"))
-    other = tmp_path / "other"
-    other.mkdir()
-    (tmp_path / "films").rename(other / "films")
-    with TestClient(make_app(other, ())) as reader:
-        assert "<figure>" not in reader.get("/").text, "of a pair that this server does not have"
+def test_a_board_that_is_done_while_it_is_asked_for_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader gives up waiting, and the board is done before the page asks if it is behind."""
+    of, asked = boards.Boards.of, []
+
+    def late(self: boards.Boards, task: str, version: str | None = None) -> object:
+        asked.append(task)
+        return None if len(asked) == 1 else of(self, task, version)
+
+    monkeypatch.setattr(boards.Boards, "of", late)
+    with TestClient(make_app(tmp_path)) as reader:
+        assert reader.get(f"{BOARD}.csv").status_code == 200
 
 
 def entries(reader: TestClient, address: str = "/news.atom") -> list[dict[str, str]]:

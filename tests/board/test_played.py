@@ -9,6 +9,7 @@ from starlette.testclient import TestClient
 from assistax_board.app import create_app
 from assistax_board.client import Client
 from assistax_board.robots.admission import Admission
+from assistax_board.rules.catalogue import public_entries
 from assistax_board.rules.release_pack import add_persons, hidden_partners
 from assistax_board.rules.submissions import Admitted
 from assistax_board.service import Service
@@ -19,6 +20,7 @@ from assistax_board.store.played import (
     warning_of,
 )
 from assistax_board.submitting import hand_in, limits_for_reader
+from assistax_envs.versions import VERSIONS
 from population.networks.onnx_export import to_onnx
 from tests.board.fakes import TASK, FakeCatalogue, draft, new_submitter
 from tests.board.test_season import open_season
@@ -28,7 +30,12 @@ from tests.untrained import ROBOT, params_of, published, teams_of
 from zoo.parameters.storage import policy_bytes, write_policy_file
 from zoo.registry import load_registry
 
-PERSONS = {"env_versions": [3], "persons": {"muscle": 4, "spring": 4}, "teams": {}}
+NOW = VERSIONS[GENTLE]
+PERSONS = {
+    "env_versions": [NOW],
+    "persons": {"muscle": 2, "spring": 3, "stepper": 3},
+    "teams": {},
+}
 
 
 def test_a_season_of_persons_says_so_everywhere(service: Service, tmp_path: Path) -> None:
@@ -40,14 +47,12 @@ def test_a_season_of_persons_says_so_everywhere(service: Service, tmp_path: Path
         token = service.create_token(("submit",), submitter="lab")
         limits = limits_for_reader(Client("http://testserver", token, transport=http).limits())
         assert http.get("/api/seasons/spring").json()["hidden"] == PERSONS
-    words = "8 persons (4 muscle, 4 spring), environment version 3"
+    words = f"8 persons (2 muscle, 3 spring, 3 stepper), environment version {NOW}"
     assert words in page and words in limits["season spring"]
-    public = load_registry()
-    side = public.split(GENTLE).side
-    entries = [e for e in public.of_task(GENTLE, "human") if side(e.team) == "test"]
-    version = public.env_version(entries[0])
-    assert f"{len(entries)} partners of trained teams (" in page
-    assert f"), environment version {version}" in page
+    registry = load_registry()
+    public = describe_partners(registry, public_entries(registry, GENTLE))
+    assert partners_in_words(public) in page
+    assert sum(public["persons"].values()) == 200 and not public["teams"]
     assert "hidden ones are persons made of numbers" in page
     assert "The partners are trained policies" not in page
 
@@ -57,9 +62,9 @@ def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
     add_persons(tmp_path, GENTLE, 6)
     registry = load_registry(tmp_path / "registry.json")
     told = describe_partners(registry, hidden_partners(registry, GENTLE))
-    persons = {"muscle": 3, "spring": 3}
-    assert told == {"env_versions": [3], "persons": persons, "teams": {"ippo": 4}}
-    both = "6 persons (3 muscle, 3 spring) and 4 partners of trained teams (4 ippo)"
+    persons = {"muscle": 1, "spring": 3, "stepper": 2}
+    assert told == {"env_versions": [NOW], "persons": persons, "teams": {"ippo": 4}}
+    both = "6 persons (1 muscle, 3 spring, 2 stepper) and 4 partners of trained teams (4 ippo)"
     assert both in partners_in_words(told)
     assert "kinds not recorded" in partners_in_words(None)
     assert "not validated models of people" in statement_of(None)
@@ -71,9 +76,9 @@ class Row:
 
 def test_a_warning_names_each_other_version() -> None:
     assert warning_of(None, 2, Row) is None, "a file that says nothing"
-    assert warning_of(3, 3, Row) is None
-    halves = "public half in environment version 2", "season spring in environment version 3"
-    for version, expected in ((1, [True, True]), (2, [False, True]), (3, [True, False])):
+    assert warning_of(NOW, NOW, Row) is None
+    halves = "public half in environment version 2", f"season spring in environment version {NOW}"
+    for version, expected in ((1, [True, True]), (2, [False, True]), (NOW, [True, False])):
         text = str(warning_of(version, 2, Row))
         assert [half in text for half in halves] == expected
 

@@ -1,13 +1,13 @@
 """A whole tiny season by one command, and what would make it fail."""
 
 import contextlib
-import errno
 import itertools
+import os
 import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +15,9 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from assistax_board import rehearsal
+from assistax_board.rehearsal import disk, postgres, season, stage
+from assistax_board.rehearsal.disk import full_disk, small_disk
+from assistax_board.rehearsal.hardships import fill_disk
 from assistax_board.service import Service
 from assistax_board.store.ledger import check_chain
 from assistax_board.store.schema import JOB
@@ -26,69 +28,46 @@ from tests.board.faulty import real_service
 from tests.board.running import port_of_its_own
 from tests.board.test_faults_processes import JOBS, ROOT, Process
 from tests.board.test_season import open_season
-from tests.untrained import gentle_specs, published, teams_of
-
-TASK = "gentle_scratch"
-Rehearse = Callable[[rehearsal.Stage], Iterator[str]]
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("is_bare", [False, True], ids=["all", "bare"])
 def test_a_season_is_rehearsed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    is_bare: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rehearsal, "rehearse", on_a_disk_that_fills_up(rehearsal.rehearse))
-    registry = published(teams_of(4, *gentle_specs(TASK), TASK), tmp_path / "public")
+    """Also where nothing can be mounted and PostgreSQL is not installed, which it says."""
+    if is_bare:
+        monkeypatch.setattr(disk, "SMALL", "size=nothing")
+        monkeypatch.setattr(season, "missing", lambda: "PostgreSQL is not installed")
     data = tmp_path / "rehearsal"
-    words = ["season", "rehearse", "--data", str(data), "--registry", str(registry)]
-    words += ["--minutes", "2.5"]  # the disk is full for a part of them
+    words = ["season", "rehearse", "--data", str(data)]
     assert run(words) == 0, capsys.readouterr().err
     lines = capsys.readouterr().out
-    stages = re.findall(r"stage (\d) of 6, ", lines)
-    assert stages == list("123456")
+    assert re.findall(r"stage (\d) of 9, ", lines) == list("123456789")
     assert lines.count("panel B: ") == 2
     for text in (
-        *("trained 4 hidden teams", "drew 4 hidden persons from a secret", "its root is "),
+        *("trained 4 hidden teams", "trained 4 public teams", "drew 4 hidden persons"),
         *("Lab of Ada handed in robot.safetensors", "Lab of Grace handed in robot.onnx"),
         "upgraded while the season is open: fused plays anew what native scored",
+        *("rolled back: the board shows native's own", "nothing is played twice"),
         *("the closing date came", "killed the server while the season closes"),
         *("a server on native does not start", "proved: the 8 partners", "are a chain"),
-        *("a backup has", "has stopped"),
+        *("a backup has", "has stopped", "all is as it should be"),
     ):
         assert text in lines
-    assert (data / "board.zip").is_file()
+    left_out = re.findall("left out: (.+)", lines)
+    hard = ("the disk has room again", "rows to postgresql", "rows to sqlite")
+    if is_bare:
+        assert left_out[1:] == ["PostgreSQL is not installed"] and "needs root" in left_out[0]
+        assert not any(text in lines for text in hard)
+    else:
+        can = (os.getuid() == 0, *2 * [postgres.missing() is None])
+        assert [text in lines for text in hard] == list(can)
+    assert (data / "board.zip").is_file() and (data / "board" / "signing-key.pem").is_file()
     assert run(words) == 1 and "exists; name a new folder" in capsys.readouterr().err
-
-
-def on_a_disk_that_fills_up(rehearse: Rehearse) -> Rehearse:
-    """Let it be on a real file system of 64 MB, full while robots play and the season closes."""
-
-    def rehearse_there(stage: rehearsal.Stage) -> Iterator[str]:
-        with mounted(stage.data, "size=64m") as is_there:
-            for line in rehearse(stage):
-                yield line
-                if is_there and ("Lab of Grace handed in" in line or "the server goes on" in line):
-                    with full_disk(stage.data):
-                        time.sleep(15.0)
-            assert is_there == (stage.data.stat().st_dev != stage.folder.stat().st_dev)
-
-    return rehearse_there
-
-
-@contextlib.contextmanager
-def full_disk(folder: Path) -> Generator[None]:
-    """Leave no byte on the file system of a folder, also where something is given back."""
-    path, refused = folder / "filler", 0
-    with path.open("wb", buffering=0) as file:
-        for _ in range(3):
-            try:
-                while True:
-                    file.write(bytes(4096))
-            except OSError as error:
-                refused += error.errno == errno.ENOSPC
-            time.sleep(0.5)
-    assert refused == 3
-    yield
-    path.unlink()
 
 
 @pytest.mark.slow
@@ -199,24 +178,22 @@ def is_open(service: Service) -> bool:
 
 
 def test_what_never_happens_ends_a_rehearsal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsal, "LIMIT_SECONDS", 0.0)
+    monkeypatch.setattr(stage, "LIMIT_SECONDS", 0.0)
     with pytest.raises(ValueError, match="in vain: the moon falls"):
-        rehearsal.wait("the moon falls", lambda: False)
+        list(stage.wait("the moon falls", lambda: False))
 
 
 def test_a_rehearsal_says_how_far_a_submission_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", lambda _: None)
     states = [("queued", 0), ("running", 0), ("running", 0), ("running", 1), ("scored", 2)]
     rows = iter([{"state": state, "jobs_done": done, "jobs": 2} for state, done in states])
-    looks: list[str] = []
     client: Any = SimpleNamespace(submission=lambda id: next(rows))
-    lines = list(rehearsal.watch(client, "7kq2", lambda: looks.append("open")))
+    lines = list(stage.watch(client, "7kq2"))
     assert lines == [
         "7kq2 is queued: 0 of 2 jobs done",
         "7kq2 is running: 0 of 2 jobs done",
         "7kq2 is running: 1 of 2 jobs done",
     ]
-    assert len(looks) == 4
 
 
 def test_a_long_job_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,6 +204,35 @@ def test_a_long_job_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     client: Any = SimpleNamespace(submission=lambda id: row)
     lines: list[str] = []
     with pytest.raises(ValueError, match="30 minutes in vain: 7kq2 ends"):
-        lines += rehearsal.watch(client, "7kq2")
-    watching = rehearsal.watch(client, "7kq2")
+        lines += stage.watch(client, "7kq2")
+    watching = stage.watch(client, "7kq2")
     assert [next(watching) for _ in range(3)] == ["7kq2 is running: 0 of 2 jobs done"] * 3
+    waiting = stage.wait("the moon falls", lambda: False)
+    assert [next(waiting) for _ in range(3)] == ["waiting: the moon falls"] * 3
+
+
+def test_a_small_disk_is_kept_when_it_goes(tmp_path: Path) -> None:
+    folder = tmp_path / "board"
+    with small_disk(folder) as is_small:
+        assert is_small == (folder.stat().st_dev != tmp_path.stat().st_dev)
+        (folder / "kept").write_text("kept")
+        if is_small:
+            with full_disk(folder), pytest.raises(OSError, match="No space left"):
+                (folder / "more").write_bytes(bytes(10_000))
+            (folder / "more").write_bytes(bytes(10_000))
+    assert (folder / "kept").read_text() == "kept"
+    assert folder.stat().st_dev == tmp_path.stat().st_dev
+    assert folder.stat().st_mode & 0o077 == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["board"]
+
+
+def test_a_disk_that_cannot_be_mounted_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk, "SMALL", "size=nothing")
+    with small_disk(tmp_path / "board") as is_small:
+        assert not is_small and (tmp_path / "board").is_dir()
+    board: Any = None
+    assert list(fill_disk(board, is_small)) == [
+        "left out: no file system of its own may be mounted here (it needs root)"
+    ]

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 from assistax_board.problems import Problem
+from assistax_board.rules.results import figures
 from assistax_board.rules.scoring import GENTLE_COLUMNS, decode_table, encode_table, table_bytes
 from assistax_board.service import Service
 from assistax_board.work import worker as working
@@ -31,7 +32,33 @@ def rows(**changed: Any) -> dict[str, Any]:
 
 
 def gentle(**changed: Any) -> dict[str, Any]:
-    return rows(preference=["p1", "p5", "p5", "p1"], violated=[False] * 4) | changed
+    likes = ["p1", "p5", "p5", "p1"]
+    care = {
+        "violation": ["none", "impact", "none", "pressed"],
+        "discomfort_share": [0.0, 0.5, 1, 0],
+    }
+    wish = {"liked_force": [2.0] * 4, "done_force": [None, 1.5, 3.0, 4.0]}
+    within = {"within_force": [None, 0.25, 1.0, 0.0]}
+    violated = [False, True, False, True]
+    return rows(preference=likes, violated=violated) | care | wish | within | changed
+
+
+def test_a_score_is_the_mean_of_the_groups_means() -> None:
+    """Three partners of known families and one of the unseen one."""
+    families = ["spring", "muscle", "spring", "stepper"]
+    table = pl.DataFrame(
+        {
+            **{"partner": list("abcd"), "algorithm": families, "episode": [0] * 4},
+            **{"return": [100.0, 110.0, 90.0, 20.0], "success": [True] * 4},
+            "nonfinite": [False] * 4,
+        }
+    )
+    score = figures(table)
+    assert score["mean"] == pytest.approx(60.0)
+    means = {name: group["mean"] for name, group in score["by_group"].items()}
+    assert means == pytest.approx({"known families": 100.0, "unseen family": 20.0})
+    teams = figures(table.with_columns(algorithm=pl.lit("ippo")))
+    assert teams["mean"] == pytest.approx(80.0) and "by_group" not in teams
 
 
 @pytest.mark.parametrize(("made", "likes"), [(rows, ()), (gentle, LIKES)])
@@ -59,6 +86,12 @@ def test_a_result_arrives_as_it_was_sent(made: Any, likes: tuple[str, ...]) -> N
         (rows(), LIKES),
         (gentle(), ()),
         (gentle(preference=["p1", "p5", "p9", "p1"]), LIKES),
+        (gentle(violation=["none", "hit", "none", "none"]), LIKES),
+        (gentle(discomfort_share=[0.0, 1.5, 0.0, 0.0]), LIKES),
+        (gentle(liked_force=[2.0, 0.0, 2.0, 2.0]), LIKES),
+        (gentle(liked_force=[2.0, None, 2.0, 2.0]), LIKES),
+        (gentle(done_press=[2.0] * 4), LIKES),
+        (gentle(done_force=None), LIKES),
         ([], ()),
         ("[" * 5000, ()),
     ],

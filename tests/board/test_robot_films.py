@@ -33,7 +33,7 @@ class Seen(Films):
         self.robots: list[tuple[str, bytes]] = []
 
     def __call__(self, arguments: Sequence[str], folder: Path) -> None:
-        robot = arguments[arguments.index("--robot") + 1 if "--robot" in arguments else 2]
+        robot = arguments[arguments.index("--robot") + 1 if "--robot" in arguments else 1]
         self.robots.append((robot, (folder / robot).read_bytes()))
         super().__call__(arguments, folder)
 
@@ -92,7 +92,7 @@ def test_robot_film_uses_a_training_partner(
     human = command[command.index("--human") + 1].removeprefix("zoo:")
     words = str(films.commands).replace(str(tmp_path), "")
     assert "secret" not in words and "hidden" not in words, "no partner of the season"
-    assert watched[:4] == ["watch", TASK, name, f"zoo:{human}"]
+    assert watched[:5] == ["watch", name, f"zoo:{human}", "--task", TASK]
     registry = load_registry()
     assert registry.split(TASK).side(registry.policy(human).team) == "train"
     film = reader.get(f"/submissions/{id}/film/file")
@@ -115,7 +115,11 @@ def test_what_may_not_be_filmed_is_not(service: Service, reader: TestClient) -> 
     work_off(service)
     reference = next(row.id for row in service.queries.submissions() if row.kind == "reference")
     waiting = service.submit(new_submitter(service), draft(3.0, licence="MIT"))
-    reasons = {private: "allows scoring alone", reference: "Only robots", waiting: "Only robots"}
+    reasons = {
+        private: "allows scoring alone",
+        reference: "no published robot",
+        waiting: "Only robots",
+    }
     for id, why in reasons.items():
         for answer in (
             reader.get(f"/submissions/{id}/film"),

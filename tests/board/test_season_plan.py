@@ -19,11 +19,35 @@ from tests.workshop.test_population_command import ONE, OTHER, use_toy, write_pl
 from zoo.ids import parse_team
 from zoo.registry import load_registry
 
-PLANS = Path(__file__).parents[2] / "zoo" / "plans"
-V3 = PLANS / "v3.json"
+PAPER = Path(__file__).parents[2] / "zoo" / "plans" / "paper.json"
+GENTLE = {
+    "version": 1,
+    "release": "v0",
+    "groups": [
+        {
+            "name": f"{task}-{algorithm}",
+            "task": task,
+            "algorithm": algorithm,
+            "disabilities": ["d1", "d3", "d7", "d9"],
+            "seeds": 3,
+            "steps": 20_000_000,
+            "set": {"num_envs": 256, "initial_log_std": -1.2},
+        }
+        for task in ("gentle_scratch", "gentle_bath")
+        for algorithm in ("ippo", "mappo", "mep")  # the last trains populations
+    ],
+}
 
 
-def make(out: Path, *more: str, plan: Path = V3) -> Path:
+@pytest.fixture
+def gentle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan of gentle tasks, some of whose teams are populations."""
+    path = tmp_path_factory.mktemp("public") / "gentle.json"
+    path.write_text(json.dumps(GENTLE))
+    return path
+
+
+def make(out: Path, *more: str, plan: Path) -> Path:
     assert run(["season", "plan", str(plan), "--out", str(out), *more]) == 0
     return out
 
@@ -32,11 +56,11 @@ def seeds_of(plan: Plan) -> list[int]:
     return [seed for group in plan.groups for seed in group.seeds]
 
 
-@pytest.mark.parametrize("name", ["v1.json", "v3.json"])
-def test_all_but_the_seeds_is_the_public_plans(tmp_path: Path, name: str) -> None:
-    """Release v3 has populations."""
-    public, private = read_plan(PLANS / name), read_plan(make(tmp_path / name, plan=PLANS / name))
-    again = read_plan(make(tmp_path / "again.json", plan=PLANS / name))
+@pytest.mark.parametrize("name", ["paper", "gentle"])
+def test_all_but_the_seeds_is_the_public_plans(tmp_path: Path, name: str, gentle: Path) -> None:
+    plan = PAPER if name == "paper" else gentle
+    public, private = read_plan(plan), read_plan(make(tmp_path / "plan.json", plan=plan))
+    again = read_plan(make(tmp_path / "again.json", plan=plan))
     seeds = seeds_of(private)
     assert len(set(seeds)) == len(seeds) == len(seeds_of(public))
     assert set(seeds).isdisjoint(seeds_of(public)) and set(seeds) != set(seeds_of(again))
@@ -81,29 +105,30 @@ def key_of(seed: int) -> tuple[int, ...]:
     return tuple(jax.random.key_data(member_key(Member(seed, "d1"))).tolist())
 
 
-def test_smaller_plan_has_fewer_seeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_smaller_plan_has_fewer_seeds(
+    tmp_path: Path, gentle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     task = ("--task", "gentle_scratch")
-    private = read_plan(make(tmp_path / "plan.json", *task, "--teams", "30"))
-    public = {group.name: group for group in read_plan(V3).groups}
+    private = read_plan(make(tmp_path / "plan.json", *task, "--teams", "30", plan=gentle))
+    public = {group.name: group for group in read_plan(gentle).groups}
     assert 16 <= sum(len(group.members) for group in private.groups) <= 30
     for group in private.groups:
         assert group.disabilities == public[group.name].disabilities
         fewest = 2 if group.trainer.population_coef else 1
         assert fewest <= len(group.seeds) <= len(public[group.name].seeds)
-    assert (
-        run(["season", "plan", str(V3), "--out", str(tmp_path / "x"), *task, "--teams", "9"]) == 1
-    )
+    words = ["season", "plan", str(gentle), "--out", str(tmp_path / "x"), *task, "--teams", "9"]
+    assert run(words) == 1
     assert "every group needs a seed, which is 16 teams" in capsys.readouterr().err
 
 
-def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
+def test_private_plan_is_private_and_minimal(tmp_path: Path, gentle: Path) -> None:
     words = ("--task", "gentle_bath", "--release", "v7")
-    path = make(tmp_path / "private" / "plan.json", *words)
+    path = make(tmp_path / "private" / "plan.json", *words, plan=gentle)
     assert path.stat().st_mode & 0o777 == 0o600 and path.parent.stat().st_mode & 0o077 == 0
-    private, public = read_plan(path), read_plan(V3)
+    private, public = read_plan(path), read_plan(gentle)
     expected = [group.name for group in public.groups if group.task == "gentle_bath"]
     assert private.release == "v7" and [group.name for group in private.groups] == expected
-    path = make(tmp_path / "minimal.json", "--task", "scratch", plan=PLANS / "v1.json")
+    path = make(tmp_path / "minimal.json", "--task", "scratch", plan=PAPER)
     group = json.loads(path.read_text())["groups"][0]
     assert group.keys() == {
         *("name", "task", "algorithm", "disabilities", "seeds", "steps"),
@@ -120,10 +145,15 @@ def test_private_plan_is_private_and_minimal(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_plan_gets_one_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str, more: list[str], message: str
+    tmp_path: Path,
+    gentle: Path,
+    capsys: pytest.CaptureFixture[str],
+    out: str,
+    more: list[str],
+    message: str,
 ) -> None:
     (tmp_path / "old.json").write_text("{}")
-    assert run(["season", "plan", str(V3), "--out", str(tmp_path / out), *more]) == 1
+    assert run(["season", "plan", str(gentle), "--out", str(tmp_path / out), *more]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["old.json"]

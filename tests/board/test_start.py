@@ -19,6 +19,7 @@ from tests.board.running import port_of_its_own
 ROOT = Path(__file__).parents[2]
 STARTED = "_Server.main_loop"
 SOON = 600.0  # seconds, also where many others use the machine
+EARLY = 100  # calls, after which the program does not listen to signals yet
 Moment = tuple[str, int, int]
 
 # After how many calls of a function; where something is half done.
@@ -107,6 +108,8 @@ def test_signals_at_random_moments_of_the_start(tmp_path: Path) -> None:
             ("", rng.randrange(calls), rng.choice([signal.SIGTERM, signal.SIGINT]))
             for _ in range(rng.choice([1, 1, 2]))
         ]
+        if trial == 0:
+            moments = [("", EARLY, signal.SIGTERM)]
         code, lines, struck = strike(folder, moments)
         assert struck
         check(code, lines, folder)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from assistax_board.places.boards import Method, Panel, board_rows, worst_tenth
-from evaluation.figures.metrics import Bounds
+from evaluation.figures.metrics import Bounds, zero_shot
 
 PARTNERS = 20
 DISABILITIES = tuple(f"d{1 + i % 4}" for i in range(PARTNERS))
@@ -87,3 +87,28 @@ def test_unlike_seeds_keep_other_places() -> None:
     places = {row.name: row.place for row in rows}
     assert [places[f"m{mean}"] for mean in means] == list(range(1, 9))
     assert places["odd"] == 1
+
+
+def test_a_large_group_counts_no_more_than_a_small_one() -> None:
+    """The first robot suits the family that most partners are of, the second one both."""
+    groups = ("known families",) * 15 + ("unseen family",) * 5
+    one_sided, fair = method("one-sided", 0, 8), method("fair", 70, 9)
+    level = np.where(np.array(groups) == "unseen family", 0.0, 100.0)
+    one_sided = Method("one-sided", one_sided.returns + level[:, None])
+    rows = board_rows([one_sided, fair], Panel(DISABILITIES, groups=groups))
+    assert [(row.name, row.place) for row in rows] == [("fair", 1), ("one-sided", 2)]
+    assert rows[1].m_test.mean == pytest.approx(50.0, abs=2.0)
+    assert one_sided.returns.mean() > fair.returns.mean(), "by the plain mean it was the other way"
+    own = zero_shot(one_sided.returns.mean(axis=2), ["test"] * PARTNERS, groups)
+    assert own.m_test is not None and rows[1].m_test.mean == pytest.approx(own.m_test.mean)
+    assert rows[1].m_test.mean_ci == own.m_test.mean_ci
+    assert rows[1].by_group == own.by_group
+    assert not board_rows([fair], Panel(DISABILITIES))[0].by_group
+
+
+def test_normalised_returns_count_groups_alike() -> None:
+    groups = ("known families",) * 16 + ("unseen family",) * 4
+    bounds = Bounds(np.full(PARTNERS, 100.0), np.zeros(PARTNERS))
+    played = Method("x", np.repeat([[[100.0]], [[0.0]]], [16, 4], axis=0).reshape(1, PARTNERS, 1))
+    [row] = board_rows([played], Panel(DISABILITIES, bounds, groups))
+    assert row.normalised is not None and row.normalised.mean == pytest.approx(0.5)

@@ -13,6 +13,7 @@ from assistax_board.app import create_app
 from assistax_board.pages.security import FIELD
 from assistax_board.problems import Problem
 from assistax_board.service import Service
+from tests.board.fakes import work_off
 from tests.board.test_season import open_season
 
 
@@ -81,6 +82,96 @@ def test_invalid_form_returns_with_reason(
     worker = service.create_token(("work",))
     assert send(reader, filled(reader, worker)).status_code == 403
     assert service.queries.submissions() == []
+
+
+CARD = {"steps": "1,000,000", "trained": "5", "partners": "train side", "code": "not published"}
+
+
+def send_all(reader: TestClient, fields: dict[str, str], *robots: bytes) -> Any:
+    """Send a form with several files."""
+    files = [("file", (f"robot{n}.onnx", data)) for n, data in enumerate(robots)]
+    return reader.post("/submit", data=fields, files=files)
+
+
+def test_several_files_are_a_declared_entry(
+    service: Service, reader: TestClient, token: str
+) -> None:
+    form, robots = filled(reader, token, **CARD), (b"robot 1.0", b"robot 2.0", b"robot 3.0")
+    assert all(f'name="{name}"' in reader.get("/submit").text for name in CARD)
+    answers = [send_all(reader, form, *robots) for _ in range(2)]
+    assert {answer.status_code for answer in answers} == {303}
+    rows = service.queries.submissions()
+    assert len(rows) == 3, "a form sent twice is one entry"
+    assert {answer.headers["location"] for answer in answers} <= {
+        f"/submissions/{row.id}" for row in rows
+    }
+    assert len({row.entry for row in rows}) == 1
+    card = {"steps": 1_000_000, "trained": 5, "partners": "train side", "code": "not published"}
+    assert [(row.declared, row.card) for row in rows] == [(3, card)] * 3
+    assert work_off(service) > 0
+    page = reader.get(answers[0].headers["location"]).text
+    assert "Its entry, as the lab says" in page and "train side" in page
+    assert "3 of 3 declared" in reader.get("/tasks/scratch").text
+
+
+@pytest.mark.parametrize(
+    ("changed", "robots", "message"),
+    [
+        ({}, 1, "there is 1 file and a card; an entry has 2 to 10 files"),
+        ({"steps": "many"}, 2, "steps is &#39;many&#39;; the card of an entry of 2 files needs"),
+        ({"steps": "", "trained": "", "partners": "", "code": ""}, 2, "steps is &#39;&#39;"),
+        ({"trained": "1"}, 2, "trained is 1 and there are 2 files"),
+        ({"code": ""}, 2, "code has 1 to 200"),
+        ({"season": "never"}, 2, "no season"),
+        ({"method": "x" * 81}, 2, "method has 1 to 80"),
+        ({}, 11, "more than 10 files"),
+    ],
+)
+def test_an_entry_with_a_mistake_comes_back(
+    service: Service, reader: TestClient, token: str, changed: Any, robots: int, message: str
+) -> None:
+    files = [f"robot {n}.0".encode() for n in range(robots)]
+    answer = send_all(reader, filled(reader, token, **CARD) | changed, *files)
+    assert answer.status_code in (404, 422) and message in answer.text
+    assert service.queries.submissions() == []
+    if robots <= 10:
+        assert f'value="{changed.get("partners", "train side")}"' in answer.text
+
+
+def test_a_refused_seed_ends_its_entry(service: Service, reader: TestClient, token: str) -> None:
+    form = filled(reader, token, **CARD)
+    answer = send_all(reader, form, b"robot 1.0", b"no robot", b"robot 3.0")
+    page = reader.get(answer.headers["location"]).text
+    assert "the file is neither" in page
+    assert {row.state for row in service.queries.submissions()} == {"refused", "failed"}
+    assert work_off(service) == 0
+    same = send_all(reader, filled(reader, token, **CARD), b"robot 1.0", b"robot 1.0")
+    assert same.status_code == 422 and "two files are the same" in same.text
+    empty = send_all(reader, filled(reader, token, **CARD), b"robot 1.0", b"")
+    assert empty.status_code == 422 and "not empty" in empty.text
+
+
+def test_an_entry_goes_on_where_it_was_interrupted(
+    service: Service, reader: TestClient, token: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The board is busy after the first file: the same form, sent again, completes the entry."""
+    form, calls = filled(reader, token, **CARD), []
+    submit = Service.submit
+
+    def busy(self: Service, submitter: str, draft: Any) -> str:
+        calls.append(draft)
+        if len(calls) == 2:
+            raise Problem("unavailable", "many robots are being handed in; try again soon", 5)
+        return submit(self, submitter, draft)
+
+    monkeypatch.setattr(Service, "submit", busy)
+    answer = send_all(reader, form, b"robot 1.0", b"robot 2.0")
+    assert answer.status_code == 503 and "was not handed in whole" in answer.text
+    assert f'name="request_id" value="{form["request_id"]}"' in answer.text
+    assert send_all(reader, form, b"robot 1.0", b"robot 2.0").status_code == 303
+    rows = service.queries.submissions()
+    assert len(rows) == 2 and len({row.entry for row in rows}) == 1
+    assert {row.place is not None for row in rows} == {True}, "it is whole, and waits"
 
 
 def test_foreign_form_is_refused(service: Service, reader: TestClient, token: str) -> None:

@@ -204,8 +204,9 @@ def test_preferences_are_in_job_table_and_identity(tmp_path: Path) -> None:
     arrived = decode_table(encode_table(table), work_item.partners, 9, work_item.preferences)
     shown = figures(arrived)
     assert list(shown["by_preference"]) == list(PREFERENCES)
-    assert 0.0 <= shown["safe_success"] <= shown["success"] <= 1.0
-    assert "violations" in shown
+    assert 0.0 <= shown["caring_success"] == shown["success"] <= 1.0
+    assert {"violations", "violations_impact", "failed_persons", "discomfort"} <= set(shown)
+    assert {"liked_force", "done_speed", "within_speed"} <= set(arrived.columns)
 
 
 @pytest.mark.slow

@@ -20,8 +20,10 @@ from assistax_board.vocabulary import Scope
 
 SMALL_BODY = 64 * 1024  # of JSON and of forms without files
 MAX_BODY = MAX_BYTES + SMALL_BODY  # a file and the fields of a form
-# What may be larger: a robot, a worker's result.
-_LARGE = {"/api/submissions": MAX_BODY, "/submit": MAX_BODY}
+FORM_BYTES = 32 * 1024 * 1024  # all files of a form, whose sender is unknown until it is read
+MOST_BODY = FORM_BYTES + SMALL_BODY
+# What may be larger: a robot, a form with several, a worker's result.
+_LARGE = {"/api/submissions": MAX_BODY, "/submit": MOST_BODY}
 BODY_SECONDS = 120.0  # for a whole body to arrive: a client may be slow, but not for ever
 FORM_SECONDS = 30.0  # for that of a form, whose sender is known when it has arrived
 
@@ -55,7 +57,9 @@ class HeadAsGet:
 class BodyLimit:
     """ASGI middleware: a body that is too large, or too slow, is not read to its end."""
 
-    def __init__(self, app: Any, *, most: int = MAX_BODY, seconds: float = BODY_SECONDS) -> None:
+    def __init__(
+        self, app: Any, *, most: int = FORM_BYTES + SMALL_BODY, seconds: float = BODY_SECONDS
+    ) -> None:
         self._app, self._most, self._seconds = app, most, seconds
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from assistax_board.api.errors import RESPONSES, existing
 from assistax_board.api.guards import SUBMIT, Submitter, TheService, count_read, json_body
 from assistax_board.api.public import season_id
-from assistax_board.rules.entries import Card, Declaration
+from assistax_board.cards import Card
+from assistax_board.rules.entries import Declaration
 from assistax_board.rules.submissions import DESCRIPTION, MAX_BYTES, Draft
 from assistax_board.rules.tokens import Principal
 from assistax_board.store.played import plays_in_words

@@ -3,7 +3,11 @@
 import tempfile
 from pathlib import Path
 
+from assistax_base.errors import printable
 from assistax_board.commands.opening import open_client, open_folder, print_answer
+from assistax_zoo.commands.options import Source
+from assistax_zoo.shell.console import answer, stdout_is_data
+from zoo.registry import load_registry
 
 
 def ledger_verify(*, url: str | None = None, json: bool = False) -> None:
@@ -130,3 +134,51 @@ def service_erase(submitter: str, /, *, data: Path) -> None:
     service = open_folder(data)
     service.erase_submitter(submitter_id(service.database, submitter))
     erase_robots(data / FILMS_FOLDER)
+
+
+def service_people(
+    folder: Path | None = None,
+    /,
+    *,
+    data: Path,
+    withdraw: str | None = None,
+    source: Source = Source(),
+    json: bool = False,
+) -> None:
+    """Accept logs of people, for the column "with people" of the boards of gentle tasks.
+
+    Each log is played again; those that do not fit their episodes are refused. The ledger records
+    the figures of each row and the logs' hashes; the logs themselves stay with you. An acceptance
+    takes the place of an earlier one of the same task, so accept anew what is left once somebody
+    withdraws. No log proves that a person played: accept those that you collected.
+
+    Args:
+        folder: Logs that the page saved; a subfolder holds those of one person, named by a code.
+        data: Folder of the service.
+        withdraw: Task whose figures with people leave the board, in place of logs.
+        source: Where robots come from.
+        json: Print JSON.
+
+    Example:
+        assistax-zoo service people logs --data my-board
+    """
+    from assistax_board.robots.people import accept_people, withdraw_people
+
+    if (folder is None) == (withdraw is None):
+        raise ValueError("give a folder of logs, or --withdraw and a task")
+    service = open_folder(data)
+    if folder is None:
+        withdraw_people(service, str(withdraw))
+        answer(json, {"withdrawn": withdraw}, f"the board of {withdraw} has no column of people")
+        return
+    with stdout_is_data():
+        accepted = accept_people(service, folder, load_registry(source.registry))
+    refused = {str(one.path): one.why for one in (*accepted.refused, *accepted.left_out)}
+    lines = [f"not accepted: {path}: {why}" for path, why in refused.items()]
+    lines += [
+        f"{body['task']}, {name}: {row['people']} people, {row['episodes']} episodes, caring "
+        f"success {row['caring_success']:.0%}"
+        for body in accepted.tasks
+        for name, row in body["methods"].items()
+    ]
+    answer(json, {"accepted": accepted.tasks, "not_accepted": refused}, *map(printable, lines))

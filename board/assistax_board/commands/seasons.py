@@ -26,14 +26,14 @@ def season_plan(
     registry give access to the partners: keep all of them out of repositories and shared folders.
 
     Args:
-        plan: Public plan, such as zoo/plans/v3.json.
+        plan: Public plan, such as zoo/plans/paper.json.
         out: File to write, readable by its owner only; an existing file is never overwritten.
         task: Only the groups of this task; default all.
         release: Name of the private release, such as v3; default the plan's.
         teams: At most so many, by fewer seeds in every group; default as many as the plan has.
 
     Example:
-        assistax-zoo season plan zoo/plans/v3.json --task gentle_scratch --out private/plan.json
+        assistax-zoo season plan zoo/plans/paper.json --task scratch --out private/plan.json
     """
     from assistax_workshop.plans.plan import private_plan, read_plan, write_private_plan
 
@@ -46,7 +46,9 @@ def season_plan(
     )
 
 
-def season_persons(folder: Path, /, *, task: str, count: int = 200) -> None:
+def season_persons(
+    folder: Path, /, *, task: str, count: int = 200, family: str | None = None
+) -> None:
     """Let a private release hide persons that follow from a new secret.
 
     They are the whole release if the folder is new; in the folder of trained partners they stand
@@ -56,14 +58,18 @@ def season_persons(folder: Path, /, *, task: str, count: int = 200) -> None:
         folder: Folder of the private release.
         task: Gentle task.
         count: How many persons; half of them are panel A, half panel B.
+        family: A family of your own for a third of them: its name in a package that is installed
+            here and where workers run. Its files' sha256 is committed to; they are revealed when
+            the season closes.
 
     Example:
         assistax-zoo season persons private --task gentle_scratch --count 200
     """
     from assistax_board.rules.release_pack import add_persons
 
-    path = add_persons(folder, task, count)
-    print(f"{path} hides {count} persons; keep it secret, since it is all one needs to draw them")
+    path = add_persons(folder, task, count, family)
+    mine = f", a third of them of the family {family}" if family else ""
+    print(f"{path} hides {count} persons{mine}; keep it secret: it is all one needs to draw them")
 
 
 def season_create(
@@ -143,23 +149,26 @@ def season_rehearse(
     task: str = "gentle_scratch",
     data: Path | None = None,
     registry: Path | None = None,
-    minutes: float = 2.0,
+    minutes: float = 1.0,
 ) -> None:
-    """Rehearse a whole tiny season on this machine: ten minutes of two cores.
+    """Rehearse a whole tiny season on this machine, in nine stages, and print each step.
 
-    Trains hidden teams, draws hidden persons of a gentle task, serves, lets two labs hand in files,
-    closes by date, reveals, proves, and prints what it does.
+    Trains tiny teams, draws hidden persons of a gentle task, serves, lets two labs hand in files,
+    closes by date, reveals and proves. Meanwhile it fills the board's disk, upgrades the server and
+    rolls it back, moves the board to PostgreSQL and back, and kills the server. What this machine
+    cannot do is left out, and said.
 
     Args:
         task: Task.
         data: Folder to make and keep; default a temporary one.
-        registry: Registry of the public partners instead of the installed one.
-        minutes: How long labs may submit.
+        registry: Registry of the public partners, which takes longer; default tiny ones.
+        minutes: How long the season stays open after all was tried.
 
     Example:
         assistax-zoo season rehearse --data rehearsal
     """
-    from assistax_board.rehearsal import Stage, rehearse
+    from assistax_board.rehearsal.season import rehearse
+    from assistax_board.rehearsal.stage import Stage
 
     if data is not None and data.exists():
         raise ValueError(f"{data} exists; name a new folder")

@@ -19,6 +19,7 @@ from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
 from assistax_board.pages.routes.films import film_router
+from assistax_board.pages.routes.labs import lab_router
 from assistax_board.pages.routes.methods import method_router
 from assistax_board.pages.routes.news import news_router
 from assistax_board.pages.routes.organising import organiser_router
@@ -29,14 +30,14 @@ from assistax_board.pages.routes.submitting import submit_router
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FormTokens
 from assistax_board.pages.site import NotFoundError, Site
-from assistax_board.pages.videos import Videos, run_command
+from assistax_board.pages.videos import PublishedFilms, Videos, run_command
 from assistax_board.store.artefacts import Artefacts
 from assistax_board.store.queries import Queries
 from zoo.registry import load_registry
 
 ROUTERS = (
     *(board_router, method_router, season_router, submit_router, partner_router, pair_router),
-    *(explorer_router, film_router, organiser_router, reference_router, news_router),
+    *(explorer_router, film_router, organiser_router, reference_router, news_router, lab_router),
 )
 FILMS = Path("~/.cache/assistax-zoo/films")  # where no other folder is given
 
@@ -95,14 +96,17 @@ def add_pages(
     """
     folder = (films or FILMS).expanduser()
     played = CrossPlays(crossplays or (PUBLISHED if registry is None else folder / "none"))
+    loaded = load_registry(registry)
+    videos = Videos(folder, functools.partial(run_command, registry=registry))
     site = Site(
         tasks=service.catalogue.tasks,
         queries=service.queries,
-        registry=load_registry(registry),
+        registry=loaded,
         crossplays=played,
         boards=Boards(service.queries, played),
         season_boards=SeasonBoards(service.queries, service.panel_b),
-        videos=Videos(folder, functools.partial(run_command, registry=registry)),
+        videos=videos,
+        published=PublishedFilms(loaded, videos),
         cache=PageCache(),
         tokens=FormTokens(form_key),
         read=service.artefacts.get,

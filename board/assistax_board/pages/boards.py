@@ -6,67 +6,27 @@ figures of its own method, and the places: the figures of other methods are kept
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from assistax_base.digest import json_sha256, sha256
+from assistax_base.digest import json_sha256
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
+from assistax_board.pages.methods import Played, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
+from assistax_board.places.caring import mean_care
+from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import PartnerScore, Score, Submission
-from assistax_board.vocabulary import REFERENCE
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
 
 LOW = (RANDOM, ZERO)  # references that earn a normalised return of 0, the first there is
-Safety = Mapping[str, tuple[float, float]]  # safe success and violations by row's name
+Care = Mapping[str, Mapping[str, float]]  # figures of `mean_care` by row's name
 _AT_ONCE = 200  # submissions whose returns are read together
 _NEWEST = 100_000  # submissions of a board; all of them
-
-
-@dataclasses.dataclass(frozen=True)
-class Played:
-    """Submissions of one method, which are its seeds, with their returns by partner."""
-
-    submissions: tuple[Submission, ...]  # the oldest first
-    returns: np.ndarray  # [S, P, K]
-    copy_of: Submission | None = None  # an earlier robot that is the same as one of these
-
-    @property
-    def newest(self) -> Submission:
-        """The submission that stands for the method in addresses."""
-        return self.submissions[-1]
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether the row is there to be measured by."""
-        return self.newest.submitter == REFERENCE
-
-    @property
-    def is_entry(self) -> bool:
-        """Whether it is a declared entry, and not a single robot or a reference."""
-        return self.newest.entry is not None
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all seeds of a declared entry are scored."""
-        return len(self.submissions) == self.newest.declared
-
-    @property
-    def competes(self) -> bool:
-        """Whether it takes a place: a declared entry, whole, and no copy of an earlier robot."""
-        return self.is_entry and self.is_whole and self.copy_of is None
-
-    @property
-    def seeds_in_words(self) -> str:
-        """Return its seeds in words, as "3 of 5 declared"."""
-        count = len(self.submissions)
-        if self.is_entry:
-            return f"{count} of {self.newest.declared} declared"
-        return f"{count} single robots" if count > 1 else "single robot"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,7 +38,12 @@ class Board:
     identity: Mapping[str, Any]
     partners: tuple[PartnerScore, ...]  # one of each partner, for its name and traits
     rows: tuple[tuple[BoardRow, Played], ...]  # the highest M_test first
-    safety: Safety  # of a gentle task
+    care: Care  # of a gentle task; else empty
+
+    @property
+    def groups(self) -> tuple[str, ...] | None:
+        """The group of each partner [P], see `groups_of`; None without groups."""
+        return groups_of([partner.algorithm for partner in self.partners])
 
     @property
     def episodes(self) -> int:
@@ -91,9 +56,14 @@ class Board:
         return tuple(row for row in self.rows if row[1].is_entry)
 
     @property
+    def published(self) -> tuple[tuple[BoardRow, Played], ...]:
+        """The declared entries of the zoo, the highest M_test first; they take no place."""
+        return tuple(row for row in self.rows if row[1].is_published)
+
+    @property
     def singles(self) -> tuple[tuple[BoardRow, Played], ...]:
         """The robots that no entry declared, the highest M_test first; they take no place."""
-        return tuple(row for row in self.rows if not (row[1].is_entry or row[1].is_reference))
+        return tuple(row for row in self.rows if row[1].is_single)
 
     def of(self, submission: str) -> tuple[BoardRow, Played] | None:
         """Return the row that a submission is a seed of."""
@@ -121,11 +91,12 @@ class Boards:
         chosen = next((row for row in versions if version in (None, row[0])), None)
         if chosen is None:
             return None
-        stamp = self._queries.board_stamp(chosen[0])
+        people = self._queries.people(task) or {}
+        stamp = self._queries.board_stamp(chosen[0]), json_sha256(people)
         return self._boards.value(
             _name(task, version),
             (chosen[0], stamp),
-            lambda: self._board(task, self._scored(task, *chosen), version is None),
+            lambda: self._board(task, self._scored(task, *chosen), people, version is None),
         )
 
     def is_behind(self, task: str, version: str | None = None) -> bool:
@@ -141,7 +112,9 @@ class Boards:
         scored = [row for row in every if row.state == "scored" and row.id in under_it]
         return _Scored(version, identity, tuple(scored), scores)
 
-    def _board(self, task: str, scored: "_Scored", is_served: bool) -> Board | None:
+    def _board(
+        self, task: str, scored: "_Scored", people: Mapping[str, Any], is_served: bool
+    ) -> Board | None:
         # What other boards read is not kept: they hardly change.
         cache = self._caches.setdefault(task, _ReturnsCache()) if is_served else _ReturnsCache()
         cache.update(self._queries, scored)
@@ -157,25 +130,41 @@ class Boards:
             bounds_of(
                 [partner.partner for partner in partners], references, self._crossplays.of(task)
             ),
+            groups_of([partner.algorithm for partner in partners]),
             SEED_SDS.get(task),
             sum(method.is_entry and not method.is_whole for method in methods),
         )
         by_name = {method.newest.id: method for method in methods}
         named = tuple((row, by_name[row.name]) for row in cache.rows(by_name, panel))
-        safety = _safety_of(named, scored.scores)
-        return Board(task, scored.version, scored.identity, partners, named, safety)
+        care = _care_of(named, scored.scores)
+        if people and people.get("env_version") == scored.identity["env_version"]:
+            care = _with_people(care, named, people["methods"])
+        return Board(task, scored.version, scored.identity, partners, named, care)
 
 
-def _safety_of(rows: Sequence[tuple[BoardRow, Played]], scores: Sequence[Score]) -> Safety:
-    """Return safe success and violations of each row of a gentle task; nothing of another task."""
+def _care_of(rows: Sequence[tuple[BoardRow, Played]], scores: Sequence[Score]) -> Care:
+    """Return how people fared with each row of a gentle task; nothing of another task."""
     figures = {score.submission: score.figures for score in scores if "violations" in score.figures}
-    safety = {}
+    care = {}
     for standing, played in rows:
         seeds = [figures[seed.id] for seed in played.submissions if seed.id in figures]
         if seeds:
-            shares = [(seed["safe_success"], seed["violations"]) for seed in seeds]
-            safety[standing.name] = tuple(np.mean(shares, axis=0).tolist())
-    return safety
+            care[standing.name] = mean_care(seeds)
+    return care
+
+
+def _with_people(
+    care: Care, rows: Sequence[tuple[BoardRow, Played]], accepted: Mapping[str, Mapping[str, Any]]
+) -> Care:
+    """Return the figures of care with caring success with people, of rows that people met.
+
+    People play published robots and scripts, which are rows to measure by.
+    """
+    found = {name: dict(figures) for name, figures in care.items()}
+    for standing, played in rows:
+        if played.is_reference and (mine := accepted.get(played.newest.method)):
+            found.setdefault(standing.name, {})["with_people"] = float(mine["caring_success"])
+    return found
 
 
 def _name(task: str, version: str | None) -> str:
@@ -254,56 +243,12 @@ class _ReturnsCache:
 
         def figures(method: Method, panel: Panel) -> BoardRow:
             seeds = [seed.id for seed in methods[method.name].submissions]
-            key = json_sha256([seeds, panel.disabilities, bounds])
+            key = json_sha256([seeds, panel.disabilities, panel.groups, bounds])
             self._rows[key] = before.get(key) or unplaced(method, panel)
             return self._rows[key]
 
         played = [Method(name, method.returns, method.competes) for name, method in methods.items()]
         return board_rows(played, panel, figures)
-
-
-def group_methods(submissions: Iterable[Submission]) -> list[list[Submission]]:
-    """Return the submissions of each method, the oldest first.
-
-    A method is a declared entry, or all single robots of one lab and name.
-    """
-    groups: dict[tuple[str, str, str | None], list[Submission]] = {}
-    for seed in sorted(submissions, key=lambda seed: (seed.created_at, seed.id)):
-        groups.setdefault((seed.submitter, seed.method, seed.entry), []).append(seed)
-    return list(groups.values())
-
-
-def digest_of(returns: np.ndarray) -> str:
-    """Return the sha256 of a robot's returns [P, K]: the same for the same robot."""
-    return sha256(np.ascontiguousarray(returns).tobytes())
-
-
-def find_copies(
-    groups: Sequence[Sequence[Submission]], digests: Mapping[str, str]
-) -> dict[str, Submission]:
-    """Return the methods that share a robot with an earlier one: the first one has the place.
-
-    Robots are the same if their files are, or if they earned the same in every episode, as a file
-    does whose bytes alone were changed.
-
-    Args:
-        groups: Submissions of each method.
-        digests: Of the returns of each submission, see `digest_of`.
-
-    Returns:
-        The earlier robot, by the newest submission of the later method.
-    """
-    first: dict[str, Submission] = {}
-    copies: dict[str, Submission] = {}
-    for group in sorted(groups, key=lambda group: (group[0].created_at, group[0].id)):
-        if group[0].submitter == REFERENCE:
-            continue
-        for seed in group:
-            for name in (digests[seed.id], *([seed.artefact] if seed.artefact else ())):
-                earlier = first.setdefault(name, seed)
-                if all(earlier.id != own.id for own in group):
-                    copies.setdefault(group[-1].id, earlier)
-    return copies
 
 
 def bounds_of(

@@ -14,7 +14,7 @@ import polars as pl
 from assistax_board.pages.cache import Page, pack
 from evaluation.record import tables
 
-PUBLISHED = Path(__file__).parents[3] / "docs" / "data" / "v1" / "crossplay"  # in a checkout
+PUBLISHED = Path(__file__).parents[3] / "docs" / "data" / "paper" / "crossplay"  # in a checkout
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

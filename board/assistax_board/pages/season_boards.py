@@ -9,21 +9,21 @@ import polars as pl
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.boards import Played, bounds_of, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
+from assistax_board.places.caring import care_of, mean_care
+from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
 from evaluation.figures.metrics import SEED_SDS
-from evaluation.record.columns import with_safety
 
 PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submissions' episodes
 
 
 @dataclasses.dataclass(frozen=True)
 class Entry(Played):
-    """A method on panel B: its seeds, and how often they succeeded and hurt somebody."""
+    """A method on panel B: its seeds, how often they succeeded, and how people fared."""
 
     success: float = 0.0
-    safe_success: float | None = None  # of gentle tasks
-    violations: float | None = None
+    care: Mapping[str, float] = dataclasses.field(default_factory=dict)  # see `mean_care`
 
 
 class SeasonBoards:
@@ -49,12 +49,14 @@ class SeasonBoards:
         entries = self._entries(season)
         if not entries:
             return ()
-        [*names], [*settings] = zip(*_partners(self._panel_b(season.id)[0][1]), strict=True)
+        partners = _partners(self._panel_b(season.id)[0][1])
+        [*names], [*settings], [*algorithms] = zip(*partners, strict=True)
         references = {entry.newest.method: entry.returns for entry in entries if entry.is_reference}
         placed = {entry.newest.entry for entry in entries if entry.competes}
         panel = Panel(
             tuple(settings),
             bounds_of(names, references, None),
+            groups_of(algorithms),
             SEED_SDS.get(season.task),
             len(self._queries.entries_met(season.id) - placed),
         )
@@ -84,8 +86,7 @@ def _entry(
         returns=np.stack([returns[seed.id] for seed in group]),
         copy_of=copy_of,
         success=_share(table["success"]),
-        safe_success=_share(with_safety(table)["safe_success"]) if is_gentle else None,
-        violations=_share(table["violated"]) if is_gentle else None,
+        care=mean_care(care_of(tables[seed.id]) for seed in group) if is_gentle else {},
     )
 
 
@@ -95,8 +96,8 @@ def _returns(table: pl.DataFrame) -> np.ndarray:
     return ordered["return"].to_numpy().astype(float).reshape(ordered["partner"].n_unique(), -1)
 
 
-def _partners(table: pl.DataFrame) -> list[tuple[str, str]]:
-    return table.select("partner", "disability").unique().sort("partner").rows()
+def _partners(table: pl.DataFrame) -> list[tuple[str, str, str]]:
+    return table.select("partner", "disability", "algorithm").unique().sort("partner").rows()
 
 
 def _share(column: pl.Series) -> float:

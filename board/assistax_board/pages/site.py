@@ -17,7 +17,7 @@ from assistax_board.pages.crossplays import CrossPlay, CrossPlays
 from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
-from assistax_board.pages.videos import Videos
+from assistax_board.pages.videos import PublishedFilms, Videos
 from assistax_board.rules.catalogue import public_entries
 from assistax_board.store.played import describe_partners, partners_in_words
 from assistax_board.store.queries import Queries
@@ -44,6 +44,7 @@ class Site:
     boards: Boards
     season_boards: SeasonBoards
     videos: Videos
+    published: PublishedFilms
     cache: PageCache
     tokens: FormTokens
     read: Callable[[str], bytes]  # a file that was handed in, by its sha256

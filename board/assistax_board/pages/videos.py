@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, Protocol
@@ -25,16 +26,21 @@ from typing import Literal, Protocol
 import polars as pl
 
 from assistax_base.digest import json_sha256
+from assistax_base.errors import ZooError
+from assistax_board.store.shown import Submission
 from zoo.locations import REGISTRY_VARIABLE
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 
 State = Literal["none", "waiting", "making", "ready", "failed", "full"]
 WAITING = 50  # films in the queue; then the next is asked to come back
 FILMS_FOLDER = "films"  # in a data folder
 ROBOT = "robot-"  # how keys of robots' films begin: those of erased files are removed
 EPISODES = 16  # whose returns stand beside a film
-SECONDS = 600  # for one command
+AGAIN_SECONDS = 3600.0  # after which a film of a published robot that failed is asked for again
+SECONDS = 3600  # for one command, which gets what time robots that are scored leave
 MOST_BYTES = 2 * 1024**3  # of all films; then those go that nobody has looked at for longest
-_FILM, _RETURNS, _PAIR, _EPISODE = "film", "returns.json", "pair.json", "shown.episode"
+_FILM, _RETURNS, _EPISODE = "film", "returns.json", "shown.episode"
 _LOG = logging.getLogger(__name__)
 
 _KEY = re.compile(rf"({ROBOT})?[0-9a-f]{{32}}")
@@ -82,7 +88,6 @@ class Pair:
         run(play_command(self, place / "played"), place)
         table = pl.read_parquet(place / "played" / "episodes.parquet").sort("episode")
         (film.parent / _RETURNS).write_text(json.dumps(table["return"].to_list()))
-        (film.parent / _PAIR).write_text(json.dumps(dataclasses.asdict(self)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,14 +153,6 @@ class Videos:
         path = None if film is None else film.with_name(_EPISODE)
         return path if path is not None and path.is_file() else None
 
-    def newest(self) -> Pair | None:
-        """Return the pair whose film was made last, if there is any."""
-        notes = sorted(self._folder.glob(f"*/{_PAIR}"), key=lambda path: path.stat().st_mtime)
-        if not notes:
-            return None
-        fields = json.loads(notes[-1].read_text())
-        return Pair(**fields | {"content": tuple(fields["content"])})
-
     def returns(self, pair: Pair) -> list[float] | None:
         """Return the pair's return in each episode, once its film is made."""
         path = self._folder / pair.key / _RETURNS
@@ -217,6 +214,67 @@ class Videos:
             total -= sizes[path]
 
 
+@dataclasses.dataclass(frozen=True)
+class Shown:
+    """A film of a published robot, or how far it is."""
+
+    submission: Submission
+    human: str  # name of its partner
+    state: State
+    film: str | None  # address; None until it is made
+    is_gif: bool
+
+
+class PublishedFilms:
+    """Films of the zoo's robots, one of each method, made once and shown on the home page.
+
+    Each robot is filmed with the same partner of its task's training side, as robots that labs hand
+    in are. Nobody waits for a film: it is made in the background, and the page says how far it is.
+    """
+
+    def __init__(self, registry: Registry, videos: Videos) -> None:
+        self._registry, self._videos = registry, videos
+        self._humans: dict[str, PolicyEntry | None] = {}
+        self._pairs: dict[tuple[str, str], Pair | None] = {}
+        self._asked: dict[str, float] = {}  # when, by the film's key
+
+    def human(self, task: str) -> PolicyEntry | None:
+        """Return the partner of all films of a task; None if all public partners count."""
+        if task not in self._humans:
+            teams = self._registry.split(task).train
+            human = self._registry.policy(f"{min(teams)}/human") if teams else None
+            self._humans[task] = human
+        return self._humans[task]
+
+    def pair(self, task: str, robot: str) -> Pair | None:
+        """Return a published robot with its partner; None if the registry has no such robot."""
+        if (task, robot) not in self._pairs:
+            pair = None
+            with contextlib.suppress(ZooError):
+                seat, human = self._registry.policy(f"{task}/{robot}/robot"), self.human(task)
+                if human is not None:
+                    version = self._registry.env_version(seat)
+                    content = seat.sha256, human.sha256
+                    pair = Pair(task, seat.id, human.id, content, version)
+            self._pairs[task, robot] = pair
+        return self._pairs[task, robot]
+
+    def shown(self, submission: Submission) -> Shown | None:
+        """Return the film of a published robot; the first call asks for it."""
+        pair = self.pair(submission.task, submission.reference or "")
+        if pair is None:
+            return None
+        state, now = self._videos.state(pair), time.monotonic()
+        is_due = now > self._asked.get(pair.key, -AGAIN_SECONDS) + AGAIN_SECONDS
+        if state == "none" or (state == "failed" and is_due):
+            self._asked[pair.key] = now
+            state = self._videos.ask(pair)
+        film = self._videos.film(pair.key)
+        address = f"/films/{pair.key}" if film else None
+        is_gif = film is not None and film.suffix == ".gif"
+        return Shown(submission, pair.human.split("/")[1], state, address, is_gif)
+
+
 def erase_robots(folder: Path) -> None:
     """Remove the films of robots that were handed in: an erased file must not live on in one.
 
@@ -249,12 +307,12 @@ def film_command(task: str, robot: str, human: str, out: Path) -> list[str]:
 
 def watch_command(task: str, robot: str, human: str, out: Path) -> list[str]:
     """Return the command that writes the same episode for the player."""
-    return ["watch", task, robot, f"zoo:{human}", "--out", str(out)]
+    return ["watch", robot, f"zoo:{human}", "--task", task, "--out", str(out)]
 
 
 def play_command(pair: Pair, out: Path) -> list[str]:
     """Return the command that plays a pair's episodes."""
-    seats = ("--egos", pair.robot, "--partners", pair.human, "--episodes", str(EPISODES))
+    seats = ("--robots", pair.robot, "--humans", pair.human, "--episodes", str(EPISODES))
     return ["crossplay", "--task", pair.task, *seats, "--out", str(out)]
 
 

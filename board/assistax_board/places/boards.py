@@ -1,7 +1,7 @@
 """The rows of a board: every method's figures, and the place they earn it."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from evaluation.figures.metrics import (
     cvar_crossfit,
     fairness,
     group_draws,
+    mean_of_groups,
     normalised_return,
     rank_methods,
 )
@@ -32,6 +33,7 @@ class Panel:
 
     disabilities: tuple[str | None, ...]  # [P]
     bounds: Bounds | None = None  # of a random robot and of the best response; None if unknown
+    groups: tuple[str, ...] | None = None  # [P] that count the same in M_test; None without groups
     seed_sd: float | None = None  # how far seeds of one method differ, see `rank_methods`
     unseen: int = 0  # entries with scores that have no place on this board, see `rank_methods`
 
@@ -57,6 +59,7 @@ class BoardRow:
     cvar: Interval | None  # mean of the lowest tenth of partners; None with one episode a pair
     fairness: Fairness | None  # None if no partner's disability is known
     normalised: Estimate | None  # 0 is a random robot, 1 the best response; None without bounds
+    by_group: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)  # see `Panel.groups`
 
 
 def board_rows(
@@ -90,7 +93,7 @@ def _rank_competitors(methods: Sequence[Method], panel: Panel) -> dict[str, tupl
     if not names or methods[0].returns.shape[1] < 2:
         return {}
     scores = [method.returns.mean(axis=2) for method in methods if method.competes]
-    ranks = rank_methods(scores, seed_sd=panel.seed_sd, unseen=panel.unseen)
+    ranks = rank_methods(scores, groups=panel.groups, seed_sd=panel.seed_sd, unseen=panel.unseen)
     places = zip(ranks.places.tolist(), ranks.lowest.tolist(), strict=True)
     return dict(zip(names, places, strict=True))
 
@@ -100,20 +103,34 @@ def unplaced(
 ) -> BoardRow:
     """Return a method's row without its place: no other method has a part in it."""
     scores = method.returns.mean(axis=2)
-    groups = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)
+    settings = group_draws(scores, panel.disabilities, resamples=resamples, seed=seed)
+    m_test, by_group = estimate_of(scores, panel.groups, resamples, seed)
     has_halves = method.returns.shape[2] > 1
     return BoardRow(
         name=method.name,
         place=None,
         lowest=None,
-        m_test=estimate(scores, resamples=resamples, seed=seed),
+        m_test=m_test,
         worst_tenth=worst_tenth(scores, resamples=resamples, seed=seed),
         cvar=cvar_crossfit(method.returns, TAIL, resamples=resamples, seed=seed)
         if has_halves
         else None,
-        fairness=fairness(groups) if groups else None,
-        normalised=_normalised(scores, panel.bounds, resamples, seed),
+        fairness=fairness(settings) if settings else None,
+        normalised=_normalised(scores, panel, resamples, seed),
+        by_group=by_group,
     )
+
+
+def estimate_of(
+    scores: np.ndarray,
+    groups: Sequence[str] | None,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> tuple[Estimate, Mapping[str, Estimate]]:
+    """Return the mean of scores [S, P], of groups the mean of their means, and each group's."""
+    if groups is None:
+        return estimate(scores, resamples=resamples, seed=seed), {}
+    return mean_of_groups(scores, groups, resamples=resamples, seed=seed)
 
 
 def worst_tenth(scores: np.ndarray, *, resamples: int = RESAMPLES, seed: int = 0) -> Interval:
@@ -134,13 +151,13 @@ def _lower_quantile(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, order, axis=1)[np.arange(len(values)), first]
 
 
-def _normalised(
-    scores: np.ndarray, bounds: Bounds | None, resamples: int, seed: int
-) -> Estimate | None:
+def _normalised(scores: np.ndarray, panel: Panel, resamples: int, seed: int) -> Estimate | None:
+    bounds = panel.bounds
     if bounds is None or not bounds.scorable.any():
         return None
     shares = normalised_return(scores, bounds)[:, bounds.scorable]
-    return estimate(shares, resamples=resamples, seed=seed)
+    groups = panel.groups and [panel.groups[place] for place in np.flatnonzero(bounds.scorable)]
+    return estimate_of(shares, groups, resamples, seed)[0]
 
 
 def _check(methods: Sequence[Method], panel: Panel) -> None:

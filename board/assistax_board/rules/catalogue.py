@@ -1,13 +1,25 @@
 """Tasks, public panels and versions of the scorer."""
 
+import dataclasses
 import functools
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from assistax_base.digest import json_sha256
+from assistax_board.cards import Card
 
 HIDDEN_EPISODES = 16  # at least, with each partner of panels A and B
 CHUNK = 25  # partners in a job: 200 to 450 simulations, seconds of two cores
 PUBLIC_SEED = 0  # of the public half's episodes, the same for all
+
+
+@dataclasses.dataclass(frozen=True)
+class ZooEntry:
+    """A method of the zoo whose robots are declared as one entry."""
+
+    method: str
+    card: Card
+    seeds: Mapping[str, str]  # sha256 of each robot's parameters by its name in the registry
 
 
 class Catalogue(Protocol):
@@ -28,6 +40,10 @@ class Catalogue(Protocol):
 
     def references(self, task: str) -> dict[str, str]:
         """Return the rows that a board measures by: the method that each robot is a seed of."""
+        ...
+
+    def published(self, task: str) -> tuple[ZooEntry, ...]:
+        """Return the zoo's methods that are among the references, each with all of its seeds."""
         ...
 
 
@@ -88,6 +104,7 @@ class ZooCatalogue:
         optional: dict[str, Any] = {"preferences": list(preferences)} if preferences else {}
         if preferences_of(task):
             optional["persons"] = PROGRAM_VERSION  # whom a season may hide
+            optional["m_test"] = "mean of the groups' means"
         return optional | {
             "task": task,
             "env_version": self._registry.env_version(self._entries(task)[0]),
@@ -103,28 +120,56 @@ class ZooCatalogue:
         }
 
     def references(self, task: str) -> dict[str, str]:
-        """Return the reference egos, self-play where all partners have robots, published egos.
-
-        An ego that was trained with partners of the panel measures nothing there.
-        """
+        """Return the reference egos, self-play where all partners have robots, published egos."""
         from evaluation.figures.normalised import REFERENCE_ROWS, SELF_PLAY
+
+        methods = {name: name for name in REFERENCE_ROWS}
+        teams = {entry.team for entry in self._registry.of_task(task, "robot")}
+        if not {entry.team for entry in self._entries(task)} <= teams:
+            del methods[SELF_PLAY]
+        return methods | {_name(ego): _method(ego) for ego in self._egos(task)}
+
+    def published(self, task: str) -> tuple[ZooEntry, ...]:
+        """Return the methods of the published egos, with what the registry knows of them."""
+        by_method: dict[str, list[Any]] = {}
+        for ego in self._egos(task):
+            by_method.setdefault(_method(ego), []).append(ego)
+        return tuple(
+            ZooEntry(method, _card(egos), {_name(ego): ego.sha256 for ego in egos})
+            for method, egos in sorted(by_method.items())
+        )
+
+    def _egos(self, task: str) -> list[Any]:
+        """Return the published egos that did not train with partners of the public panel.
+
+        One that did measures nothing there.
+        """
         from zoo.ids import EGO
         from zoo.met.claims import known_humans
         from zoo.met.published import met_in_training
 
-        robots = self._registry.of_task(task, "robot")
-        methods = {name: name for name in REFERENCE_ROWS}
-        if not {entry.team for entry in self._entries(task)} <= {entry.team for entry in robots}:
-            del methods[SELF_PLAY]
-        egos = [
-            entry
-            for entry in robots
-            if entry.disability == EGO
-            and not known_humans(
-                self._entries(task), met_in_training(self._registry, entry).partners
-            )
+        return [
+            ego
+            for ego in self._registry.of_task(task, "robot")
+            if ego.disability == EGO
+            and not known_humans(self._entries(task), met_in_training(self._registry, ego).partners)
         ]
-        return methods | {ego.team.partition("/")[2]: f"{ego.algorithm} ego" for ego in egos}
 
     def _entries(self, task: str) -> list[Any]:
         return public_entries(self._registry, task)
+
+
+def _name(ego: Any) -> str:
+    return ego.team.partition("/")[2]
+
+
+def _method(ego: Any) -> str:
+    return f"{ego.algorithm} ego"
+
+
+def _card(egos: list[Any]) -> Card:
+    """Return the card of a method's robots; of their trainings the registry knows no others."""
+    first = egos[0]
+    met = f"training side of {first.trained_against.split}" if first.trained_against else "none"
+    code = f"assistax-zoo train-ego --task {first.task} --algorithm {first.algorithm}"
+    return Card(first.training.steps, met, code, len(egos))

@@ -18,6 +18,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from assistax_board.cards import Card, check_card
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem
 from assistax_board.rules.catalogue import Catalogue
@@ -27,18 +28,6 @@ from assistax_board.store.schema import DECLARED, SCORE, SEASON, SUBMISSION
 from assistax_board.vocabulary import GONE_STATES
 
 LEAST, MOST = 2, 10  # seeds of an entry
-_WORDS = 200  # characters of a text of the card
-_STEPS, _TRAINED = 10**15, 10**6  # most that a card may say
-
-
-@dataclasses.dataclass(frozen=True)
-class Card:
-    """A lab's word on an entry: not all of it can be checked, so it is shown as the lab's."""
-
-    steps: int  # of the environment, in each seed's training
-    partners: str  # met in training
-    code: str  # where it is, or "not published"
-    trained: int  # seeds that were trained so, those that are not handed in too
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,21 +59,7 @@ def check_declaration(declaration: Declaration, catalogue: Catalogue) -> None:
         raise Problem("invalid", f"file {bad[0][:80]!r}; give its sha256, 64 digits of 0-9 and a-f")
     if len(set(files)) < len(files):
         raise Problem("invalid", "two files are the same; each seed of an entry is another robot")
-    _check_card(declaration.card, len(files))
-
-
-def _check_card(card: Card, seeds: int) -> None:
-    if not 1 <= card.steps <= _STEPS:
-        raise Problem("invalid", f"steps is {card.steps}; give the steps of one seed's training")
-    if not seeds <= card.trained <= _TRAINED:
-        raise Problem(
-            "invalid",
-            f"trained is {card.trained} and there are {seeds} files; count all seeds that you "
-            "trained so, also those that you leave out",
-        )
-    for name, text in (("partners", card.partners), ("code", card.code)):
-        if not 1 <= len(text) <= _WORDS or not text.isprintable():
-            raise Problem("invalid", f"{name} has 1 to {_WORDS} printable characters")
+    check_card(declaration.card, len(files))
 
 
 def check_names(method: str, request: str) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import polars as pl
 import sqlalchemy as sa
 
+from assistax_board.places.caring import care_of
+from assistax_board.places.groups import groups_of
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.scoring import decode_table, table_bytes
@@ -140,32 +142,32 @@ def panel_b(
 def figures(table: pl.DataFrame) -> dict[str, Any]:
     """Return mean and IQM over partners with intervals, successes, and broken episodes.
 
-    Of a gentle task also how often somebody was hurt, and the mean return under each preference.
+    If the partners have groups, mean and IQM are means of the groups' and `by_group` has each.
+    Of a gentle task also how people fared, and the mean return under each preference.
     """
-    from evaluation.figures.bootstrap import estimate
+    from assistax_board.places.boards import estimate_of
     from evaluation.record import tables
-    from evaluation.record.columns import with_safety
 
+    means, groups = partner_means(table)
+    whole, by_group = estimate_of(means[None, :], groups)
     values = {
-        **tables.to_json(estimate(partner_means(table)[None, :])),
+        **tables.to_json(whole),
+        **({"by_group": tables.to_json(by_group)} if by_group else {}),
         "nonfinite": int(table["nonfinite"].sum()),
         "success": float(table["success"].to_numpy().mean()),
     }
     if "preference" not in table.columns:
         return values
-    safe = with_safety(table)["safe_success"]
     by_preference = table.group_by("preference").agg(pl.col("return").cast(pl.Float64).mean())
-    return values | {
-        "safe_success": float(safe.to_numpy().mean()),
-        "violations": float(table["violated"].to_numpy().mean()),
-        "by_preference": dict(by_preference.sort("preference").rows()),
-    }
+    preferences = {"by_preference": dict(by_preference.sort("preference").rows())}
+    return values | care_of(table) | preferences
 
 
-def partner_means(table: pl.DataFrame) -> np.ndarray:
-    """Return the mean return with each partner [P], in the order of their ids."""
-    means = table.group_by("partner").agg(pl.col("return").cast(pl.Float64).mean())
-    return means.sort("partner")["return"].to_numpy()
+def partner_means(table: pl.DataFrame) -> tuple[np.ndarray, tuple[str, ...] | None]:
+    """Return the mean return with each partner [P], in the order of their ids, and its group."""
+    mean = pl.col("return").cast(pl.Float64).mean()
+    means = table.group_by("partner").agg(mean, pl.col("algorithm").first()).sort("partner")
+    return means["return"].to_numpy(), groups_of(means["algorithm"].to_list())
 
 
 def _partner_rows(job: Any, table: pl.DataFrame) -> list[dict[str, Any]]:
@@ -208,9 +210,13 @@ def _hidden_answer(
     was shown last under any: an upgrade must not begin the Ladder anew.
     """
     from assistax_board.places.ladder import ladder_release
+    from evaluation.figures.metrics import group_weights
 
     def means(submission: str, version: str) -> np.ndarray:
-        return partner_means(panel_table(service.artefacts, transaction, submission, version, "A"))
+        """Return means with partners whose mean is that of the groups' means."""
+        table = panel_table(service.artefacts, transaction, submission, version, "A")
+        values, groups = partner_means(table)
+        return values if groups is None else values * group_weights(groups)
 
     of_a = sa.select(SCORE.submission).where(SCORE.panel == "A")
     silent = of_a.where(SCORE.submission == row.id, SCORE.released.is_(None))

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+from collections.abc import Collection
 from typing import Annotated, Any, Protocol
 
 import polars as pl
@@ -10,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from assistax_board.problems import Problem
 from assistax_board.vocabulary import Kind
+from evaluation.record.columns import CARE, SCHEMA, VIOLATIONS
 
 # Columns of a result, in this order: nothing else leaves a worker.
 COLUMNS = {
@@ -22,9 +24,17 @@ COLUMNS = {
     "nonfinite": pl.Boolean(),
 }
 OWN = "own"  # preference of a partner that brings its own
-# Of the gentle tasks: the human's preference, "own" of a person, and whether a contact was above
-# the hard limit.
-GENTLE_COLUMNS = {"preference": pl.String(), "violated": pl.Boolean()}
+# Of the gentle tasks: the human's preference, "own" of a person; whether there was a violation, and
+# of which kind; the share of felt steps with discomfort.
+GENTLE_COLUMNS = {
+    "preference": pl.String(),
+    "violated": pl.Boolean(),
+    "violation": SCHEMA["violation"],
+    "discomfort_share": SCHEMA["discomfort_share"],
+}
+# Of each wish of the task: what was liked and done, and the share near it; see
+# `evaluation.record.columns`. The last two may be empty.
+WISH_COLUMNS = {name: SCHEMA[name] for name in CARE if name not in GENTLE_COLUMNS}
 MAX_TABLE_BYTES = 4 * 1024 * 1024
 
 
@@ -73,7 +83,9 @@ class Scorer(Protocol):
 class _Rows(BaseModel):
     """A result as it travels: JSON, since a reader of foreign Parquet can abort the process."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+    # Of `WISH_COLUMNS`, as pydantic types more fields.
+    __pydantic_extra__: dict[str, list[float | None]] = Field(init=False)  # ty: ignore[incompatible-mutable-override]
 
     partner: list[str]
     algorithm: list[str]
@@ -84,6 +96,8 @@ class _Rows(BaseModel):
     nonfinite: list[bool]
     preference: list[str] | None = None
     violated: list[bool] | None = None
+    violation: list[str] | None = None
+    discomfort_share: list[Annotated[float, Field(ge=0.0, le=1.0)]] | None = None
 
 
 def encode_table(table: pl.DataFrame) -> bytes:
@@ -101,13 +115,13 @@ def decode_table(
     """
     if len(data) > MAX_TABLE_BYTES:
         raise Problem("too_large", f"a result has at most {MAX_TABLE_BYTES} bytes")
-    columns = COLUMNS | (GENTLE_COLUMNS if preferences else {})
     try:
         rows = _Rows.model_validate_json(data).model_dump(by_alias=True, exclude_none=True)
+        columns = COLUMNS | (_of_gentle(rows) if preferences else {})
         if rows.keys() != columns.keys() or len(set(map(len, rows.values()))) != 1:
             raise ValueError
     except (ValidationError, ValueError):
-        names = ", ".join(columns)
+        names = ", ".join(COLUMNS | (GENTLE_COLUMNS if preferences else {}))
         raise Problem("invalid", f"a result is JSON with the columns {names}") from None
     table = pl.DataFrame(rows, schema=columns)
     expected = {(name, episode) for name in partners for episode in range(episodes)}
@@ -118,7 +132,23 @@ def decode_table(
         raise Problem("invalid", "the result has returns that are not finite")
     if preferences and not set(table["preference"]) <= {*preferences, OWN}:
         raise Problem("invalid", "the result has preferences that nobody asked for")
+    if preferences and not _is_care(table):
+        raise Problem("invalid", "the result has violations or wishes that no episode has")
     return table
+
+
+def _is_care(table: pl.DataFrame) -> bool:
+    """Return whether kinds of violations are known, and what was liked, done and near is possible.
+
+    Liked and done are above 0, the share near it is in [0, 1], and only the last two may be empty.
+    """
+    fits = set(table["violation"]) <= set(VIOLATIONS)
+    for name in set(WISH_COLUMNS) & set(table.columns):
+        values, what = table[name].drop_nulls(), name.partition("_")[0]
+        low, high = (0.0, 1.0) if what == "within" else (1e-6, 1e6)
+        fits &= bool(values.is_between(low, high).all())
+        fits &= what != "liked" or len(values) == table.height
+    return fits
 
 
 def table_bytes(table: pl.DataFrame) -> bytes:
@@ -130,9 +160,16 @@ def table_bytes(table: pl.DataFrame) -> bytes:
 
 def _in_order(table: pl.DataFrame) -> pl.DataFrame:
     """Return the columns of a result in their types, sorted."""
-    columns = COLUMNS | (GENTLE_COLUMNS if "preference" in table.columns else {})
+    columns = COLUMNS | (_of_gentle(table.columns) if "preference" in table.columns else {})
     typed = table.select(pl.col(name).cast(kind) for name, kind in columns.items())
     return typed.sort("partner", "episode")
+
+
+def _of_gentle(names: Collection[str]) -> dict[str, pl.DataType]:
+    """Return the columns of a gentle task, with those of the wishes that are among the names."""
+    wishes = {name.partition("_")[2] for name in names if name in WISH_COLUMNS}
+    own = {f"{what}_{wish}" for what in ("liked", "done", "within") for wish in wishes}
+    return GENTLE_COLUMNS | {name: kind for name, kind in WISH_COLUMNS.items() if name in own}
 
 
 def cut(panel: tuple[str, ...], size: int) -> list[tuple[str, ...]]:

@@ -25,7 +25,9 @@ from assistax_board.rules.release_pack import (
     hidden_partners,
     hidden_persons,
     ordinal,
+    own_families,
     pack,
+    revealed_program,
     secret_persons,
     unpack,
 )
@@ -199,6 +201,9 @@ def verify_season(statement: dict[str, Any], packed: bytes, root: str, folder: P
         raise ValueError("the release holds other partners than the leaves say")
     if secret_persons(statement["leaves"]) != hidden_persons(registry, statement["task"]):
         raise ValueError("the release draws its persons from another secret than the leaves say")
+    for own in own_families(registry):
+        if revealed_program(own, folder) != own.sha256:
+            raise ValueError(f"the files of the family {own.name!r} are not those of the leaves")
     from zoo.parameters.storage import load_stacks
 
     load_stacks(registry, entries)  # hashes of all parameters; rows of persons are drawn anew

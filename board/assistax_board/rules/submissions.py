@@ -11,12 +11,12 @@ Everything that happens at once to a submission happens in one transaction, with
 """
 
 import dataclasses
-import re
 from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
 from assistax_base.digest import sha256
+from assistax_board.cards import LINK
 from assistax_board.ids import new_id
 from assistax_board.problems import Problem, Refusal
 from assistax_board.rules import entries, jobs
@@ -88,7 +88,7 @@ def _check_description(draft: Draft) -> None:
         text = getattr(draft, name) or ""
         if len(text) > most or not text.replace("\n", "").isprintable():
             raise Problem("invalid", f"{name} has at most {most} printable characters")
-    if draft.link and not re.fullmatch(r"https?://[^\s/]+(/\S*)?", draft.link):
+    if draft.link and not LINK.fullmatch(draft.link):
         raise Problem("invalid", "link begins with https:// or http:// and holds no spaces")
 
 

@@ -1,15 +1,26 @@
-"""After an upgrade or a rollback, plan every submission at the version that is now served."""
+"""When a server starts: plan what it lacks.
 
+After an upgrade or a rollback every submission is planned at the version that is now served. The
+rows to measure by are added: scripts and the like, and the zoo's robots as declared entries of the
+zoo. These take no place, and no lab's rank depends on them. Each is played once, when no lab waits.
+A robot that the registry has no more leaves the board.
+"""
+
+import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from assistax_base.digest import json_sha256
+from assistax_board.ids import new_id
 from assistax_board.problems import Problem
-from assistax_board.rules import closing, jobs, submissions
-from assistax_board.rules.catalogue import version_id
+from assistax_board.rules import closing, entries, jobs, submissions
+from assistax_board.rules.catalogue import ZooEntry, version_id
 from assistax_board.rules.release_pack import check_program
+from assistax_board.rules.submissions import Draft
+from assistax_board.rules.tokens import find_or_add
 from assistax_board.store import schema
 from assistax_board.store.database import Transaction
 from assistax_board.store.schema import (
@@ -21,6 +32,7 @@ from assistax_board.store.schema import (
     UNFROZEN,
     VERSION,
 )
+from assistax_board.vocabulary import REFERENCE
 
 if TYPE_CHECKING:
     from assistax_board.service import Service
@@ -116,3 +128,76 @@ def _check_closing(service: "Service", task: str) -> None:
             f"({differences}); start the version and options with which the closing began until "
             "the season is closed",
         )
+
+
+def add_references(service: "Service") -> None:
+    """Queue the reference rows of every board, each once, behind all other submissions.
+
+    The zoo's robots come first, those of the tasks with several seeds before others.
+    """
+    with service.begin() as transaction:
+        owner = find_or_add(transaction, REFERENCE, None)
+    published = {task: service.catalogue.published(task) for task in service.catalogue.tasks}
+    order = sorted(published, key=lambda task: -max([len(e.seeds) for e in published[task]] or [0]))
+    for task in order:
+        for entry in published[task]:
+            _add_published(service, owner, task, entry)
+    for task in order:
+        methods = service.catalogue.references(task)
+        for name, method in methods.items():
+            request = f"{task} {name}"
+            service.submit(owner, Draft(task, method, request, kind="reference", format=name))
+        with service.begin() as transaction:
+            _remove_others(transaction, owner, task, set(methods))
+
+
+def _add_published(service: "Service", owner: str, task: str, entry: ZooEntry) -> None:
+    """Declare a method of the zoo, whole, and queue its seeds."""
+    with service.begin() as transaction:
+        declared = _declare(transaction, owner, task, entry)
+    for name in entry.seeds:
+        draft = Draft(task, entry.method, f"{task} {name}", kind="reference", format=name)
+        id = service.submit(owner, draft)
+        with service.begin() as transaction:
+            seed = sa.update(schema.submissions).where(SUBMISSION.id == id)
+            transaction.execute(seed.values(entry=declared))
+
+
+def _declare(transaction: Transaction, owner: str, task: str, entry: ZooEntry) -> str:
+    """Return the entry of these robots, which is frozen when it is made."""
+    files = sorted(entry.seeds.values())
+    request = json_sha256([task, entry.method, files])
+    if before := entries.known_entry(transaction, owner, request):
+        return before
+    row = {
+        "id": new_id(),
+        "submitter": owner,
+        "request": request,
+        "task": task,
+        "method": entry.method,
+        "season": None,
+        "files": files,
+        "card": dataclasses.asdict(entry.card),
+        "created_at": transaction.now,
+        "frozen_at": transaction.now,
+    }
+    transaction.execute(sa.insert(schema.entries).values(row))
+    names = ("id", "submitter", "task", "season", "files")
+    transaction.record("declare", {name: row[name] for name in names})
+    return row["id"]
+
+
+def _remove_others(transaction: Transaction, owner: str, task: str, names: set[str]) -> None:
+    """Take robots off the board that are no reference any more."""
+    query = sa.select(SUBMISSION.id).where(
+        SUBMISSION.submitter == owner,
+        SUBMISSION.task == task,
+        SUBMISSION.kind == "reference",
+        SUBMISSION.season.is_(None),
+        SUBMISSION.format.not_in(names),
+        SUBMISSION.state.in_(("queued", "running", "scored")),
+    )
+    for id in transaction.execute(query).scalars().all():
+        alone = sa.update(schema.submissions).where(SUBMISSION.id == id).values(entry=None)
+        transaction.execute(alone)
+        submissions.withdraw(transaction, id, owner)

@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from assistax_envs.persons.rows import OWN_PREFIX
+
 if TYPE_CHECKING:
     from zoo.registry import Registry
     from zoo.schema import PolicyEntry
@@ -23,7 +25,12 @@ def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) ->
     """Return the public description of partners: counts by kind and environment version."""
 
     def count(own_preferences: bool) -> dict[str, int]:
-        kinds = Counter(e.algorithm for e in entries if e.spec.own_preferences is own_preferences)
+        kinds = Counter(
+            # Which family it is stays secret until the season closes.
+            "of a family of the organiser's" if e.algorithm.startswith(OWN_PREFIX) else e.algorithm
+            for e in entries
+            if e.spec.own_preferences is own_preferences
+        )
         return dict(sorted(kinds.items()))
 
     versions = {registry.env_version(entry) for entry in entries}

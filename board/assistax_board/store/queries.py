@@ -37,7 +37,7 @@ from assistax_board.store.shown import (
     Season,
     Submission,
 )
-from assistax_board.vocabulary import FINAL_STATES
+from assistax_board.vocabulary import FINAL_STATES, GONE_STATES, PEOPLE
 
 STATEMENT = (
     f"The partners are simulated: trained policies, or persons made of numbers. {NOT_PEOPLE}"
@@ -65,12 +65,14 @@ class Queries:
         submitter: str | None = None,
         season: str | None = None,
         method_of: str | None = None,
+        scored_of: str | None = None,
         waiting: bool = False,
         limit: int = 100,
     ) -> list[Submission]:
         """Return the newest submissions first, or only those that have not ended.
 
-        `submitter` is an id; `method_of` is that of a submission of the method.
+        `submitter` is an id; `method_of` is that of a submission of the method; `scored_of` is the
+        name of a lab, whose scored submissions of public boards are returned.
         """
         query = (
             _submission_query().order_by(SUBMISSION.created_at.desc(), SUBMISSION.id).limit(limit)
@@ -82,11 +84,30 @@ class Queries:
         ):
             query = query if value is None else query.where(column == value)
         query = query if method_of is None else query.where(_of_method(method_of))
+        if scored_of is not None:
+            query = query.where(SUBMITTER.name == scored_of, SUBMISSION.state == "scored")
+            query = query.where((SUBMISSION.kind == "file") | SUBMISSION.season.is_(None))
         query = query.where(SUBMISSION.state.not_in(FINAL_STATES)) if waiting else query
         with self.database.read() as connection:
             rows = list(connection.execute(query))
             queue = Queue(connection, [row.id for row in rows])
             return [queue.describe(row) for row in rows]
+
+    def published(self) -> list[Submission]:
+        """Return a robot of each method that the zoo declared, the first by its name."""
+        query = _submission_query().order_by(SUBMISSION.format)
+        query = query.where(
+            SUBMISSION.kind == "reference",
+            SUBMISSION.entry.is_not(None),
+            SUBMISSION.season.is_(None),
+            SUBMISSION.state.not_in(GONE_STATES),
+        )
+        first: dict[str, Any] = {}
+        with self.database.read() as connection:
+            for row in connection.execute(query):
+                first.setdefault(row.entry, row)
+            queue = Queue(connection, [row.id for row in first.values()])
+            return [queue.describe(row) for row in first.values()]
 
     def submission(self, id: str) -> Submission | None:
         """Return one submission, if there is one of this id."""
@@ -202,9 +223,10 @@ class Queries:
             return None if row is None else _season(row)
 
     def entries_met(self, season: str) -> set[str]:
-        """Return the declared entries that have any score in a season."""
+        """Return the labs' declared entries that have any score in a season."""
         query = sa.select(SUBMISSION.entry).join(schema.scores, SCORE.submission == SUBMISSION.id)
         query = query.where(SUBMISSION.season == season, SUBMISSION.entry.is_not(None))
+        query = query.where(SUBMISSION.kind == "file")  # those of the zoo compete with nobody
         with self.database.read() as connection:
             return set(connection.execute(query).scalars())
 
@@ -249,6 +271,13 @@ class Queries:
         with self.database.read() as connection:
             rows = connection.execute(query.limit(limit)).mappings()
             return [LedgerEntry(**row) for row in rows]
+
+    def people(self, task: str) -> dict[str, Any] | None:
+        """Return the newest accepted figures with people of a task; None if there are none."""
+        query = sa.select(ENTRY.body).where(ENTRY.kind == PEOPLE).order_by(ENTRY.seq.desc())
+        with self.database.read() as connection:
+            bodies = (row.body for row in connection.execute(query))
+            return next((body for body in bodies if body["task"] == task), None)
 
     def receipt(self, submission: str) -> dict[str, Any] | None:
         """Return the newest signed receipt of a submission."""

@@ -74,6 +74,7 @@ class Queue:
             warning=row.warning,
             entry=row.entry,
             declared=None if row.files is None else len(row.files),
+            reference=row.format if row.kind == "reference" else None,
             card=row.card,
         )
 

@@ -35,7 +35,8 @@ class Submission:
     warning: str | None  # it was trained in another environment version than it plays
     entry: str | None  # declared entry that it is a seed of; None: a single robot
     declared: int | None  # seeds of that entry
-    card: dict[str, Any] | None  # what its lab says of the entry, see `rules.entries.Card`
+    reference: str | None  # name of a row to measure by, of a published robot the registry's
+    card: dict[str, Any] | None  # what its lab says of the entry, see `cards.Card`
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,7 +16,7 @@ import polars as pl
 from assistax_board.robots.admission import Admission, robot_sizes
 from assistax_board.rules.catalogue import Catalogue, version_id
 from assistax_board.rules.release_pack import hidden_partners, ordinal_index, unpack
-from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, OWN, Work
+from assistax_board.rules.scoring import COLUMNS, GENTLE_COLUMNS, OWN, WISH_COLUMNS, Work
 
 
 class ZooScorer:
@@ -104,4 +104,5 @@ def _leaving(table: pl.DataFrame, names: dict[str, str]) -> pl.DataFrame:
     )
     if "violated" in renamed.columns and "preference" not in renamed.columns:
         renamed = renamed.with_columns(preference=pl.lit(OWN))  # of persons
-    return renamed.select(name for name in (*COLUMNS, *GENTLE_COLUMNS) if name in renamed.columns)
+    leaving = *COLUMNS, *GENTLE_COLUMNS, *WISH_COLUMNS
+    return renamed.select(name for name in leaving if name in renamed.columns)

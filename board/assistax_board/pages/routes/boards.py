@@ -10,19 +10,21 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.cache import respond
 from assistax_board.pages.charts import axis_over
-from assistax_board.pages.routes.partners import pair_values
 from assistax_board.pages.routes.rows import (
     LAST,
     LONGEST,
-    SAFETY,
     SORTS,
     View,
     board_csv,
     board_of,
+    columns_of,
+    groups_of,
+    has_settings,
     old_version,
 )
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from evaluation.figures.metrics import paired_difference
+from assistax_board.pages.videos import Shown
+from evaluation.figures.metrics import group_weights, paired_difference
 
 
 def board_router(site: Site) -> APIRouter:
@@ -38,7 +40,7 @@ def board_router(site: Site) -> APIRouter:
                 "behind": {task for task in boards if site.boards.is_behind(task)},
                 "seasons": site.queries.seasons(),
                 "played": site.crossplays.tasks,
-                "film": newest_film(site),
+                "films": published_films(site),
             }
 
         return site.page(request, "", LIVE, "home.html", values)
@@ -83,23 +85,19 @@ def board_router(site: Site) -> APIRouter:
     return router
 
 
-def newest_film(site: Site) -> dict[str, Any] | None:
-    """Return the home page's values of the newest film, if its pair is here."""
-    pair = site.videos.newest()
-    if pair is None:
-        return None
-    seats = [id.split("/")[1] for id in (pair.robot, pair.human)]
-    try:
-        values = pair_values(site, pair.task, *seats)
-    except NotFoundError:  # of another registry
-        return None
-    return values if values["film"] else None
+def published_films(site: Site) -> dict[str, list[Shown]]:
+    """Return the films of published robots by task; the first call asks for each."""
+    films: dict[str, list[Shown]] = {}
+    for submission in site.queries.published():
+        if submission.task in site.tasks and (shown := site.published.shown(submission)):
+            films.setdefault(submission.task, []).append(shown)
+    return films
 
 
 def board_values(site: Site, task: str, version: str | None, view: View) -> dict[str, Any]:
     """Return the values of a board's page; the default version is the one served."""
     board = site.boards.of(task, version)
-    safety = board.safety if board else {}
+    care = columns_of(board.care) if board else {}
     rows = board.rows if board else ()
     # Rows to measure by are far away and would press the others into one point.
     drawn = [row for row, played in rows if not played.is_reference] or [row for row, _ in rows]
@@ -111,10 +109,13 @@ def board_values(site: Site, task: str, version: str | None, view: View) -> dict
         "listed": view.of(board) if board else None,
         "singles": view.singles(board) if board else None,
         "view": view,
-        "sorts": {name: text for name, text in SORTS.items() if safety or name not in SAFETY},
+        "sorts": SORTS | groups_of(board) | care,
         "old_version": version,
         "versions": site.queries.versions(task),
-        "safety": safety,
+        "fared": board.care if board else {},
+        "care": care,
+        "groups": groups_of(board),
+        "has_settings": has_settings(board),
         "is_behind": site.boards.is_behind(task, version),
         "axis": axis_over(ends),
         "waiting": sorted((row for row in waiting if row.place), key=lambda row: row.place or 0),
@@ -138,11 +139,12 @@ def compare_values(board: Board, a: str, b: str) -> dict[str, Any]:
     if len(rows) < 2 or rows[0] is rows[1]:
         return {"first": rows[0], "second": None}
     first, second = (played.returns.mean(axis=2) for _, played in rows)
+    weights = 1.0 if board.groups is None else group_weights(board.groups)
     differences = first.mean(axis=0) - second.mean(axis=0)
     return {
         "first": rows[0],
         "second": rows[1],
-        "found": paired_difference(first, second),
+        "found": paired_difference(first * weights, second * weights),
         "axis": axis_over(differences.tolist(), around=0.0),
         "pairs": [
             (

@@ -9,7 +9,7 @@ from starlette.responses import FileResponse, RedirectResponse, Response
 from assistax_board.api.guards import FILMS, client_of
 from assistax_board.pages import security
 from assistax_board.pages.site import NotFoundError, Site
-from assistax_board.pages.videos import HandedIn
+from assistax_board.pages.videos import HandedIn, Pair
 from assistax_board.store.shown import Submission
 
 _KINDS = {".gif": "image/gif", ".mp4": "video/mp4", ".episode": "application/octet-stream"}
@@ -85,24 +85,26 @@ def film_values(site: Site, submission: Submission) -> dict[str, Any]:
     }
 
 
-def robot_of(site: Site, submission: Submission) -> HandedIn:
+def robot_of(site: Site, submission: Submission) -> HandedIn | Pair:
     """Return a robot as it is filmed: with a public partner of the training side, always the same.
 
     Raises:
         NotFoundError: It is not filmed, and why.
     """
+    if submission.reference is not None:
+        if pair := site.published.pair(submission.task, submission.reference):
+            return pair
+        raise NotFoundError("This row is no published robot, so it is not filmed.")
     file = submission.artefact
-    if submission.state != "scored" or submission.kind != "file" or file is None:
+    if submission.state != "scored" or file is None:
         raise NotFoundError("Only robots that were handed in as files and scored are filmed.")
     if submission.licence == SCORING_ALONE:
         raise NotFoundError("This robot's licence allows scoring alone, so it is not filmed.")
     if not site.queries.is_kept(file):
         raise NotFoundError("This robot's file is not here any more, so it cannot be filmed.")
-    teams = site.registry.split(submission.task).train
-    if not teams:
+    if (human := site.published.human(submission.task)) is None:
         raise NotFoundError(
             "All public partners count in the score, so there is none to film with."
         )
-    human = site.registry.policy(f"{min(teams)}/human")
     version = site.registry.env_version(human)
     return HandedIn(submission.task, file, human.id, human.sha256, version, site.read)

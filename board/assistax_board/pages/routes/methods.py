@@ -9,7 +9,7 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.films import film_values
-from assistax_board.pages.routes.rows import board_of
+from assistax_board.pages.routes.rows import board_of, columns_of
 from assistax_board.pages.site import LIVE, Site
 from assistax_board.store.shown import Submission
 
@@ -44,6 +44,7 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
     """Return the values of the page of a submission's method."""
     board = site.boards.of(submission.task)
     row = board.of(submission.id) if board else None
+    fared = board.care.get(row[0].name, {}) if board and row else {}
     scores = site.queries.scores(method_of=submission.id)
     shown = [score for score in scores if "mean" in score.figures]
     ends = [end for score in shown for end in score.figures.get("mean_ci") or ()]
@@ -53,7 +54,8 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
         "submission": submission,
         "described": next(described, None),  # as the newest that says anything does
         "row": row,
-        "safety": board.safety.get(row[0].name) if board and row else None,
+        "fared": fared,
+        "care": columns_of({"": fared}),
         "history": history,
         **film_values(site, submission),
         "scores": {

@@ -16,7 +16,7 @@ from assistax_board.pages.routes.films import ask_for, film_file
 from assistax_board.pages.site import STILL, NotFoundError, Site
 from assistax_board.pages.videos import ROBOT, Pair
 from assistax_envs.persons.rows import COUNT, described_numbers, grades, person
-from zoo.partners.person_tables import person_tables
+from zoo.partners.person_tables import made_tables
 
 # Of pairs' films; those of robots, whose keys begin so, may have to go: see `films`.
 _FOR_EVER = "public, max-age=31536000, immutable"
@@ -155,9 +155,8 @@ def card_values(site: Site, task: str, team: str) -> dict[str, Any]:
 
 def persons_of(site: Site, task: str) -> list[tuple[str, int]]:
     """Return the name of the first person of each release that has any of a task, and how many."""
-    tables = person_tables(site.registry.data)
-    found = [(release, table.count) for release, its, table in tables if its == task]
-    return [(f"person-00000-{release}", count) for release, count in found]
+    found = made_tables(site.registry.data, task)
+    return [(f"person-00000-{release}", table.count) for release, table in found]
 
 
 def person_values(site: Site, task: str, team: str) -> dict[str, Any]:

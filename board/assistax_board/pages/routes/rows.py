@@ -4,12 +4,14 @@ import csv
 import dataclasses
 import io
 import math
+import re
 import urllib.parse
 from collections.abc import Mapping, Sequence
 
-from assistax_board.pages.boards import Board, Played, Safety
+from assistax_board.pages.boards import Board, Care, Played
 from assistax_board.pages.site import NotFoundError, Site
 from assistax_board.places.boards import BoardRow
+from assistax_board.places.caring import CARE
 from assistax_board.problems import Problem
 
 Row = tuple[BoardRow, Played]
@@ -17,8 +19,7 @@ AGAIN_SECONDS = 10  # after which who asked for a board that is being computed a
 LAST = 10_000  # page that a reader may ask for
 ROWS, FEW = 50, 10  # of a page, and of the single robots below the entries
 LONGEST = 80  # characters of a search; a method's name has no more
-SAFETY = ("safe_success", "violations")  # columns of gentle tasks alone
-LOWER_IS_BETTER = ("violations", "gap")
+LOWER_IS_BETTER = ("failed_persons", "discomfort", "violations", "gap")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # how a text begins that spreadsheets compute
 
 
@@ -48,8 +49,8 @@ class View:
         """Return a page of rows, the best first by `sort`, else as they stand on the board."""
         text = self.search[:LONGEST].casefold()
         found = [row for row in rows if text in _names(row[1]).casefold()]
-        if self.sort in SORTS:
-            found.sort(key=lambda row: self._rank(cells(row, board.safety)))
+        if self.sort in SORTS | groups_of(board) | columns_of(board.care):
+            found.sort(key=lambda row: self._rank(cells(row, board.care)))
         pages = max(1, -(-len(found) // size))
         page = min(max(1, self.page), pages)
         start = (page - 1) * size
@@ -57,7 +58,7 @@ class View:
         return Listed(self, board.task, shown, page, pages, start + 1, len(found), len(rows))
 
     def _rank(self, values: Mapping[str, object]) -> tuple[bool, float | str]:
-        value = values.get(self.sort) if self.sort in SORTS else None
+        value = values.get(self.sort)
         if isinstance(value, str):
             return False, value.casefold()
         if not isinstance(value, int | float) or not math.isfinite(value):
@@ -94,8 +95,6 @@ SORTS = {
     "m_test": "M_test",
     "iqm": "IQM",
     "normalised": "normalised return",
-    "safe_success": "safe success",
-    "violations": "violations",
     "cvar_10": "CVaR 10%",
     "worst_tenth": "worst tenth",
     "gap": "gap over disabilities",
@@ -105,10 +104,33 @@ SORTS = {
 }
 
 
-def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
+def columns_of(care: Care) -> dict[str, str]:
+    """Return the columns of care that some row has, and their names for readers."""
+    names = {name for figures in care.values() for name in figures}
+    slopes = {name: name.replace("_", " ") for name in sorted(names - {*CARE})}
+    return {name: text for name, text in CARE.items() if name in names} | slopes
+
+
+def groups_of(board: Board | None) -> dict[str, str]:
+    """Return the columns of the groups of partners, which M_test counts alike, and their names."""
+    groups = board.rows[0][0].by_group if board else {}
+    return {column_of(name): name for name in sorted(groups)}
+
+
+def column_of(group: str) -> str:
+    """Return the name of a group's column."""
+    return "m_" + re.sub("[^a-z0-9]+", "_", group.lower())
+
+
+def has_settings(board: Board | None) -> bool:
+    """Return whether partners have several disability settings, so that a gap says something."""
+    return board is not None and len({partner.disability for partner in board.partners}) > 1
+
+
+def cells(row: Row, care: Care) -> dict[str, str | float | None]:
     """Return a row as the CSV's columns name it."""
     standing, played = row
-    safe_success, violations = safety.get(standing.name, (None, None))
+    fared = care.get(standing.name, {})
     low, high = standing.m_test.mean_ci or (None, None)
     return {
         "place": standing.place,
@@ -121,13 +143,14 @@ def cells(row: Row, safety: Safety) -> dict[str, str | float | None]:
         "m_test": standing.m_test.mean,
         "m_test_low": low,
         "m_test_high": high,
+        **{column_of(name): found.mean for name, found in sorted(standing.by_group.items())},
         "iqm": standing.m_test.iqm,
         "normalised": standing.normalised.mean if standing.normalised else None,
-        "safe_success": safe_success,
-        "violations": violations,
+        **{name: fared.get(name) for name in columns_of(care)},
         "cvar_10": standing.cvar.value if standing.cvar else None,
         "worst_tenth": standing.worst_tenth.value,
         "gap": standing.fairness.gap.value if standing.fairness else None,
+        **{name: played.links.get(name) for name in ("paper", "code")},
         "submission": played.newest.id,
     }
 
@@ -138,7 +161,7 @@ def board_csv(board: Board) -> str:
     Names are texts of strangers: one that a spreadsheet would compute begins with an apostrophe.
     """
     out = io.StringIO()
-    lines = [cells(row, board.safety) | {"version": board.version} for row in board.rows]
+    lines = [cells(row, board.care) | {"version": board.version} for row in board.rows]
     writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _plain(value) for name, value in line.items()} for line in lines)
@@ -168,6 +191,7 @@ def board_of(site: Site, task: str, version: str) -> Board:
     board = site.boards.of(task, old)
     if board is None and site.boards.is_behind(task, old):
         raise being_computed(task)
+    board = board or site.boards.of(task, old)  # it may have been done between the two questions
     if board is None:
         raise NotFoundError(f"The board of {task} is empty: no method was scored yet.")
     return board

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
-from assistax_board.pages.routes.rows import being_computed
+from assistax_board.pages.routes.rows import being_computed, columns_of
 from assistax_board.pages.site import LIVE, NotFoundError, Site
 from assistax_board.store.played import partners_in_words, statement_of
 from assistax_board.store.shown import Score, Season, Submission
@@ -130,9 +130,10 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
         "unplayed": [site.submission(id) for id in sorted(site.queries.unplayed(season.id))],
         "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
         "rows": rows,
+        "groups": list(rows[0][0].by_group) if rows else [],
         "is_behind": site.season_boards.is_behind(season),
         "axis": axis_over(end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)),
-        "is_gentle": any(entry.violations is not None for _, entry in rows),
+        "care": columns_of({entry.newest.id: entry.care for _, entry in rows}),
     }
 
 

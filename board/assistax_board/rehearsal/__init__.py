@@ -1,0 +1,1 @@
+"""A rehearsal: a whole tiny season on this machine, made with the real commands and server."""
