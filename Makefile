@@ -4,17 +4,19 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # Three distributions, of which the core needs neither of the others.
+WHEELS := . packages/care packages/paper workshop board
 PROJECTS := pyproject.toml workshop/pyproject.toml board/pyproject.toml
 # Half of the tests' time was XLA's: here it does not optimise, but where a test uses `optimised`.
 FAST := JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/python -m pytest -m "not slow and not attack"
 
-.PHONY: help demo results bench site docs-size test test-slow attack lint types install lock clean
+.PHONY: help wheels demo results bench site docs-size test test-slow attack lint types install lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo 'make demo       evaluate a robot on partners it never saw, and plot a cross-play matrix'
-	@echo 'make results    write docs/log/results-v1.md and its figures from the tables in docs/data/v1'
+	@echo 'make results    write docs/log/paper.md and its figures from the tables in docs/data/paper'
 	@echo 'make site       write the documentation as pages to build/site'
+	@echo 'make wheels     build the packages of the program, of its data, of workshop and board to dist'
 	@echo 'make docs-size  count the words of the documentation, and hold the bars of guides'
 	@echo 'make bench      speed of environments, training, evaluator and registry on this machine'
 	@echo 'make test       lint, types, tests'
@@ -28,19 +30,19 @@ help:
 	@echo 'make clean      remove the virtual environment, the demo and caches'
 
 demo: $(STAMP)
-	$(BIN)/assistax-zoo evaluate --task gentle_scratch --policy gentle_scratch/ppo-ego-s0-v3/robot --partners persons --episodes 2 --out demo/persons
+	$(BIN)/assistax-zoo evaluate gentle_scratch/asymmetric_gru-ego-s0 --episodes 2 --out demo/persons
 	$(BIN)/assistax-zoo report demo/persons --out demo/persons.html
-	$(BIN)/assistax-zoo crossplay --task gentle_scratch --egos 'gentle_scratch/*-d?-s0-v3/robot' --partners 'gentle_scratch/*-d?-s0-v3/human' --episodes 2 --out demo/crossplay
+	$(BIN)/assistax-zoo crossplay --robots 'gentle_scratch/*' --humans persons --persons 20 --episodes 2 --out demo/crossplay
 	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png
 	@echo
 	@echo 'a robot with 200 persons, one row an episode: demo/persons'
 	@echo 'its page, with the numbers that matter:       demo/persons.html'
-	@echo 'cross-play of 12 teams, one row an episode:   demo/crossplay'
+	@echo 'cross-play of 3 robots with 20 of them:       demo/crossplay'
 	@echo 'the cross-play matrix, clustered:             demo/crossplay.png'
 	@echo 'more tasks with robots and persons:           gentle_bath gentle_lift gentle_feeding gentle_brushing'
 
 results: $(STAMP)
-	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1
+	$(BIN)/python -m tools.release_page page --release v1 --data docs/data/paper --out docs/log/paper.md --images docs/images/paper
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks env
@@ -51,6 +53,12 @@ bench: $(STAMP)
 site: $(STAMP)
 	$(BIN)/python -m tools.site
 	@echo 'open build/site/index.html; with search: $(BIN)/python -m http.server -d build/site'
+
+# The program, the parameters of its two tracks, the workshop and the board.
+wheels: $(STAMP)
+	rm -rf dist
+	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --no-index --no-build-isolation --wheel-dir dist $(WHEELS)
+	@ls -l dist
 
 docs-size: $(STAMP)
 	$(BIN)/python -m tools.docs_size

@@ -1,4 +1,4 @@
-"""What other installed packages add: tasks, partner kinds, methods, metrics and commands.
+"""Additions of other installed packages: tasks, partners, methods, metrics and commands.
 
 A package names each addition in an entry point of its `pyproject.toml`, in one of these groups.
 Reading a group imports nothing. An addition is imported when it is used.
@@ -6,25 +6,30 @@ Reading a group imports nothing. An addition is imported when it is used.
 
 import dataclasses
 import functools
-import importlib
+import importlib.util
 import re
 from collections.abc import Collection, Mapping
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
+from assistax_base.digest import json_sha256, sha256
 from assistax_base.errors import ZooError, printable
 
 TASKS, PARTNERS = "assistax_zoo.tasks", "assistax_zoo.partners"
 METHODS, METRICS = "assistax_zoo.methods", "assistax_zoo.metrics"
+FAMILIES = "assistax_zoo.families"
 COMMANDS, HEADS = "assistax_zoo.commands", "assistax_zoo.groups"
 # Groups, and what one of their entries is called in an error.
 GROUPS = {
     **{TASKS: "task", PARTNERS: "partner kind", METHODS: "method", METRICS: "metric"},
+    FAMILIES: "family of persons",
     **{COMMANDS: "command", HEADS: "group of commands"},
 }
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # of an addition, as a part of ids has it
 WORDS = re.compile(r"[a-z][a-z0-9-]*(\.[a-z][a-z0-9-]*)?")  # of a command: "plot.forces"
 OURS = "assistax-zoo"
+MOST_FILES, MOST_BYTES = 500, 8 * 1024 * 1024  # of a package whose files are read
 
 
 class ExtensionError(
@@ -64,6 +69,30 @@ class Extension:
             raise self.error("MODULE:ATTRIBUTE that can be imported", _described(error)) from error
         return found
 
+    def files(self) -> dict[str, bytes]:
+        """Return the files of the package that holds the module, by path; nothing is imported.
+
+        These are all files below the module's first package, without those that Python makes.
+
+        Raises:
+            ExtensionError: There is no such package, or it has too many or too large files.
+        """
+        first = self.module.partition(".")[0]
+        spec = importlib.util.find_spec(first)
+        paths: dict[str, Path] = {}
+        folders = spec.submodule_search_locations if spec is not None else None
+        for folder in map(Path, folders or ()):
+            for path in folder.rglob("*"):
+                if path.is_file() and "__pycache__" not in path.parts:
+                    paths[f"{first}/{path.relative_to(folder).as_posix()}"] = path
+        if spec is not None and spec.origin and not paths:
+            paths[f"{first}.py"] = Path(spec.origin)
+        size = sum(path.stat().st_size for path in paths.values())
+        if not paths or len(paths) > MOST_FILES or size > MOST_BYTES:
+            expected = f"a package of 1 to {MOST_FILES} files and at most {MOST_BYTES} bytes"
+            raise self.error(expected, f"{len(paths)} files of {size} bytes in {first!r}")
+        return {path: paths[path].read_bytes() for path in sorted(paths)}
+
     def error(self, expected: str, found: str) -> ExtensionError:
         """Return an error of this entry point, which names its package."""
         return ExtensionError(
@@ -72,6 +101,11 @@ class Extension:
             expected,
             found,
         )
+
+
+def files_sha256(files: Mapping[str, bytes]) -> str:
+    """Return the sha256 of files and their paths, as of a package."""
+    return json_sha256({path: sha256(data) for path, data in files.items()})
 
 
 def extensions(group: str, taken: Collection[str] = ()) -> Mapping[str, Extension]:

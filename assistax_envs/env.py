@@ -14,19 +14,21 @@ from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import STIFF_JOINTS
 from assistax_envs.own_settings import check_generator, key_of, own_settings
 from assistax_envs.physics import (
-    GIVES_CONTACT_FRAMES,
     SUBSTEPS,
     PhysicsState,
+    check_scene,
     diverged,
     make_physics,
     resolve_backend,
 )
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
+from assistax_envs.tasks import speech
 from assistax_envs.tasks.base import (
     ROBOT_JOINTS,
     Measures,
     Sensors,
     Task,
+    check_terms,
     human_actuators,
     human_joints,
 )
@@ -53,6 +55,9 @@ class EnvState:
     step: jax.Array  # [N] int32 control steps since reset
     nonfinite: jax.Array  # [N] bool: physics diverged; frozen, earns 0 until the horizon
     tremor: jax.Array  # [N, 3, 2] filter state; 5 at the mouth
+    # Of gentle tasks: the human's last word [N] int32, and steps [N] int32 that it is still heard.
+    word: jax.Array | None
+    heard: jax.Array | None
     params: EnvParams
     key: jax.Array  # [N] of the episode's noise
 
@@ -75,7 +80,7 @@ class Env:
         # 0, of no release, for a class from outside
         self.version = playable_version(task, version) if isinstance(task, str) else 0
         scene: str = of_task.scene
-        _check_scene(scene, self.backend)
+        check_scene(scene, self.backend)
         self.engine: dict[str, str] = engine(self.backend)
         self.episode_length = EPISODE_LENGTH
         self.model: mujoco.MjModel = build_model(scene)
@@ -108,7 +113,7 @@ class Env:
         shapes = jax.eval_shape(self.reset, keys, disability_params(["d1"]))
         sizes = {name: obs.shape[-1] for name, obs in shapes.obs.items()}
         self.observation_size: dict[str, int] = sizes
-        _check_terms(self._task, shapes.terms)
+        check_terms(self._task, shapes.terms)
 
     @own_settings()
     def reset(self, keys: jax.Array, params: EnvParams) -> EnvState:
@@ -120,9 +125,21 @@ class Env:
             params: [N] impairments, for example from `disability_params`.
         """
         check_generator(keys)
-        n = keys.shape[0]
         start_keys, episode_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
         qpos, task = jax.vmap(self._task.reset)(start_keys, params)
+        return self.begin(qpos, task, episode_keys, params)
+
+    @own_settings()
+    def begin(self, qpos: jax.Array, task: Any, keys: jax.Array, params: EnvParams) -> EnvState:
+        """Start episodes from drawn starts.
+
+        Args:
+            qpos: [N, nq] joint positions, rad.
+            task: the task's own state, leaves [N, ...].
+            keys: [N] of the episodes' noise.
+            params: [N] impairments.
+        """
+        n = qpos.shape[0]
         still = jnp.zeros((n, self.model.nv), jnp.float32)
         physics = PhysicsState(qpos, still, still)
         ranges = self._joint_range(params)
@@ -130,6 +147,8 @@ class Env:
         _, obs, terms, measures = self._task.transition(task, readings)
         measures = self._touched(measures, physics, ranges)
         zero, false = jnp.zeros(n, jnp.float32), jnp.zeros(n, bool)
+        silence = jnp.zeros(n, jnp.int32) if self.stops else None
+        obs = speech.with_word(obs, silence, silence)
         return EnvState(
             physics=physics,
             task=task,
@@ -142,8 +161,10 @@ class Env:
             step=jnp.zeros(n, jnp.int32),
             nonfinite=false,
             tremor=self._tremor.initial(n, self.action_size["human"]),
+            word=silence,
+            heard=silence,
             params=params,
-            key=episode_keys,
+            key=keys,
         )
 
     @own_settings()
@@ -153,19 +174,22 @@ class Env:
         Args:
             state: [N] simulations.
             action: "robot" [N, 7] and "human" [N, 3], at the mouth [N, 5], in [-1, 1] (clipped):
-                shares of the torque limits.
+                shares of the torque limits. In gentle tasks "word" [N] int32 may be given: codes of
+                `assistax_envs.preferences`, 0 for silence.
 
         Returns:
             The next state. A simulation whose physics diverged keeps its last finite state and
             earns 0. Reset a simulation that a protective stop ended: its later steps do not count.
         """
-        action = {role: jnp.asarray(taken, jnp.float32) for role, taken in action.items()}
-        tremor, shake = self._shake(state)
+        word, heard = speech.heard(state, action.get("word"))
+        action = {role: jnp.asarray(action[role], jnp.float32) for role in self.action_size}
+        tremor, shake = self._tremor.shake(state.tremor, state.key, state.step, state.params.tremor)
         control = self._control(state.params, action, shake)
         ranges = self._joint_range(state.params)
         physics, values = self._physics.step(state.physics, control, ranges)
         task, obs, terms, measures = self._task.transition(state.task, self._sensors.read(values))
         measures = self._touched(measures, physics, ranges)
+        obs = speech.with_word(obs, word, heard)
         nonfinite = state.nonfinite | diverged(physics, values, control)
         physics, task, obs, measures = select(
             nonfinite,
@@ -190,6 +214,8 @@ class Env:
             step=step,
             nonfinite=nonfinite,
             tremor=tremor,
+            word=word,
+            heard=heard,
         )
 
     def _touched(self, measures: Measures, physics: PhysicsState, ranges: jax.Array) -> Measures:
@@ -204,6 +230,14 @@ class Env:
     def joint_positions(self, state: EnvState) -> dict[str, jax.Array]:
         """Return the joint angles of each role, rad: "robot" [N, 7] and "human" [N, 9]."""
         return {role: state.physics.qpos[:, addresses] for role, addresses in self._joints.items()}
+
+    @own_settings()
+    def marks(self, state: EnvState) -> dict[str, jax.Array]:
+        """Return the places that pictures mark, m: "tool" [N, 1, 3] and targets [N, K, 3]."""
+        ranges = self._joint_range(state.params)
+        readings = self._sensors.read(self._physics.forward(state.physics, ranges))
+        tool = {"tool": readings.tool_position[:, None]}
+        return tool | self._task.targets(state.task, readings)
 
     def render(
         self,
@@ -274,23 +308,6 @@ class Env:
             .set(stiff)
         )
 
-    def _shake(self, state: EnvState) -> tuple[jax.Array, jax.Array]:
-        """Return the tremor's next filter state and its torque share [N, 3].
-
-        A batch without tremor draws no noise.
-        """
-
-        def noise(state: EnvState) -> tuple[jax.Array, jax.Array]:
-            keys = jax.vmap(jax.random.fold_in)(state.key, state.step)
-            white = jax.vmap(lambda key: jax.random.normal(key, state.tremor.shape[1:2]))(keys)
-            tremor, output = self._tremor.step(state.tremor, white)
-            return tremor, state.params.tremor[:, None] * output
-
-        def calm(state: EnvState) -> tuple[jax.Array, jax.Array]:
-            return state.tremor, jnp.zeros(state.tremor.shape[:2], jnp.float32)
-
-        return jax.lax.cond(jnp.any(state.params.tremor > 0.0), noise, calm, state)
-
 
 def make(
     task: str | type,
@@ -328,23 +345,3 @@ def select(mask: jax.Array, on_true: Any, on_false: Any) -> Any:
         return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
 
     return jax.tree.map(choose, on_true, on_false)
-
-
-def _check_scene(task: str, backend: str) -> None:
-    if task not in REGISTERED:
-        raise ValueError(
-            f"there is no scene {task!r}; set the class's `scene` to one of {', '.join(REGISTERED)}"
-        )
-    if REGISTERED[task].felt and backend not in GIVES_CONTACT_FRAMES:
-        raise ValueError(
-            f"{task} needs to know which way a contact pushes, and backend {backend!r} does not "
-            f"say; use {' or '.join(GIVES_CONTACT_FRAMES)}"
-        )
-
-
-def _check_terms(task: Task, terms: dict[str, Any]) -> None:
-    if set(task.weights) != set(terms):
-        unknown = sorted(set(task.weights) - set(terms))
-        raise ValueError(
-            f"reward weights for unknown terms {unknown}; {task.name} has {sorted(terms)}"
-        )

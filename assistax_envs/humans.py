@@ -27,6 +27,8 @@ class EnvParams:
     preference: Any = None
     # int32: the person's number, kept for callers. Environments ignore it.
     person: Any = None
+    # Width of liking in which training begins, see `tasks.care`; None for the tasks' own.
+    width: Any = None
 
 
 @own_settings()

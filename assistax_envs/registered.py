@@ -16,10 +16,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-OURS = (
-    *("scratch", "bed_bath", "arm_assist"),
-    *("gentle_scratch", "gentle_bath", "gentle_lift", "gentle_feeding", "gentle_brushing"),
-)
+PAPER, CARE = "paper", "care"
+# The tasks of each track: tasks, partners, splits and robots that belong together.
+TRACKS: Mapping[str, tuple[str, ...]] = {
+    PAPER: ("scratch", "bed_bath", "arm_assist"),
+    CARE: ("gentle_scratch", "gentle_bath", "gentle_lift", "gentle_feeding", "gentle_brushing"),
+}
+OURS = (*TRACKS[PAPER], *TRACKS[CARE])
+
+
+def track_of(task: str) -> str:
+    """Return the track of a task; a task of another package is a track of its own."""
+    return next((track for track, tasks in TRACKS.items() if task in tasks), task)
 
 
 def load(place: str) -> Any:

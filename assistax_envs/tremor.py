@@ -26,6 +26,29 @@ class TremorFilter:
         """Return the state [N, joints, 2] of a filter at rest."""
         return jnp.zeros((size, joints, 2), jnp.float32)
 
+    def shake(
+        self, state: jax.Array, keys: jax.Array, time: jax.Array, share: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the next state, and the torque [N, joints]; without tremor no noise is drawn.
+
+        Args:
+            state: [N, joints, 2] of the filter.
+            keys: [N] of the episodes' noise.
+            time: [N] int32, steps since reset.
+            share: [N] of the torque that the tremor has.
+        """
+
+        def noise() -> tuple[jax.Array, jax.Array]:
+            drawn = jax.vmap(jax.random.fold_in)(keys, time)
+            white = jax.vmap(lambda key: jax.random.normal(key, state.shape[1:2]))(drawn)
+            tremor, output = self.step(state, white)
+            return tremor, share[:, None] * output
+
+        def calm() -> tuple[jax.Array, jax.Array]:
+            return state, jnp.zeros(state.shape[:2], jnp.float32)
+
+        return jax.lax.cond(jnp.any(share > 0.0), noise, calm)
+
     def step(self, state: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the next state, and the output [N, joints] for `noise` [N, joints].
 

@@ -9,19 +9,21 @@ guards it. Each task has its own in its `TaskKind`.
 from collections.abc import Mapping
 from importlib.metadata import version
 
-from assistax_envs.registered import REGISTERED, ByTask
+from assistax_envs.registered import OURS as OURS
+from assistax_envs.registered import PAPER, REGISTERED, TRACKS, ByTask
+from assistax_envs.registered import track_of as track_of
 
 VERSIONS: Mapping[str, int] = ByTask(lambda kind: kind.version)
 TASKS: tuple[str, ...] = tuple(REGISTERED)
+PAPER_TASKS: tuple[str, ...] = TRACKS[PAPER]
 
 
 def __getattr__(name: str) -> tuple[str, ...]:
-    """Return a group of tasks: of the paper, or gentle ones at the arm or at the mouth.
+    """Return a group of tasks: gentle ones at the arm or at the mouth.
 
     A group is made on demand, because it needs the kind of every task.
     """
     groups = {
-        "PAPER_TASKS": ByTask(lambda kind: kind.name, lambda kind: kind.paper),
         "GENTLE_TASKS": ByTask(
             lambda kind: kind.name, lambda kind: kind.felt and kind.seat == "arm"
         ),

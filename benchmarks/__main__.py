@@ -11,6 +11,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from assistax_zoo.shell.console import print_json, stdout_is_data
 from benchmarks.adapters import adapters
+from benchmarks.frames import frames
 from benchmarks.pages import pages, service, storm
 from benchmarks.timing import check_seconds
 
@@ -18,7 +19,7 @@ from benchmarks.timing import check_seconds
 def run(arguments: Sequence[str]) -> int:
     """Run one benchmark and return its exit code: 0 done, 1 error, 2 wrong usage."""
     app = App(name="python -m benchmarks", help="Speed on this machine.")
-    for command in (env, evaluate, train, adapters, fetch, pages, service, storm, picking):
+    for command in (env, evaluate, train, adapters, fetch, pages, service, storm, picking, frames):
         app.command(command)
     try:
         app(arguments, print_error=False, exit_on_error=False, result_action="return_value")
@@ -37,21 +38,25 @@ def env(
     backend: str = "auto",
     batch: str = "64,512,4096",
     seconds: float = 3.0,
+    persons: bool = False,
     json: bool = False,
 ) -> None:
     """Measure environment steps per second with random actions.
 
-    The median of three repeats; compilation is not counted.
+    The median of three repeats; compilation is not counted. With persons each size is measured
+    twice, so that one run has the price of their programs.
 
     Args:
         task: Task, or all.
         backend: fused, native, mjx, mjx-warp or auto; several with commas.
         batch: Numbers of simulations, with commas.
         seconds: Measuring time of each figure, about.
+        persons: Also with persons in the human's seat.
         json: Print JSON.
 
     Example:
         python -m benchmarks env --task scratch --backend native --batch 64,512,4096
+        python -m benchmarks env --task gentle_scratch --batch 512 --persons
     """
     tasks, sizes = _tasks(task), _sizes(batch, "batch")
     check_seconds(seconds)
@@ -64,16 +69,18 @@ def env(
             for engine in _words(backend, "backend"):
                 environment = make(name, backend=engine)
                 rows += [
-                    dataclasses.asdict(measure_env(environment, size, seconds)) for size in sizes
+                    dataclasses.asdict(measure_env(environment, size, seconds, met))
+                    for size in sizes
+                    for met in (False, True)[: 1 + persons]
                 ]
     if json:
         print_json(rows)
         return
-    print("open loop, random actions; median of 3 repeats, compilation not counted")
+    print("open loop; median of 3 repeats, compilation not counted")
     for row in rows:
         spread = f"{min(row['repeats']):,.0f} to {max(row['repeats']):,.0f}"
         print(
-            f"{row['task']:10} {row['backend']:9} {row['batch']:7,} simulations "
+            f"{row['task']:10} {row['backend']:9} {row['batch']:7,} simulations, {row['human']:7} "
             f"{row['env_steps_per_second']:12,.0f} env steps/s ({spread}; {row['steps']} steps "
             f"each; {row['device']})"
         )

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs import DISABILITY_SETTINGS, disability_params
+from assistax_envs.persons import PersonPlayer, person_params, persons
+from assistax_envs.persons.rows import marked
 from benchmarks.timing import REPEATS, calls_within, timed
 from evaluation.cast.roster import Member, Roster
 from evaluation.play.jobs import Job
@@ -31,6 +33,7 @@ class EnvSpeed:
     task: str
     backend: str
     batch: int
+    human: str  # "random" actions, or those of "persons"
     env_steps_per_second: float  # median of the repeats
     repeats: tuple[float, ...]
     steps: int  # of every simulation, in each repeat
@@ -54,10 +57,13 @@ class EvaluatorSpeed:
     device: str
 
 
-def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
-    """Return the env steps/s of uniform random actions, with disability settings mixed."""
+def measure_env(env: Any, batch: int, seconds: float = 3.0, persons: bool = False) -> EnvSpeed:
+    """Return the env steps/s of uniform random actions, with disability settings mixed.
+
+    With `persons` the human's seat is that of the first rows of the task's persons.
+    """
     began = time.perf_counter()
-    run = open_loop(env, batch)
+    run = open_loop(env, batch, Persons(env.task, batch) if persons else None)
     jax.block_until_ready(run(1))
     compile_seconds = time.perf_counter() - began
     calls = _calls(env, run, seconds)
@@ -66,6 +72,7 @@ def measure_env(env: Any, batch: int, seconds: float = 3.0) -> EnvSpeed:
         task=env.task,
         backend=env.backend,
         batch=batch,
+        human="persons" if persons else "random",
         env_steps_per_second=statistics.median(speeds),
         repeats=tuple(speeds),
         steps=calls * CALL,
@@ -121,35 +128,58 @@ def device_name(backend: str) -> str:
     return jax.devices()[0].device_kind
 
 
-def open_loop(env: Any, batch: int) -> Any:
-    """Return a function that plays `calls` x `CALL` steps of random actions from a fresh reset."""
+class Persons:
+    """Persons of the family `spring` in the human's seat of a batch."""
+
+    def __init__(self, task: str, batch: int) -> None:
+        table = persons(task)
+        rows = table[np.arange(batch) % len(table)]
+        self.player, self.row = PersonPlayer(task), jnp.asarray(marked(rows))
+        self.params = person_params(task, rows)
+
+    def act(self, mind: Any, state: Any) -> tuple[Any, dict[str, jax.Array]]:
+        """Return the persons' minds after a step, and what they do and say."""
+        given = {"row": self.row}, mind, state.obs["human"], state.step == 0
+        mind, action = self.player.act(*given)
+        return mind, {"human": action, "word": self.player.word(mind)}
+
+
+def open_loop(env: Any, batch: int, people: Persons | None = None) -> Any:
+    """Return a function that plays `calls` x `CALL` steps from a fresh reset.
+
+    Actions are random, but for those of `people`.
+    """
 
     @jax.jit
-    def advance(state: Any, key: jax.Array) -> Any:
-        def body(state: Any, key: jax.Array) -> tuple[Any, None]:
+    def advance(loop: Any, key: jax.Array) -> Any:
+        def body(loop: Any, key: jax.Array) -> tuple[Any, None]:
+            state, mind = loop
             actions = {
                 role: jax.random.uniform(role_key, (batch, size), minval=-1.0)
                 for (role, size), role_key in zip(
                     env.action_size.items(), jax.random.split(key), strict=True
                 )
             }
-            return env.step(state, actions), None
+            if people is not None:
+                mind, done = people.act(mind, state)
+                actions |= done
+            return (env.step(state, actions), mind), None
 
-        return jax.lax.scan(body, state, jax.random.split(key, CALL))[0]
+        return jax.lax.scan(body, loop, jax.random.split(key, CALL))[0]
 
-    start = jax.jit(env.reset)(
-        jax.random.split(jax.random.key(0), batch), disability_params(_settings(batch))
-    )
+    params = disability_params(_settings(batch)) if people is None else people.params
+    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0), batch), params)
+    mind = () if people is None else people.player.initial_carry((batch,))
 
     @functools.cache
     def key(call: int) -> jax.Array:
         return jax.random.key(call)
 
     def run(calls: int) -> jax.Array:
-        state = start
+        loop = start, mind
         for call in range(calls):
-            state = advance(state, key(call))
-        return jnp.sum(state.reward)
+            loop = advance(loop, key(call))
+        return jnp.sum(loop[0].reward)
 
     return run
 

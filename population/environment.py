@@ -76,7 +76,7 @@ class ToldNumbers(ShowingMore):
 
     Args:
         env: The environment.
-        rows: Of the persons [P, 25], as `EnvParams.person` counts them.
+        rows: Of the persons [P, 30], as `EnvParams.person` counts them.
 
     Raises:
         ValueError: There are no persons.

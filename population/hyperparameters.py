@@ -9,6 +9,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 
 from assistax_base import extensions
 from assistax_base.validated import Share, Widths, validated
+from assistax_envs.preferences import WIDTH
 
 LogStd = Annotated[float, Field(ge=-5, le=1)]
 
@@ -29,6 +30,9 @@ class Hyperparameters:
     activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
     normalise: bool = True  # whether observations are normalised by running statistics
     initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
+    # Width of liking of the gentle tasks' rewards at the start. It falls linearly to the tasks' own
+    # over the first half of the run: a narrow one pays nothing to a robot that knows nothing.
+    liking_width: Annotated[float, Field(ge=WIDTH, le=2)] = WIDTH
 
     @property
     def batch_steps(self) -> int:
@@ -240,6 +244,10 @@ METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
     ),
     "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
     "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
+    "osi": (
+        "population.methods.modelling:Identification",
+        {"critic": "central", "latent": 16},
+    ),
     "rl2": ("", {"torso": "gru", "series": 5}),
     "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
 }

@@ -91,6 +91,7 @@ def test_additions_are_found_by_name(site: Path) -> None:
         "partners": ["resting"],
         "methods": ["careful"],
         "metrics": ["unsteadiness"],
+        "families": ["weary"],
         "commands": ["plot.forces"],
         "groups": [],
     }
@@ -100,7 +101,7 @@ def test_each_addition_is_one_file_or_folder() -> None:
     text = (SOURCE / "pyproject.toml").read_text()
     places = re.findall(r'^"?[\w.]+"? = "(assistax_outside\.\w+):\w+"$', text, re.M)
     files = {path.stem for path in (SOURCE / "src/assistax_outside").iterdir()}
-    assert len(places) == 5
+    assert len(places) == 6
     assert {place.split(".")[1] for place in places} == files - {"__init__", "__pycache__"}
 
 
@@ -108,7 +109,7 @@ def test_page_prints_the_code_of_the_package() -> None:
     page = (ROOT / "docs/extend.md").read_text()
     blocks = re.findall(r"```(?:python|toml)\n(.*?)```", page, re.S)
     files = [path.read_text() for path in SOURCE.rglob("*.*") if path.suffix in (".py", ".toml")]
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     assert [block for block in blocks if not any(block.strip() in file for file in files)] == []
 
 
@@ -129,7 +130,7 @@ def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
         "--no-references",
     ]
     options += ["--registry", shell.registry, "--metrics", "unsteadiness", "--backend", "native"]
-    text = shell("evaluate", "--task", TASK, "--policy", robot, *options, "--out", folder, "--json")
+    text = shell("evaluate", "--task", TASK, robot, *options, "--out", folder, "--json")
     figure = json.loads(text)["more"]["unsteadiness"]
     assert (figure["package"], figure["version"]) == ("assistax-outside", "0.1.0")
     page, drawing = shell.folder / "page.html", shell.folder / "forces.png"
@@ -143,14 +144,14 @@ def test_evaluation_has_the_outside_metric(shell: Shell, robot: Path) -> None:
 def test_outside_kind_of_partner_plays(shell: Shell, robot: Path) -> None:
     options: list[Any] = ["--partners", "resting", "--episodes", "1", "--no-references"]
     options += ["--registry", shell.registry, "--backend", "native", "--json"]
-    text = shell("evaluate", "--task", TASK, "--policy", robot, *options)
+    text = shell("evaluate", "--task", TASK, robot, *options)
     assert json.loads(text)["partners"]["test"] == 2
 
 
 @pytest.mark.slow
 def test_outside_teams_are_cross_played(shell: Shell) -> None:
     folder = shell.folder / "crossplay"
-    options: list[Any] = ["--partners", f"{TASK}/ippo-*/human", "--egos", f"{TASK}/ippo-*/robot"]
+    options: list[Any] = ["--humans", f"{TASK}/ippo-*/human", "--robots", f"{TASK}/ippo-*/robot"]
     options += ["--episodes", "1", "--preferences", "p1", "--backend", "native"]
     options += ["--registry", shell.registry, "--out", folder, "--json"]
     summary = json.loads(shell("crossplay", "--task", TASK, *options))
@@ -191,7 +192,7 @@ def test_outside_persons_have_gates(shell: Shell) -> None:
     assert gates[-1]["gate"] == "numbers inside their ranges" and gates[-1]["holds"]
     played = json.loads((folder / "script.json").read_text())
     assert played["about"]["task"] == TASK
-    assert len(played["sides"]["muscle"]["return"][0]) == 200
+    assert len(played["sides"]["unseen"]["return"][0]) == 200
 
 
 @pytest.mark.slow
@@ -203,7 +204,7 @@ def test_the_outside_task_keeps_the_contract(shell: Shell) -> None:
 @pytest.mark.slow
 def test_replay_tells_metrics_it_cannot_compute(shell: Shell) -> None:
     folder = shell.folder / "replayed"
-    teams = ["--egos", "scratch/ippo-d1-s0-v1/robot", "--partners", "scratch/ippo-d1-s0-v1/human"]
+    teams = ["--robots", "scratch/ippo-d1-s0-v1/robot", "--humans", "scratch/ippo-d1-s0-v1/human"]
     how = ["--episodes", "1", "--backend", "native", "--metrics", "unsteadiness"]
     shell("crossplay", "--task", "scratch", *teams, *how, "--out", folder)
     here = json.loads(shell("replay", folder, "--json"))

@@ -1,7 +1,8 @@
 """Word count of the documentation by page and group: `python -m tools.docs_size`.
 
 Groups are the sections of `nav` in zensical.toml. Guides and concepts are for reading through, so
-their words are bounded; reference and log are for looking things up.
+their words are bounded. All pages that a user may have to read are bounded together: not the log,
+which has every measurement, nor notebooks.
 """
 
 import tomllib
@@ -13,6 +14,8 @@ ROOT = Path(__file__).parents[1]
 MAX_GUIDE = 1_200  # words of a guide, of README too
 MAX_READ = 12_000  # words of all guides and concepts
 READ = ("Guides", "Concepts")
+MAX_PAGES = 25_000  # words of all pages but those of `APART`
+APART = ("Log", "Notebooks")
 
 
 def count_words(root: Path = ROOT) -> dict[str, dict[str, int]]:
@@ -21,12 +24,17 @@ def count_words(root: Path = ROOT) -> dict[str, dict[str, int]]:
     groups = {group: pages for entry in nav for group, pages in entry.items()}
     return {
         group: {
-            page: len((root / "docs" / page).read_text(encoding="utf-8").split())
+            page: _words(root / "docs" / page)
             for page in _names(pages)
             if (root / "docs" / page).is_file()
         }
         for group, pages in groups.items()
-    } | {"Home": {"README.md": len((root / "README.md").read_text(encoding="utf-8").split())}}
+    } | {"Home": {"README.md": _words(root / "README.md")}}
+
+
+def _words(page: Path) -> int:
+    """Return the number of a page's words; marks such as a table's bars are none."""
+    return sum(any(map(str.isalnum, word)) for word in page.read_text(encoding="utf-8").split())
 
 
 def find_problems(words: Mapping[str, Mapping[str, int]]) -> list[str]:
@@ -41,6 +49,12 @@ def find_problems(words: Mapping[str, Mapping[str, int]]) -> list[str]:
     total = sum(sum(words[group].values()) for group in READ)
     if total > MAX_READ:
         problems.append(f"guides and concepts have {total:,} words; at most {MAX_READ:,}")
+    total = sum(sum(pages.values()) for group, pages in words.items() if group not in APART)
+    if total > MAX_PAGES:
+        problems.append(
+            f"pages without the log have {total:,} words; at most {MAX_PAGES:,}: say a thing once, "
+            "and link to it"
+        )
     return problems
 
 

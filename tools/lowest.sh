@@ -22,10 +22,10 @@ play_jobs() {
     local program="$PWD/$1/bin/assistax-zoo" out="$1/out" tiny=(--task scratch --backend native --episodes 1)
     rm -rf "$out"
     "$program" doctor >"$1/doctor.txt" || { cat "$1/doctor.txt" >&2; return 1; }
-    "$program" evaluate "${tiny[@]}" --policy scratch/ppo-ego-s0-v1/robot --partners 'scratch/ippo-d1-s[01]-v1' \
+    "$program" evaluate "${tiny[@]}" scratch/ppo-ego-s0-v1/robot --partners 'scratch/ippo-d1-s[01]-v1' \
         --no-references --out "$out/evaluate"
     "$program" report "$out/evaluate" --out "$out/evaluate.html"
-    "$program" crossplay "${tiny[@]}" --egos 'scratch/ippo-d1-s[012]-v1' --partners 'scratch/ippo-d1-s[012]-v1' \
+    "$program" crossplay "${tiny[@]}" --robots 'scratch/ippo-d1-s[012]-v1' --humans 'scratch/ippo-d1-s[012]-v1' \
         --out "$out/crossplay"
     "$program" plot crossplay "$out/crossplay" --out "$out/crossplay.png"
     "$program" train-ego --task scratch --split half-s0-v1 --backend fused --steps 1 --set rollout_steps=4 \

@@ -24,7 +24,7 @@ SOURCES = {
 # Arguments that differ from the option of the same name.
 DIFFERENT = {
     "evaluate": {"out"},
-    "cross_play": {"egos", "partners", "out"},
+    "cross_play": {"robots", "humans", "out"},
 }
 ENTRY = re.compile(r"^ {8}([a-z]\w*): (.*(?:\n {12}.*)*)", re.MULTILINE)
 

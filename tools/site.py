@@ -6,11 +6,13 @@ commands.
 """
 
 import base64
+import functools
 import json
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,6 +25,11 @@ BESIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "LICENSE")  # pages 
 _BLOCK = re.compile(
     r"^((?![|\s]|[-*] |\d+\. ).+\n)(\|.*\n\|[-:| ]+\|$|(?:[-*]|1\.) )", re.MULTILINE
 )
+_PAGES = "<!-- pages -->"  # where links to the pages of tasks stand, on the front page a film too
+_FILMED = "gentle_scratch/asymmetric_gru-ego-s0", "gentle_scratch/person-20042"
+_FILM = """<iframe src="film.html" title="A film of an episode" class="film"></iframe>
+
+*A robot of the zoo with a person that it never met. Turn it with the pointer.* """
 _FETCHED = {"script": "src", "img": "src", "source": "src", "video": "src", "iframe": "src"}
 
 
@@ -32,6 +39,8 @@ def build(out: Path = ROOT / "build") -> Path:
     Raises:
         ValueError: A link leads nowhere, or a page would fetch something from elsewhere.
     """
+    if problems := find_dead_links():
+        raise ValueError("\n".join(problems))
     _write_pages(out / "docs")
     settings = out / "zensical.toml"  # its folders are relative to itself
     text = (ROOT / "zensical.toml").read_text(encoding="utf-8")
@@ -71,6 +80,28 @@ def notebook_page(notebook: dict[str, Any], name: str, folder: Path) -> str:
                 text = "".join(output.get("text") or data.get("text/plain", ""))
                 parts.append(f"```text\n{text.rstrip()}\n```")
     return "\n\n".join(parts) + "\n"
+
+
+def find_dead_links(root: Path = ROOT) -> list[str]:
+    """Return messages for relative links of Markdown files that lead to no file.
+
+    The check of built pages misses files that are no pages, such as those of docs/data.
+    """
+    folders = ("docs", "board", "workshop", "packages", "tests/outside", ".github")
+    files = [
+        *root.glob("*.md"),
+        *(path for name in folders for path in (root / name).rglob("*.md")),
+    ]
+    problems = []
+    for path in sorted(files):
+        text = re.sub(r"^```.*?^```", "", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
+        for found in re.finditer(r'\]\(([^()\s]+)\)|src="([^"]+)"', text):
+            link = urlsplit(found[1] or found[2])
+            if not (link.scheme or link.netloc or (path.parent / unquote(link.path)).exists()):
+                problems.append(
+                    f"{path.relative_to(root)} links to {link.path}, which is not there"
+                )
+    return problems
 
 
 def find_problems(site: Path) -> list[str]:
@@ -126,8 +157,14 @@ def _write_pages(folder: Path) -> None:
         path.unlink()
     for name in BESIDE:
         shutil.copy(ROOT / name, folder)
-    (folder / "index.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
     (folder / "commands.md").write_text(_commands())
+    (folder / "film.html").write_bytes(_film())
+    links = _play_pages(folder / "play")
+    for name, source, live in (
+        ("play.md", folder / "play.md", f"Play now: {links}."),
+        ("index.md", ROOT / "README.md", f"{_FILM}Or be the person yourself, now: {links}."),
+    ):
+        (folder / name).write_text(source.read_text("utf-8").replace(_PAGES, live))
     for path in folder.rglob("*.md"):
         up = "../" * (len(path.relative_to(folder).parts) - 1)
         path.write_text(_relink(path.read_text(encoding="utf-8"), up))
@@ -145,6 +182,32 @@ def _relink(text: str, up: str = "") -> str:
     text = re.sub(r"^(!\[[^\]]*\]\(([^)]+)\))$", r"[\1](\2)", text, flags=re.MULTILINE)
     text = re.sub(r'(<img src="([^"]+)"[^>]*>)', r'<a href="\2">\1</a>', text)
     return re.sub(r"(\]\([\w./-]+)\.ipynb([)#])", r"\1.md\2", text)
+
+
+def _play_pages(folder: Path) -> str:
+    """Write the page of each task on which a visitor is the person; return links to them."""
+    from evaluation.seat.modules import playable
+    from evaluation.seat.page import default_robots, network_of, published, write_page
+    from zoo.registry import load_registry
+
+    folder.mkdir()
+    registry, links = load_registry(), []
+    for task in playable():
+        network = network_of(task)
+        robots = published(registry, default_robots(registry, task, network), network)
+        write_page(task, robots, folder / f"{task}.html")
+        links.append(f"[{task.removeprefix('gentle_')}](play/{task}.html)")
+    return ", ".join(links)
+
+
+@functools.cache
+def _film() -> bytes:
+    """Return a page that plays an episode of a robot with a person."""
+    from assistax_zoo.commands.evaluation.watch import watch
+
+    with tempfile.TemporaryDirectory() as folder:
+        watch(*_FILMED, out=Path(folder) / "film.html")
+        return (Path(folder) / "film.html").read_bytes()
 
 
 def _commands() -> str:

@@ -18,7 +18,7 @@ from assistax_envs.adapters.partners import Partners
 from assistax_envs.env import EnvState, make, select
 from assistax_envs.own_settings import key_of, own_settings
 
-# Vector forms clip observations to it, so that their spaces are finite. Robots that strike at
+# Adapters clip observations to it, so that their spaces are finite. Robots that strike at
 # random reach 1,133, a force in N; everything else is far smaller.
 OBSERVATION_BOUND = 10_000.0
 MOST_ENVS = 2**20
@@ -84,15 +84,17 @@ class Batch:
         Args:
             key: Key of episodes that begin after this step.
             state: State that `reset` or `step` returned.
-            actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own.
+            actions: "robot" [N, 7], and "human" [N, 3] in place of the partners' own, who speak
+                otherwise. With "human" may come "word" [N] int32, codes of `preferences.WORDS`.
         """
         before, seated = state.env, state.seated
         if "human" not in actions:
             seated, action = self.partners.act(
                 state.params, seated, before.obs["human"], state.first
             )
-            actions = {**actions, "human": action}
-        after = self.env.step(before, {role: actions[role] for role in self.env.action_size})
+            actions = {**actions, "human": action} | self._said(seated)
+        given = [name for name in (*self.env.action_size, "word") if name in actions]
+        after = self.env.step(before, {name: actions[name] for name in given})
         limit, stopped = after.truncated[0], after.terminated
         new_seated, new = jax.lax.cond(
             limit,
@@ -108,6 +110,12 @@ class Batch:
             info=_info(after),
         )
         return BatchState(new, state.params, new_seated, stopped | limit), step
+
+    def _said(self, seated: Any) -> dict[str, jax.Array]:
+        """Return the words [N] that the partners said with their last actions, if they can."""
+        speaking: Any = self.partners
+        word = speaking.word(seated, self.num_envs) if hasattr(speaking, "word") else None
+        return {} if word is None else {"word": word}
 
     def _after_stops(self, key: jax.Array, after: EnvState) -> EnvState:
         """Return the state with new episodes in place of stopped ones, with the same time limit."""
@@ -161,7 +169,10 @@ class HostBatch:
         self, rng: np.random.Generator, actions: Mapping[str, Any]
     ) -> tuple[BatchStep, np.ndarray]:
         """Advance by 20 ms; return the step, as JAX arrays, and the mask of ended episodes [N]."""
-        taken = {role: self._action(role, action) for role, action in actions.items()}
+        taken = {
+            role: self._words(action) if role == "word" else self._action(role, action)
+            for role, action in actions.items()
+        }
         self._state, step = self._step(self._key, np.int32(self._steps), self.state, taken)
         self._steps += 1
         limit = self._steps == self.batch.env.episode_length
@@ -198,6 +209,16 @@ class HostBatch:
             raise ValueError(
                 f"actions of the {role} have shape {copied.shape}; expected {expected}, values in "
                 "[-1, 1]"
+            )
+        return copied
+
+    def _words(self, words: Any) -> jax.Array:
+        """Return checked words as a copy."""
+        copied = jax.block_until_ready(jnp.array(words, jnp.int32))
+        if copied.shape != (self.batch.num_envs,):
+            raise ValueError(
+                f"words have shape {copied.shape}; expected ({self.batch.num_envs},), codes of "
+                "assistax_envs.preferences"
             )
         return copied
 

@@ -31,7 +31,9 @@ class AssistaxEnv(gymnasium.Env):
     An episode is truncated at its 1000th step.
 
     The partner is any callable from the human's observation to its action. If it has a method
-    `reset`, this is called at episode starts. Without a partner the human exerts no torque.
+    `reset`, this is called at episode starts. If it has `word`, this is called after each action
+    and returns what the human says, a code of `preferences.WORDS`. If it has `humans`, these are
+    its own body and wishes. Without a partner the human exerts no torque.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012 - Gymnasium's own type
@@ -67,16 +69,17 @@ class AssistaxEnv(gymnasium.Env):
             )
         self.render_mode = render_mode
         self.partner = partner
+        humans = getattr(partner, "humans", None)
+        if humans is not None and disability:
+            raise ValueError("the partner is a person with its own body; leave disability out")
         impairment = disability or getattr(partner, "setting", None) or "d1"
         version = version or getattr(partner, "env_version", None)
         self._simulation = Simulation(
-            task, impairment, backend, weights, render_mode, camera, version
+            task, impairment, backend, weights, render_mode, camera, version, humans
         )
         env = self._simulation.env
-        self.observation_space = gymnasium.spaces.Box(
-            -np.inf, np.inf, (env.observation_size["robot"],), np.float32
-        )
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size["robot"],), np.float32)
+        self.observation_space = bounded_box(OBSERVATION_BOUND, env.observation_size["robot"])
+        self.action_space = bounded_box(1.0, env.action_size["robot"])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -100,7 +103,9 @@ class AssistaxEnv(gymnasium.Env):
             answer = np.zeros(self._simulation.env.action_size["human"], np.float32)
         else:
             answer = self.partner(self._simulation.observation("human"))
-        self._simulation.step({"robot": action, "human": answer})
+        said = getattr(self.partner, "word", None)
+        words = {"word": int(said())} if callable(said) else {}
+        self._simulation.step({"robot": action, "human": answer, **words})
         observation, info = self._simulation.observation("robot"), self._simulation.info()
         return observation, *self._simulation.outcome(), info
 

@@ -241,9 +241,11 @@ class AssistaxMarlVectorEnv:
     ]:
         """Advance by 20 ms; `key` starts the next episode if this step is the last one.
 
-        Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents].
+        Rewards and dones are [N], by agent and under "__all__"; infos are [N, agents]. Beside the
+        actions may stand "word" [N], what human agents say, codes of `preferences.WORDS`.
         """
-        taken = {agent: actions[agent] for agent in self.agents}
+        speaking = ["word"] if "human" in self.agents and "word" in actions else []
+        taken = {name: actions[name] for name in (*self.agents, *speaking)}
         state, step = self.batch.step(_typed(key), state, taken)
         names = (*self.agents, "__all__")
         info = {**step.info["terms"], **step.info, "truncated": step.truncated}

@@ -11,7 +11,7 @@ from assistax_envs.disability import Disability
 from assistax_envs.humans import EnvParams, disability_params
 from assistax_envs.own_settings import own_settings
 from assistax_envs.persons import PersonPlayer, person_params, persons
-from assistax_envs.persons.rows import COUNT, side
+from assistax_envs.persons.rows import COUNT, ROWS, marked, side
 from assistax_envs.persons.rows import numbers as of_side
 
 
@@ -51,6 +51,9 @@ class Partners(Protocol):
         """Return the name of each simulation's partner."""
         ...
 
+    # Partners that speak also have `word(seated, n)`, which returns the words [N] int32 that they
+    # said with their last actions, codes of `preferences.WORDS`; or None.
+
 
 class Idle:
     """Idle humans; if there are several disability settings, each episode draws one."""
@@ -89,7 +92,7 @@ class Persons:
 
         Args:
             task: Task of the persons.
-            numbers: Numbers of persons; default all of the training side, 7,200.
+            numbers: Numbers of persons; default all of the training side, of both families.
 
         Raises:
             ValueError: There is no such task, or a number is unknown or of the test side.
@@ -100,14 +103,16 @@ class Persons:
             if not 0 <= number < COUNT or side(number) == "test":
                 raise ValueError(
                     f"person {number} cannot be trained with; allowed are persons of the training "
-                    "and validation sides, 0 to 7999, as the others are for testing"
+                    "and validation sides, 0 to 7999 and 10000 to 17999, as the others are for "
+                    "testing"
                 )
         if not len(numbers):
             raise ValueError("no person is named; give at least one number")
-        rows = persons(task)[np.asarray(numbers)]
+        rows, families = persons(task)[np.asarray(numbers) % ROWS], np.asarray(numbers) // ROWS
         self._count, self._player = len(rows), PersonPlayer(task)
-        # Numbers [P], rows [P, 25], and the persons' `EnvParams` [P].
-        self.params = jnp.asarray(numbers), jnp.asarray(rows), person_params(task, rows)
+        # Numbers [P], rows [P, 31], and the persons' `EnvParams` [P].
+        row = jnp.asarray(marked(rows, families))
+        self.params = jnp.asarray(numbers), row, person_params(task, rows)
 
     def __len__(self) -> int:
         return self._count
@@ -126,6 +131,11 @@ class Persons:
         number, row, mind = seated
         mind, action = self._player.act({"row": row}, mind, obs, first)
         return (number, row, mind), action
+
+    def word(self, seated: Any, n: int) -> jax.Array:
+        """Return the words [N] int32 that they said with their last actions."""
+        del n
+        return self._player.word(seated[-1])
 
     def names(self, seated: Any, n: int) -> list[str]:
         del n

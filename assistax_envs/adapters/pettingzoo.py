@@ -54,9 +54,11 @@ class AssistaxParallelEnv(pettingzoo.ParallelEnv):
         self._simulation = Simulation(task, disability, backend, weights, render_mode, camera)
         self._rng = np.random.default_rng()
         env = self._simulation.env
-        self.observation_spaces = {role: _box(np.inf, env.observation_size[role]) for role in ROLES}
+        self.observation_spaces = {
+            role: _box(OBSERVATION_BOUND, env.observation_size[role]) for role in ROLES
+        }
         self.action_spaces = {role: _box(1.0, env.action_size[role]) for role in ROLES}
-        self.state_space = _box(np.inf, env.observation_size["global"])
+        self.state_space = _box(OBSERVATION_BOUND, env.observation_size["global"])
 
     def observation_space(self, agent: str) -> gymnasium.Space:
         return self.observation_spaces[agent]
@@ -204,13 +206,16 @@ class AssistaxParallelVectorEnv(pettingzoo.ParallelEnv):
     ]:
         """Advance by 20 ms; actions [N, A] of each agent are clipped to [-1, 1].
 
+        Beside them may stand "word" [N], what human agents say, codes of `preferences.WORDS`.
+
         Raises:
             ValueError: No episode was started yet, or an agent's actions are missing or of the
                 wrong shape.
         """
         if missing := [role for role in self.possible_agents if role not in actions]:
             raise ValueError(f"no actions of the {missing[0]}; give those of every agent")
-        taken = {role: actions[role] for role in self.possible_agents}
+        speaking = ["word"] if "human" in self.possible_agents and "word" in actions else []
+        taken = {name: actions[name] for name in (*self.possible_agents, *speaking)}
         step, ended = self._host.step(self._rng, taken)
         step = self._host.out(step)
         infos = {role: dict(step.info) for role in self.agents}

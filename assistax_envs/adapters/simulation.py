@@ -6,8 +6,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from assistax_envs.adapters.batch import OBSERVATION_BOUND
 from assistax_envs.disability import Disability
 from assistax_envs.env import EnvState, disability_params, make
+from assistax_envs.humans import EnvParams
 from assistax_envs.own_settings import key_of, own_settings
 
 INSTALL = "install it with: pip install 'assistax-zoo[adapters]'"
@@ -25,13 +27,25 @@ class Simulation:
         render_mode: str | None = None,
         camera: str | None = None,
         version: int | None = None,
+        humans: EnvParams | None = None,
     ) -> None:
-        """See `assistax_envs.make`; `disability` is the human's, "d1".."d9" or a `Disability`."""
+        """Make the simulation.
+
+        Args:
+            task: See `assistax_envs.make`.
+            disability: The human's, "d1".."d9" or a `Disability`.
+            backend: See `assistax_envs.make`.
+            weights: See `assistax_envs.make`.
+            render_mode: None or "rgb_array".
+            camera: Camera of the pictures.
+            version: See `assistax_envs.make`.
+            humans: A person's own `EnvParams` [1], in place of the disability.
+        """
         if render_mode not in (None, "rgb_array"):  # other modes need a window
             raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
         self.render_mode, self._camera = render_mode, camera
         self.env = make(task, backend, weights, version)
-        self._params = disability_params([disability])
+        self._params = disability_params([disability]) if humans is None else humans
         self._reset, self._step = jax.jit(self.env.reset), jax.jit(self.env.step)
         self._state: EnvState | None = None
 
@@ -56,6 +70,10 @@ class Simulation:
     def step(self, actions: Mapping[str, Any]) -> None:
         """Advance by one control step.
 
+        Args:
+            actions: By role; "word" may stand beside them, what the human says, a code of
+                `assistax_envs.preferences`.
+
         Raises:
             ValueError: no episode runs, it has ended, or an action is missing or of the wrong
                 shape.
@@ -65,12 +83,14 @@ class Simulation:
                 f"the episode ended at step {int(self.state.step[0])}; call reset() first"
             )
         batch = {role: self._action(role, actions) for role in self.env.action_size}
+        if "word" in actions:
+            batch["word"] = np.array([actions["word"]], np.int32)
         self._state = self._step(self.state, batch)
 
     @own_settings()
     def observation(self, name: str) -> np.ndarray:
-        """Return a copy of the observation [O] of "robot", "human" or "global"."""
-        return np.array(self.state.obs[name][0])
+        """Return a copy of the observation [O] of "robot", "human" or "global", within bounds."""
+        return np.clip(np.array(self.state.obs[name][0]), -OBSERVATION_BOUND, OBSERVATION_BOUND)
 
     @own_settings()
     def info(self) -> dict[str, Any]:

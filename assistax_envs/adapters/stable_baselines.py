@@ -67,7 +67,8 @@ class AssistaxVecEnv(VecEnv):
     ) -> list[dict[str, Any]]:
         """Return a dictionary for each simulation."""
         final = info.get("final_info", info)
-        self._succeeded = self._succeeded | final["success"]
+        of_care = "violated" in final  # whose success at the last step is that of the episode
+        self._succeeded = final["success"] | (self._succeeded & (not of_care))
         self._violated = self._violated | final.get("violated", False)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for place in np.flatnonzero(ended):

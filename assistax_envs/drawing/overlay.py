@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from assistax_envs.preferences import WORDS
+
 INK, PAPER, TRACK = (25, 30, 38), (250, 250, 251), (222, 226, 231)
 EARNS, COSTS = (70, 82, 100), (128, 90, 190)
 # N, and the colour from there on: below a gentle touch, above it, more than a frail person bears.
@@ -20,6 +22,7 @@ MEANINGS = {
     "mouth": "where the spoon goes",
     "place": "what is brushed next",
 }  # of targets' names
+_LONGEST = f"says: {max(WORDS, key=len)}"
 SMALLEST = 100  # pixels: what is lower has no room for words
 MOST_WITH_TERMS, MOST_WITH_NAMES = 0.42, 1 / 3  # of a picture's height, for words
 
@@ -34,11 +37,23 @@ class Figures:
     distance: float  # m
     nonfinite: bool
     targets: Mapping[str, tuple[float, ...]]  # colours, RGBA
+    word: str | None = None  # that is heard of the human; "" in silence, None if nobody can speak
 
 
 def force_colour(newtons: float) -> tuple[float, ...]:
     """Return the colour of a force, RGBA."""
     return (*(channel / 255 for channel in _level(newtons)), 1.0)
+
+
+def heard_word(one: Any) -> str | None:
+    """Return the human's word that is heard in a state of one simulation.
+
+    It is "" in silence, and None in tasks without words.
+    """
+    if one.word is None:
+        return None
+    code = int(one.word[0]) if int(one.heard[0]) > 0 else 0
+    return WORDS[code - 1] if code else ""
 
 
 def panel_height(width: int, height: int, figures: Figures, caption: tuple[str, ...]) -> int:
@@ -96,10 +111,12 @@ def _facts(font: Any, figures: Figures) -> list[_Item]:
     colours = [colour for _, colour in LEVELS]
     targets = {MEANINGS.get(name, name): _bytes(c) for name, c in figures.targets.items()}
     touch = f"touch {figures.force:.1f} N"
+    said = f"says: {figures.word or '-'}"
     return [
         _item(font, figures.title, widest=f"{figures.title.split()[0]}  00.00 s  reward -000.00"),
         *([_item(font, "physics diverged: frozen")] * figures.nonfinite),
         _item(font, touch, _level(figures.force), widest="touch 000.0 N"),
+        *([] if figures.word is None else [_item(font, said, widest=_LONGEST)]),
         _item(font, f"distance {100.0 * figures.distance:.0f} cm", widest="distance 000 cm"),
         *(_item(font, text, colour, is_round=True) for text, colour in targets.items()),
         *(_item(font, text, colour) for text, colour in zip(words, colours, strict=True)),

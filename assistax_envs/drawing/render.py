@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from assistax_envs.drawing.gl import functions_from, open_context
-from assistax_envs.drawing.overlay import Figures, force_colour, panel, panel_height
+from assistax_envs.drawing.overlay import Figures, force_colour, heard_word, panel, panel_height
 from assistax_envs.models import build_dressed
 from assistax_envs.models.gentle_scenes import touching
 from assistax_envs.models.looks import palettes
@@ -153,6 +153,7 @@ class Renderer:
             distance=float(one.measures.distance[0]),
             nonfinite=bool(one.nonfinite[0]),
             targets=self._task.target_colours,
+            word=heard_word(one),
         )
 
     def _view(

@@ -4,15 +4,23 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from assistax_envs.persons.parameters import PARAMETERS, Parameter
     from assistax_envs.persons.player import PersonPlayer, draw_persons, person_params
-    from assistax_envs.persons.rows import COUNT, Person, card, numbers, person, persons
+    from assistax_envs.persons.rows import (
+        COUNT,
+        PARAMETERS,
+        Parameter,
+        Person,
+        card,
+        numbers,
+        person,
+        persons,
+    )
 
-# Loaded on first use: the table of parameters needs neither JAX nor MuJoCo.
+# Loaded on first use: rows need neither JAX nor MuJoCo.
 _HOMES = {
     "COUNT": "rows",
-    "PARAMETERS": "parameters",
-    "Parameter": "parameters",
+    "PARAMETERS": "rows",
+    "Parameter": "rows",
     "Person": "rows",
     "PersonPlayer": "player",
     "card": "rows",

@@ -4,6 +4,7 @@ Shapes: N simulations, M postures; joints are those of `HUMAN_ACTUATORS`: two of
 elbow. The trunk counts as resting: it bends by hundredths of a radian.
 """
 
+import dataclasses
 import itertools
 
 import jax
@@ -11,7 +12,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.tasks.base import ARM_SEGMENTS, HUMAN_ACTUATORS, ROBOT_JOINTS
+from assistax_envs.tasks.base import ARM_SEGMENTS, HUMAN_ACTUATORS, ROBOT_JOINTS, unit
+from assistax_envs.tasks.gentle_base import STEP
 
 JOINTS = len(HUMAN_ACTUATORS)
 GRAVITY = 9.81  # m/s^2
@@ -40,6 +42,7 @@ class Arm:
         ids, self._parts = [j.id for j in joints], [model.geom(name).id for name in _PARTS]
         self._anchor = np.array(data.xanchor[ids], np.float32)  # [3, 3] m, at angles zero
         self._axis = np.array(data.xaxis[ids], np.float32)  # [3, 3]
+        self._cross = np.cross(np.eye(3), self._axis[:, None]).astype(np.float32)  # [3, 3, 3]
         bodies = [
             model.body(name).id for name in ("human_right_upper_arm", "human_right_lower_arm")
         ]
@@ -51,41 +54,58 @@ class Arm:
         self._sites = np.array([site.id for site in sites])
         self._position = np.array(data.site_xpos[self._sites], np.float32)  # [2, 3] m
         self._frame = np.array(data.site_xmat[self._sites], np.float32).reshape(2, 3, 3)
+        self._hand = np.array(data.geom_xpos[self._parts[-1]], np.float32)  # [3] m
         self.half_length = np.array([site.size[1] for site in sites], np.float32)  # [2] m
         self.radius = np.array([site.size[0] for site in sites], np.float32)  # [2] m
 
     def frames(self, angles: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return positions [N, 2, 3] and frames [N, 2, 3, 3] of both segments, z along each."""
-        turns = self._turns(angles)
-        position, turn = [], []
-        for segment, count in enumerate((JOINTS - 1, JOINTS)):
-            position.append(_moved(self._position[segment], turns[:count]))
-            columns = [
-                _turned(self._frame[segment, :, column], turns[:count]) for column in range(3)
-            ]
-            turn.append(jnp.stack(columns, axis=-1))
-        return jnp.stack(position, axis=1), jnp.stack(turn, axis=1)
+        return self._frames(self._motions(angles))
+
+    def hand(self, angles: jax.Array) -> jax.Array:
+        """Return the place [N, 3] of the hand's middle at joint angles [N, 3]."""
+        return self._motions(angles)[-1].moved(self._hand)
 
     def gravity(self, angles: jax.Array) -> jax.Array:
         """Return the torques [N, 3] that hold the arm's weight at joint angles [N, 3]."""
-        turns = self._turns(angles)
-        upper = _moved(self._centre[0], turns[:2])
-        lower = _moved(self._centre[1], turns)
-        return -(
-            self._torques(turns, upper, self._weight[0], 2)
-            + self._torques(turns, lower, self._weight[1], 3)
-        )
+        motions = self._motions(angles)
+        placed = self._placed(motions)
+        upper = self._torques(placed[:2], motions[1].moved(self._centre[0]), self._weight[0])
+        lower = self._torques(placed, motions[2].moved(self._centre[1]), self._weight[1])
+        return -(upper + lower)
 
     def jacobian(self, angles: jax.Array, point: jax.Array, on_lower: jax.Array) -> jax.Array:
         """Return how joints move a point [N, 3] of the arm, [N, 3, 3]: metres by joint.
 
         The elbow moves what is `on_lower` [N] alone.
         """
-        columns = [
-            jnp.cross(axis, point - anchor) for anchor, axis in self._placed(self._turns(angles))
-        ]
-        columns[2] = jnp.where(on_lower[:, None], columns[2], 0.0)
-        return jnp.stack(columns, axis=-1)
+        return self._jacobian(self._motions(angles), point, on_lower)
+
+    def touched_by(
+        self, tool: jax.Array, before: jax.Array, angles: jax.Array, velocity: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the unit joint direction away from a tool [N, 3], and its slip [N], m/s.
+
+        Args:
+            tool: [N, 3] m, its place.
+            before: [N, 3] m, its place a step ago.
+            angles: [N, 3] rad, of the joints.
+            velocity: [N, 3] rad/s, of the joints.
+        """
+        motions = self._motions(angles)
+        position, turn = self._frames(motions)
+        axis = turn[..., 2]  # [N, 2, 3]
+        to_tool = tool[:, None] - position
+        half = jnp.asarray(self.half_length)[None]
+        along = jnp.clip((to_tool * axis).sum(-1), -half, half)
+        gap = to_tool - along[..., None] * axis
+        on_lower = jnp.linalg.norm(gap[:, 1], axis=-1) < jnp.linalg.norm(gap[:, 0], axis=-1)
+        outward = unit(jnp.where(on_lower[:, None], gap[:, 1], gap[:, 0]))
+        jacobian = self._jacobian(motions, tool, on_lower)
+        drift = (tool - before) / STEP - (jacobian * velocity[:, None]).sum(-1)
+        drift = drift - (drift * outward).sum(-1, keepdims=True) * outward
+        away = unit((jacobian * -outward[:, :, None]).sum(1))
+        return away, jnp.linalg.norm(drift, axis=-1)
 
     def postures(self, most: float) -> dict[str, np.ndarray]:
         """Return postures that the arm can hold without lying inside anything.
@@ -140,70 +160,77 @@ class Arm:
         head = data.geom_xpos[self.model.geom("human_head").id]
         return float(np.linalg.norm(forearm - head)) < FACE
 
-    def _turns(self, angles: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
-        """Return each joint's own motion, rotation [N, 3, 3] and shift [N, 3], about its place."""
-        turns = []
-        for place in range(JOINTS):
-            axis, anchor = self._axis[place], jnp.asarray(self._anchor[place])
-            cross = np.array(
-                [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]], np.float32
-            )
-            angle = angles[:, place, None, None]
-            turn = (
-                jnp.eye(3)[None]
-                + jnp.sin(angle) * jnp.asarray(cross)[None]
-                + (1.0 - jnp.cos(angle)) * jnp.asarray(cross @ cross)[None]
-            )
-            turns.append((turn, anchor[None] - _apply(turn, anchor[None])))
-        return turns
+    def _motions(self, angles: jax.Array) -> "list[_Motion]":
+        """Return the motion that the first joint causes, the first two together, and all three."""
+        angle = angles[:, :, None, None]  # [N, 3, 1, 1]
+        turns = (
+            jnp.eye(3)[None, None]
+            + jnp.sin(angle) * jnp.asarray(self._cross)[None]
+            + (1.0 - jnp.cos(angle)) * jnp.asarray(self._cross @ self._cross)[None]
+        )
+        motions: list[_Motion] = []
+        for place, anchor in enumerate(self._anchor):
+            own = _Motion(turns[:, place], jnp.zeros((1, 3)))
+            own = _Motion(own.turn, anchor[None] - own.moved(anchor))
+            motions.append(motions[-1].after(own) if motions else own)
+        return motions
 
-    def _placed(
-        self, turns: list[tuple[jax.Array, jax.Array]]
-    ) -> list[tuple[jax.Array, jax.Array]]:
+    def _frames(self, motions: "list[_Motion]") -> tuple[jax.Array, jax.Array]:
+        """Return positions and frames of both segments as of `frames`."""
+        by_segment = motions[JOINTS - 2 :]
+        position = [motion.moved(of) for motion, of in zip(by_segment, self._position, strict=True)]
+        turn = [
+            _times(motion.turn, of[None])
+            for motion, of in zip(by_segment, self._frame, strict=True)
+        ]
+        return jnp.stack(position, axis=1), jnp.stack(turn, axis=1)
+
+    def _placed(self, motions: "list[_Motion]") -> list[tuple[jax.Array, jax.Array]]:
         """Return anchor and axis [N, 3] of each joint in the world: those before it turn it."""
-        placed = []
-        for place in range(JOINTS):
-            anchor = _moved(self._anchor[place], turns[:place])
-            placed.append((anchor, _turned(self._axis[place], turns[:place])))
+        placed = [(jnp.asarray(self._anchor[:1]), jnp.asarray(self._axis[:1]))]
+        for motion, anchor, axis in zip(motions, self._anchor[1:], self._axis[1:], strict=False):
+            placed.append((motion.moved(anchor), _times(motion.turn, axis[None, :, None])[..., 0]))
         return placed
 
-    def _torques(
-        self,
-        turns: list[tuple[jax.Array, jax.Array]],
-        centre: jax.Array,
-        weight: float,
-        joints: int,
+    def _jacobian(
+        self, motions: "list[_Motion]", point: jax.Array, on_lower: jax.Array
     ) -> jax.Array:
-        """Return the torques [N, 3] of a weight at `centre` that hangs on the first joints."""
+        """Return how joints move a point as of `jacobian`."""
+        columns = [jnp.cross(axis, point - anchor) for anchor, axis in self._placed(motions)]
+        columns[2] = jnp.where(on_lower[:, None], columns[2], 0.0)
+        return jnp.stack(columns, axis=-1)
+
+    def _torques(
+        self, placed: list[tuple[jax.Array, jax.Array]], centre: jax.Array, weight: float
+    ) -> jax.Array:
+        """Return the torques [N, 3] of a weight at `centre` that hangs on the joints `placed`."""
         force = np.array([[0.0, 0.0, -1.0]], np.float32) * weight
-        columns = [
-            (axis * jnp.cross(centre - anchor, force)).sum(-1)
-            for anchor, axis in self._placed(turns)[:joints]
-        ]
-        columns += [jnp.zeros_like(columns[0])] * (JOINTS - joints)
+        columns = [(axis * jnp.cross(centre - anchor, force)).sum(-1) for anchor, axis in placed]
+        columns += [jnp.zeros_like(columns[0])] * (JOINTS - len(placed))
         return jnp.stack(columns, axis=-1)
 
 
-def _moved(point: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Return the images [N, 3] of a point [3] under the joints' motions, the last joint's first."""
-    moved = jnp.asarray(point)[None]
-    for turn, shift in reversed(turns):
-        moved = _apply(turn, moved) + shift
-    return moved
+@dataclasses.dataclass(frozen=True)
+class _Motion:
+    """Rigid motion of each simulation: rotation [N, 3, 3], then shift [N, 3]."""
+
+    turn: jax.Array
+    shift: jax.Array
+
+    def moved(self, point: np.ndarray) -> jax.Array:
+        """Return the images [N, 3] of a point [3]."""
+        return _times(self.turn, point[None, :, None])[..., 0] + self.shift
+
+    def after(self, first: "_Motion") -> "_Motion":
+        """Return the motion that is `first` and then this one."""
+        shift = _times(self.turn, first.shift[..., None])[..., 0] + self.shift
+        return _Motion(_times(self.turn, first.turn), shift)
 
 
-def _turned(vector: np.ndarray, turns: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Return the images [N, 3] of a direction [3] under the joints' rotations."""
-    turned = jnp.asarray(vector)[None]
-    for turn, _ in reversed(turns):
-        turned = _apply(turn, turned)
-    return turned
-
-
-def _apply(turn: jax.Array, vector: jax.Array) -> jax.Array:
-    """Return a rotation's image of a vector, [N, 3].
+def _times(turn: jax.Array, columns: jax.Array | np.ndarray) -> jax.Array:
+    """Return the images [N, 3, C] of vectors, columns [N, 3, C] or [1, 3, C], under rotations.
 
     Column by column: a sum over an axis of three took three quarters of a person's time on a CPU.
     """
-    first, second, third = (turn[..., place] * vector[:, None, place] for place in range(3))
+    first, second, third = (turn[:, :, place, None] * columns[:, None, place] for place in range(3))
     return first + second + third

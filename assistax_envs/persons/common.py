@@ -1,16 +1,21 @@
 """Parts of the program that persons with an arm and with a head share: pure functions.
 
+The families of a batch play in one program, and the few steps in which a family differs are chosen
+by each person's own: `numbers["family"]` is its place among `FAMILIES`.
+
 Chance is a hash of an episode's seed and the step, exact integers: the same seed and step give the
 same numbers on every machine, whatever else is in the batch.
 """
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.persons import reaction
+from assistax_envs.persons.rows import FAMILIES, WIDTH
 from assistax_envs.tasks.gentle_base import STEP
 
 LATEST = 16  # steps that a person remembers: 300 ms and now
@@ -19,11 +24,37 @@ LAPSE = 1.0  # s
 REACTS = 0.2  # s, of a movement that needs no aim; Fitts' law adds to it
 RESUMES = 0.3  # share of the limit below which a person helps again
 CORRELATED = 0.8  # of a step's noise, what was there the step before
-LAWS = {"spring": reaction.proportional, "muscle": reaction.guarded}  # by family
+LAWS = {
+    "spring": reaction.proportional,
+    "muscle": reaction.guarded,
+    "stepper": reaction.proportional,
+}
+# A stepper moves its intended posture in steps of STRIDE, and shows by nodding.
+STEPPER = FAMILIES.index("stepper")
+STRIDE = 12  # steps: 240 ms
+NOD = 50  # steps of a nod and the pause after it: 1 s
 _ODD = np.uint32(0x9E3779B9)  # the golden ratio's bits
 _FIRST, _SECOND = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)  # of MurmurHash3's finaliser
 
 Numbers = dict[str, jax.Array]  # [N] each, by name
+T = TypeVar("T")
+
+
+def numbers_of(row: jax.Array, places: Mapping[str, int]) -> Numbers:
+    """Return the numbers of persons with rows [N, 31] by name, with their family."""
+    named = {name: row[:, place] for name, place in places.items()}
+    return named | {"family": row[:, WIDTH]}
+
+
+def by_family(functions: Mapping[str, Callable[..., T]], numbers: Numbers, *args: Any) -> T:
+    """Return the result of each person's own family's function; leaves have axis N first."""
+    distinct = list(dict.fromkeys(functions[name] for name in FAMILIES))
+    result = distinct[0](*args)
+    for function in distinct[1:]:
+        places = [place for place, name in enumerate(FAMILIES) if functions[name] is function]
+        own = jnp.isin(numbers["family"], jnp.array(places, jnp.float32))
+        result = chosen(own, function(*args), result)
+    return result
 
 
 def seed_of(words: jax.Array) -> jax.Array:
@@ -51,13 +82,13 @@ def _mixed(words: jax.Array) -> jax.Array:
     return words ^ (words >> 16)
 
 
-def begun(first: jax.Array, fresh: Any, old: Any) -> Any:
-    """Return the carry, fresh in simulations whose episode begins; `first` [N] marks them."""
+def chosen(which: jax.Array, new: T, old: T) -> T:
+    """Return the leaves [N, ...] of `new` in the simulations that `which` [N] marks, else `old`."""
 
     def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(first.reshape(first.shape + (1,) * (new.ndim - 1)), new, old)
+        return jnp.where(which.reshape(which.shape + (1,) * (new.ndim - 1)), new, old)
 
-    return jax.tree.map(choose, fresh, old)
+    return jax.tree.map(choose, new, old)
 
 
 def remembered(past: jax.Array, newest: jax.Array, numbers: Numbers) -> tuple[jax.Array, jax.Array]:
@@ -87,6 +118,18 @@ def minimum_jerk(way: jax.Array, time: jax.Array) -> jax.Array:
     """Return the share of a movement that is done after `way` s: Flash and Hogan 1985."""
     t = jnp.clip(way / jnp.maximum(time, STEP), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+def strides(age: jax.Array, held: jax.Array, intended: jax.Array, numbers: Numbers) -> jax.Array:
+    """Return the posture [N, J] that muscles hold: a stepper's is that of its last stride."""
+    now = (numbers["family"] != STEPPER) | (age % STRIDE == 0)
+    return jnp.where(now[:, None], intended, held)
+
+
+def nods(age: jax.Array, numbers: Numbers) -> jax.Array:
+    """Return 1 for persons that show their liking at ages [N], else 0: a stepper pauses."""
+    shows = (numbers["family"] != STEPPER) | (age % NOD < NOD // 2)
+    return shows.astype(jnp.float32)
 
 
 def shaken(before: jax.Array, normal: jax.Array) -> jax.Array:

@@ -1,10 +1,9 @@
 """A person at work: feels with a delay, reacts, intends, and pulls. A pure function of a carry.
 
-Shapes: N simulations; a row [N, 25] of numbers for each. One step is 20 ms.
+Shapes: N simulations; a row [N, 31] for each, see `rows.marked`. One step is 20 ms.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,14 +11,16 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax_envs.persons import common, muscles, reaction
+from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.body import JOINTS, Arm
-from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED
-from assistax_envs.persons.parameters import FOREARM, index, person_kind
+from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, numbers_of
 from assistax_envs.persons.postures import Postures
+from assistax_envs.persons.rows import WIDTH, index, person_kind
 from assistax_envs.persons.senses import Senses, sense
 from assistax_envs.registered import REGISTERED, TASK_CLASSES
+from assistax_envs.tasks.base import unit
 from assistax_envs.tasks.gentle_base import FELT, STEP
+from assistax_envs.tasks.person_numbers import FOREARM
 
 CALLED, ASKED = 2.0 / 3.0, 1.0 / 3.0  # initiative above which it waits for nothing, or a touch
 LIMP = 0.1  # tone of an arm at rest
@@ -29,9 +30,11 @@ MOVED = 0.1  # rad, from where on another posture is worth a movement
 SUSTAINED = 0.2  # s, over which effort stiffens an arm
 REFLEX = 0.04  # s, over which stretching is felt by the reflex
 SEARCHED = 128  # persons whose postures are searched at a time
+SHOWN = 0.25  # rad, how far it leans at most to show that a touch is not as liked
 PHASES = np.array([0.0, 0.7, 2.1], np.float32)  # rad: joints do not tremble as one
 
-MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle}
+MUSCLES = {"spring": muscles.spring, "muscle": muscles.muscle, "stepper": muscles.spring}
+ELBOW = np.array([0.0, 0.0, 1.0], np.float32)
 
 
 @jax.tree_util.register_dataclass
@@ -41,10 +44,12 @@ class Mind:
 
     seed: jax.Array  # uint32, of the episode's chance
     age: jax.Array  # int32, steps
-    past: jax.Array  # [N, 16, 9] what was perceived, newest first
+    past: jax.Array  # [N, 16, 9 + 2W] what was perceived, newest first
     tool: jax.Array  # [N, 3] m, a step ago
     sliding: jax.Array  # m/s, smoothed
     reaction: reaction.Reaction
+    signs: signs.Signs
+    shown: jax.Array  # [N, 3] rad, how far it leans for what it likes
     touched: jax.Array  # bool, ever
     pushed: jax.Array  # bool, ever
     stopped: jax.Array  # bool: hurt, and not yet willing again
@@ -56,6 +61,7 @@ class Mind:
     way: jax.Array  # s since then
     time: jax.Array  # s that the movement takes
     intended: jax.Array  # [N, 3] rad
+    held: jax.Array  # [N, 3] rad, the posture that muscles hold, of the family that steps
     tone: jax.Array  # 0 to 1
     effort: jax.Array  # [N, 3] N m, smoothed torque
     activation: jax.Array  # [N, 3, 2] of muscles
@@ -65,23 +71,16 @@ class Mind:
 
 
 class Controller:
-    """The program of all persons of a task and a family."""
+    """The program of all persons of a task."""
 
-    def __init__(self, task: str, model: mujoco.MjModel, family: str = "spring") -> None:
-        """Prepare for a task's scene.
-
-        Raises:
-            ValueError: there is no such family.
-        """
-        if family not in MUSCLES:
-            raise ValueError(f"family is {family!r}; allowed are {', '.join(MUSCLES)}")
+    def __init__(self, task: str, model: mujoco.MjModel) -> None:
+        """Prepare for a task's scene."""
         of_task: Any = TASK_CLASSES[task](model)
         self.task, self.arm = task, Arm(model, np.array(of_task.pose.angle, float))
         self.postures = Postures(task, self.arm)
-        self._law: Callable[..., reaction.Reaction] = LAWS[family]
-        self._pull: Callable[..., tuple[jax.Array, jax.Array]] = MUSCLES[family]
         self._place, self._carried = index(task), "liked_distance" in index(task)
         self._spared = REGISTERED[task].spared
+        self._signing = signs.Signing(task)
         self._asked = 0.5 if self._carried else 1.0  # share of the usual force that asks for help
 
     def initial(self, n: int) -> Mind:
@@ -91,10 +90,12 @@ class Controller:
         return Mind(
             seed=jnp.zeros(n, jnp.uint32),
             age=jnp.zeros(n, jnp.int32),
-            past=jnp.zeros((n, LATEST, 9), jnp.float32),
+            past=jnp.zeros((n, LATEST, 9 + 2 * self._signing.wishes), jnp.float32),
             tool=none,
             sliding=zero,
             reaction=calm,
+            signs=signs.silent(n, self._signing.wishes),
+            shown=none,
             touched=no,
             pushed=no,
             stopped=no,
@@ -106,6 +107,7 @@ class Controller:
             way=zero,
             time=zero,
             intended=none,
+            held=none,
             tone=zero,
             effort=none,
             activation=jnp.zeros((n, JOINTS, 2), jnp.float32),
@@ -120,21 +122,23 @@ class Controller:
         """Return the new carry and the actions [N, 3]: shares of the seat's torques.
 
         Args:
-            row: [N, 25] numbers of `PARAMETERS`.
+            row: [N, 31] numbers of `PARAMETERS`, and the family.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
             first: [N] whether an episode begins: its carry is fresh.
         """
-        numbers = {name: row[:, place] for name, place in self._place.items()}
+        numbers = numbers_of(row, self._place)
         strength = 1.0 - (1.0 - self._spared) * (1.0 - numbers["strength"])
         now = sense(self.task, obs)
-        mind = self._begun(mind, row, obs, now, first)
+        mind = self._begun(mind, row[:, :WIDTH], obs, now, first)
         mind = self._look(mind, now, numbers, strength)
-        mind, felt, late = self._feel(mind, now, numbers)
-        mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
+        mind, felt, late, done = self._feel(mind, now, numbers)
+        reacting = common.by_family(LAWS, numbers, mind.reaction, felt, numbers)
+        mind = dataclasses.replace(mind, reaction=reacting)
         chance = common.uniform(mind.seed, mind.age, 2 * JOINTS)
+        mind = self._show(mind, felt, done, numbers)
         mind = self._intend(mind, felt, now, numbers, chance[:, JOINTS])
-        return self._move(mind, now, late, numbers, strength, common.normal(chance[:, :JOINTS]))
+        return self.move(mind, now, late, numbers, strength, common.normal(chance[:, :JOINTS]))
 
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, now: Senses, first: jax.Array
@@ -155,10 +159,11 @@ class Controller:
             past=still,
             tool=now.tool,
             intended=now.position,
+            held=now.position,
             begin=now.position,
             tone=jnp.full_like(fresh.tone, LIMP),
         )
-        return common.begun(first, fresh, mind)
+        return common.chosen(first, fresh, mind)
 
     def _look(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array], strength: jax.Array
@@ -190,9 +195,9 @@ class Controller:
 
     def _feel(
         self, mind: Mind, now: Senses, numbers: dict[str, jax.Array]
-    ) -> tuple[Mind, reaction.Felt, jax.Array]:
-        """Return carry, touch of a delay ago, and the joints' position then [N, 3]."""
-        away, slip = self._touch(mind, now)
+    ) -> tuple[Mind, reaction.Felt, jax.Array, jax.Array]:
+        """Return carry, and of a delay ago: touch, joints' position [N, 3], wishes [N, 2W]."""
+        away, slip = self.arm.touched_by(now.tool, mind.tool, now.position, now.velocity)
         touching = now.force > FELT
         keep = STEP / SMOOTHED
         sliding = mind.sliding + keep * (jnp.where(touching, slip, 0.0) - mind.sliding)
@@ -202,34 +207,30 @@ class Controller:
             near = jnp.where(waits, now.distance / numbers["liked_distance"], 1.0)
         else:
             speed = sliding / numbers["liked_speed"]
-        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away]
+        parts = [now.position, now.force[:, None], speed[:, None], near[:, None], away, now.felt]
         newest = jnp.concatenate(parts, axis=-1)
         past, then = common.remembered(mind.past, newest, numbers)
-        position, force, speed, near, away = jnp.split(then, (3, 4, 5, 6), axis=1)
+        position, force, speed, near, away, done = jnp.split(then, (3, 4, 5, 6, 9), axis=1)
         force = force[:, 0]
         # A carried person prefers no force, and misses no pressure.
-        unit = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
-        liked = jnp.zeros_like(unit) if self._carried else unit
-        hurts, asks = numbers["tolerance"] * unit, self._asked * unit
+        usual = jnp.full_like(force, FOREARM) if self._carried else numbers["liked_force"]
+        liked = jnp.zeros_like(usual) if self._carried else usual
+        hurts, asks = numbers["tolerance"] * usual, self._asked * usual
         felt = reaction.Felt(force, hurts, liked, asks, speed[:, 0], near[:, 0], away)
         mind = dataclasses.replace(mind, past=past, sliding=sliding, tool=now.tool)
-        return mind, felt, position
+        return mind, felt, position, done
 
-    def _touch(self, mind: Mind, now: Senses) -> tuple[jax.Array, jax.Array]:
-        """Return the unit joint direction away from the tool [N, 3], and its slip [N], m/s."""
-        position, turn = self.arm.frames(now.position)
-        axis = turn[..., 2]  # [N, 2, 3]
-        to_tool = now.tool[:, None] - position
-        half = jnp.asarray(self.arm.half_length)[None]
-        along = jnp.clip((to_tool * axis).sum(-1), -half, half)
-        gap = to_tool - along[..., None] * axis
-        on_lower = jnp.linalg.norm(gap[:, 1], axis=-1) < jnp.linalg.norm(gap[:, 0], axis=-1)
-        outward = _unit(jnp.where(on_lower[:, None], gap[:, 1], gap[:, 0]))
-        jacobian = self.arm.jacobian(now.position, now.tool, on_lower)
-        drift = (now.tool - mind.tool) / STEP - (jacobian * now.velocity[:, None]).sum(-1)
-        drift = drift - (drift * outward).sum(-1, keepdims=True) * outward
-        away = _unit((jacobian * -outward[:, :, None]).sum(1))
-        return away, jnp.linalg.norm(drift, axis=-1)
+    def _show(
+        self, mind: Mind, felt: reaction.Felt, done: jax.Array, numbers: dict[str, jax.Array]
+    ) -> Mind:
+        """Lean and speak by the distance of the touch, a delay ago, from the liked one."""
+        if not self._signing.wishes:
+            return mind
+        stopped = mind.reaction.discomfort > numbers["limit"]
+        shows, leans = self._signing.show(mind.signs, done, stopped, numbers, (mind.seed, mind.age))
+        aside = unit(jnp.cross(felt.away, jnp.asarray(ELBOW)[None]))
+        shown = SHOWN * (leans[:, :1] * felt.away + leans[:, 1:2] * aside)
+        return dataclasses.replace(mind, signs=shows, shown=shown)
 
     def _intend(
         self,
@@ -280,7 +281,7 @@ class Controller:
             tone=tone,
         )
 
-    def _move(
+    def move(
         self,
         mind: Mind,
         now: Senses,
@@ -292,8 +293,10 @@ class Controller:
         """Return the carry and the actions [N, 3] that muscles, noise and tremor make."""
         most = (strength * (1.0 - mind.tired))[:, None] * jnp.asarray(self.arm.torque)[None]
         low, high = jnp.asarray(self.arm.range.T)[:, None]
+        intended = mind.intended + mind.reaction.shift + mind.shown
+        intended = common.strides(mind.age, mind.held, intended, numbers)
         command = muscles.Command(
-            intended=jnp.clip(mind.intended + mind.reaction.shift, low, high),
+            intended=jnp.clip(intended, low, high),
             position=now.position,
             late=late,
             velocity=now.velocity,
@@ -303,7 +306,8 @@ class Controller:
             effort=mind.effort,
             most=most,
         )
-        activation, torque = self._pull(command, mind.activation, numbers, self.arm.damping)
+        pulls = command, mind.activation, numbers, self.arm.damping
+        activation, torque = common.by_family(MUSCLES, numbers, *pulls)
         stretch = mind.stretch + STEP / REFLEX * (now.velocity - mind.stretch)
         torque = torque + muscles.spasticity(numbers, stretch)
         shaken = common.shaken(mind.shaken, normal)
@@ -315,6 +319,7 @@ class Controller:
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
+            held=intended,
             effort=mind.effort + STEP / SUSTAINED * (torque - mind.effort),
             activation=activation,
             shaken=shaken,
@@ -322,7 +327,3 @@ class Controller:
             tired=common.tired(mind.tired, torque, most, numbers),
         )
         return mind, torque / jnp.asarray(self.arm.torque)[None]
-
-
-def _unit(vector: jax.Array) -> jax.Array:
-    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)

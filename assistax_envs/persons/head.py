@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, SEAT
-from assistax_envs.persons import common, muscles, reaction
+from assistax_envs.persons import common, muscles, reaction, signs
 from assistax_envs.persons.common import LATEST, LAWS, REACTS, SMOOTHED, Numbers
-from assistax_envs.persons.parameters import index, person_kind
+from assistax_envs.persons.rows import WIDTH, index, person_kind
 from assistax_envs.registered import REGISTERED, load
 from assistax_envs.tasks.base import human_joints
 from assistax_envs.tasks.gentle_base import FELT, STEP
@@ -32,7 +32,27 @@ AIM, MOVED = 0.05, 0.03  # rad, of movements, as in `controller`
 REFLEX = 0.25  # s that a bite reflex lasts
 HELD = 0.5  # of the scene's springs, what a person of stiffness 1 adds against errors
 LATE = 0.3  # of that, the share that waits for the delay
+BACK, ASIDE = 0.05, 0.1  # rad, how far it leans at most for its first wish, and its second
+STEADY = np.array([1.0, 1.0, 1.0, 1.0, 0.5], np.float32)  # share of noise: a jaw is light
 WANDERS = (0.21, 0.13)  # Hz, of pitch and yaw
+
+
+def _felt_error(error: jax.Array, late: jax.Array) -> jax.Array:
+    return (1.0 - LATE) * error + LATE * late
+
+
+def _late_error(error: jax.Array, late: jax.Array) -> jax.Array:
+    return late
+
+
+def _at_once(activation: jax.Array, torque: jax.Array, numbers: Numbers) -> jax.Array:
+    return torque
+
+
+# By family: the error of a posture, made of that of now and that of a delay ago; and the torques
+# that follow a command. A muscle knows the late error alone, and follows late.
+ERRORS = {"spring": _felt_error, "muscle": _late_error, "stepper": _felt_error}
+PULLS = {"spring": _at_once, "muscle": muscles.followed, "stepper": _at_once}
 
 
 @jax.tree_util.register_dataclass
@@ -46,6 +66,8 @@ class Mind:
     tool: jax.Array  # [N, 3] m, in the mouth's frame, a step ago
     moving: jax.Array  # m/s, of the tool there, smoothed
     reaction: reaction.Reaction
+    signs: signs.Signs
+    shown: jax.Array  # [N, 5] rad, how far it leans for what it likes
     stopped: jax.Array  # bool: hurt, and not yet willing again
     place: jax.Array  # int32: the stage, or the place on the teeth, that it knows of
     willing: jax.Array  # s, how ripe its wish to open or to turn is
@@ -55,27 +77,22 @@ class Mind:
     way: jax.Array  # s since then
     time: jax.Array  # s that the movement takes
     intended: jax.Array  # [N, 5] rad
-    activation: jax.Array  # [N, 5] N m, of muscles
+    held: jax.Array  # [N, 5] rad, the posture that muscles hold, of the family that steps
+    activation: jax.Array  # [N, 5] N m, torques that muscles follow
     shaken: jax.Array  # [N, 5] correlated noise
     bitten: jax.Array  # s that a bite reflex still lasts
     tired: jax.Array  # share of strength that is gone
 
 
 class Head:
-    """The program of all persons of a task at the mouth and a family."""
+    """The program of all persons of a task at the mouth."""
 
-    def __init__(self, task: str, model: mujoco.MjModel, family: str = "spring") -> None:
-        """Prepare for a task's scene.
-
-        Raises:
-            ValueError: there is no such family.
-        """
-        if family not in LAWS:
-            raise ValueError(f"family is {family!r}; allowed are {', '.join(LAWS)}")
-        self.task, self._law, self._muscle = task, LAWS[family], family == "muscle"
+    def __init__(self, task: str, model: mujoco.MjModel) -> None:
+        """Prepare for a task's scene."""
+        self.task = task
         joints = [model.joint(f"human_{name}") for name in SEAT]
         read = human_joints(model)
-        self._read = np.array([read.index(joint.name) for joint in joints])
+        self.joints_read = np.array([read.index(joint.name) for joint in joints])
         # N m, with the sign of what is forward.
         self._gear = np.array([model.actuator(j.name).gear[0] for j in joints], np.float32)
         ids = [joint.id for joint in joints]
@@ -86,6 +103,9 @@ class Head:
         mujoco.mj_forward(model, data)
         # N m that hold head and jaw.
         self._weight = np.array(data.qfrc_bias[[j.dofadr[0] for j in joints]], np.float32)
+        self._signing = signs.Signing(task)
+        # The jaw shows a wish about the mouth's inside, and the roll of the neck one about speed.
+        self._aside = JAW if "liked_depth" in index(task) else ROLL
         self._place, self._spared = index(task), REGISTERED[task].spared
         person = person_kind(task)
         self._columns, self._touch_unit = person.columns, person.touch_unit
@@ -99,14 +119,17 @@ class Head:
         return Mind(
             seed=jnp.zeros(n, jnp.uint32),
             age=jnp.zeros(n, jnp.int32),
-            past=jnp.zeros((n, LATEST, JOINTS + 6), jnp.float32),
+            past=jnp.zeros((n, LATEST, JOINTS + 6 + 2 * self._signing.wishes), jnp.float32),
             tool=jnp.zeros((n, 3), jnp.float32),
             reaction=reaction.calm(n, JOINTS),
+            signs=signs.silent(n, self._signing.wishes),
             stopped=jnp.zeros(n, bool),
             place=jnp.full(n, -1, jnp.int32),
             bitten=zero - 1.0,
             **dict.fromkeys(("moving", "willing", "lapsed", "way", "time", "tired"), zero),
-            **dict.fromkeys(("aim", "begin", "intended", "activation", "shaken"), none),
+            **dict.fromkeys(
+                ("aim", "begin", "intended", "held", "shown", "activation", "shaken"), none
+            ),
         )
 
     def act(
@@ -115,36 +138,41 @@ class Head:
         """Return the new carry and the actions [N, 5]: shares of the seat's torques.
 
         Args:
-            row: [N, 25] numbers of `PARAMETERS`.
+            row: [N, 31] numbers of `PARAMETERS`, and the family.
             mind: the carry.
             obs: [N, O] what a human in the seat observes.
             first: [N] whether an episode begins: its carry is fresh.
         """
-        numbers = {name: row[:, place] for name, place in self._place.items()}
+        numbers = common.numbers_of(row, self._place)
         names = ("tool", "progress", "touch", "flag")
         parts = {name: obs[:, self._columns[name]] for name in names}
-        now = obs[:, self._read]
-        mind = self._begun(mind, row, obs, parts, first)
+        now = obs[:, self.joints_read]
+        mind = self._begun(mind, row[:, :WIDTH], obs, parts, first)
         tool = 0.1 * parts["tool"]
         drift = jnp.linalg.norm(tool - mind.tool, axis=-1) / STEP
         moving = mind.moving + STEP / SMOOTHED * (drift - mind.moving)
         seen = [tool, self._touch_unit * parts["touch"], moving[:, None], parts["flag"]]
+        if self._signing.wishes:
+            seen.append(obs[:, self._columns["felt"]])
         newest = jnp.concatenate([now, *seen], axis=-1)
         past, late = common.remembered(mind.past, newest, numbers)
         mind = dataclasses.replace(mind, past=past, tool=tool, moving=moving)
         chance = common.uniform(mind.seed, mind.age, JOINTS + 1)
         place = parts["progress"].argmax(axis=1).astype(jnp.int32)
         perceived = self._perceived(mind, late, place, numbers)
-        felt = self._felt(perceived)
-        mind = dataclasses.replace(mind, reaction=self._law(mind.reaction, felt, numbers))
+        comfort = self._judge(perceived)
+        felt = self._felt(perceived, comfort)
+        reacting = common.by_family(LAWS, numbers, mind.reaction, felt, numbers)
+        mind = dataclasses.replace(mind, reaction=reacting)
+        mind = self._show(mind, late[:, JOINTS + 6 :], felt, numbers)
         mind = self._intend(mind, perceived, chance[:, JOINTS])
-        return self._move(mind, now, late, numbers, common.normal(chance[:, :JOINTS]))
+        return self.move(mind, now, late, numbers, common.normal(chance[:, :JOINTS]))
 
     def _begun(
         self, mind: Mind, row: jax.Array, obs: jax.Array, parts: Numbers, first: jax.Array
     ) -> Mind:
         """Return the carry, fresh where an episode begins; bits of the start seed its chance."""
-        now = obs[:, self._read]
+        now = obs[:, self.joints_read]
         bits = jax.lax.bitcast_convert_type(jnp.concatenate([now, row], axis=1), jnp.uint32)
         fresh = self.initial(obs.shape[0])
         tool = 0.1 * parts["tool"]
@@ -160,8 +188,9 @@ class Head:
             aim=now,
             begin=now,
             intended=now,
+            held=now,
         )
-        return common.begun(first, fresh, mind)
+        return common.chosen(first, fresh, mind)
 
     def _perceived(
         self, mind: Mind, late: jax.Array, place: jax.Array, numbers: Numbers
@@ -180,14 +209,15 @@ class Head:
             numbers=numbers,
         )
 
-    def _felt(self, now: Perceived) -> reaction.Felt:
+    def _felt(self, now: Perceived, comfort: Comfort) -> reaction.Felt:
         """Return the touch of a delay ago, as the reaction takes it."""
-        comfort, one = self._judge(now), jnp.ones_like(now.force)
+        one = jnp.ones_like(now.force)
         # Away from the side from which the tool comes; a tool in front turns the head to the left,
         # since the robot stands at the right.
         side = jnp.where(now.tool[:, 1] > 0.01, -1.0, 1.0)
         forward = jnp.sign(self._gear[LEAN])
         away = jnp.stack([-0.3 * forward * one, -0.4 * one, 0.85 * side, 0 * one, 0 * one], -1)
+        away = away * comfort.way[:, None]
         return reaction.Felt(
             force=now.force,
             hurts=now.numbers["tolerance"] * comfort.unit,
@@ -197,6 +227,17 @@ class Head:
             near=comfort.near,
             away=away,
         )
+
+    def _show(self, mind: Mind, done: jax.Array, felt: reaction.Felt, numbers: Numbers) -> Mind:
+        """Lean and speak by the distance of the touch, a delay ago, from the liked one."""
+        if not self._signing.wishes:
+            return mind
+        stopped = mind.reaction.discomfort > numbers["limit"]
+        shows, leans = self._signing.show(mind.signs, done, stopped, numbers, (mind.seed, mind.age))
+        sign = -1.0 if self._aside == JAW else 1.0  # a mouth closes a little on what is too deep
+        shown = BACK * leans[:, :1] * felt.away
+        shown = shown.at[:, self._aside].add(sign * ASIDE * leans[:, 1])
+        return dataclasses.replace(mind, signs=shows, shown=shown)
 
     def _intend(self, mind: Mind, now: Perceived, chance: jax.Array) -> Mind:
         """Decide where head and jaw should be, and move on towards it by minimum jerk."""
@@ -231,7 +272,7 @@ class Head:
             intended=begin + (aim - begin) * common.minimum_jerk(way, time)[:, None],
         )
 
-    def _move(
+    def move(
         self, mind: Mind, now: jax.Array, late: jax.Array, numbers: Numbers, normal: jax.Array
     ) -> tuple[Mind, jax.Array]:
         """Return the carry and the actions [N, 5] that muscles, noise, tremor and reflexes make."""
@@ -243,18 +284,17 @@ class Head:
         for joint, hertz in zip((PITCH, YAW), WANDERS, strict=True):
             phase = 2.0 * np.pi * hertz * time + (mind.seed % 628).astype(jnp.float32) / 100.0
             wander = wander.at[:, joint].set(numbers["wander"] * jnp.sin(phase))
-        goal = jnp.clip(mind.intended + wander + mind.reaction.shift, low, high)
+        intended = mind.intended + mind.reaction.shift + mind.shown
+        intended = common.strides(mind.age, mind.held, intended, numbers)
+        goal = jnp.clip(intended + wander, low, high)
         spring = jnp.asarray(self._spring)[None]
         loud = numbers["stiffness"] * (1.0 + mind.reaction.discomfort)
-        share = 1.0 if self._muscle else LATE
-        error = (1.0 - share) * (goal - now) + share * (goal - late[:, :JOINTS])
+        error = common.by_family(ERRORS, numbers, goal - now, goal - late[:, :JOINTS])
         torque = spring * (goal - jnp.asarray(self._rest)[None] + HELD * loud[:, None] * error)
         torque = torque + jnp.asarray(self._weight)[None]
-        activation = mind.activation
-        if self._muscle:  # a muscle follows its command late
-            torque = activation = muscles.followed(activation, torque, numbers)
+        torque = activation = common.by_family(PULLS, numbers, mind.activation, torque, numbers)
         shaken = common.shaken(mind.shaken, normal)
-        torque = torque * (1.0 + numbers["noise"][:, None] * shaken)
+        torque = torque * (1.0 + numbers["noise"][:, None] * shaken * jnp.asarray(STEADY)[None])
         turn = 2.0 * np.pi * numbers["tremor_frequency"] * time
         trembles = np.array([0.0, 1.0, 1.0, 1.0, 0.5], np.float32)
         phases = np.array([0.0, 0.0, 0.7, 2.1, 1.4], np.float32)
@@ -271,6 +311,7 @@ class Head:
         mind = dataclasses.replace(
             mind,
             age=mind.age + 1,
+            held=intended,
             activation=activation,
             shaken=shaken,
             bitten=bitten,

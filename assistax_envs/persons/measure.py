@@ -1,7 +1,6 @@
-"""Measure persons without a trained robot: returns of scripts, and preferences that can be read.
+"""Measure persons without a trained robot: returns of scripts, and pictures.
 
 python -m assistax_envs.persons.measure play TASK
-python -m assistax_envs.persons.measure read TASK
 python -m assistax_envs.persons.measure film TASK nine.png
 """
 
@@ -16,23 +15,26 @@ import numpy as np
 
 import assistax_envs
 from assistax_envs.own_settings import key_of, own_settings
-from assistax_envs.persons.parameters import index
 from assistax_envs.persons.player import PersonPlayer, person_params
-from assistax_envs.persons.rows import INNER, persons
-from assistax_envs.preferences import PREFERRED
-from assistax_envs.registered import REGISTERED
-from assistax_envs.tasks.chain import SCRIPTS, script_of
+from assistax_envs.persons.rows import (
+    FAMILIES,
+    INNER,
+    PARAMETERS,
+    ROWS,
+    Person,
+    family_place,
+    marked,
+    person,
+    persons,
+)
+from assistax_envs.preferences import PREFERRED, VALUES
+from assistax_envs.tasks.chain import script_of, told_script_of
 from assistax_envs.tasks.gentle_base import FELT
 
-SCRIPTED = 4.0  # N that the scripts keep to
-SWEEP = 4.0  # s, in which a probing script goes from a light to a hard touch and back
-WINDOWS = (2.0, 5.0)  # s from the first touch
+# s, in which a probing script goes from the least to the largest value of a wish and back
+SWEEPS = (4.0, 6.0)
 STEPS_A_SECOND = 50
-TOOL, ARMS = slice(14, 17), slice(24, 30)  # of the robot's observation: places, m
-TOUCHES = (FELT, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0)  # N, bounds between strengths of a touch
-LEAST_READ = 9  # persons
-ANSWER = 20  # steps in which an arm answers
-
+_LABEL = 20  # pixels below a picture of a person, for its wishes
 
 # A robot with a memory: from N to its memory before the first observation, and from memory,
 # observations [N, O] and the step to its memory and actions [N, 7].
@@ -40,40 +42,45 @@ Robot = tuple[Callable[[int], Any], Callable[[Any, jax.Array, jax.Array], tuple[
 
 
 @functools.cache
-def _program(
-    task: str, robot: str | Robot, human: str, family: str, steps: int
-) -> tuple[Any, Any, Any]:
+def _program(task: str, robot: str | Robot, human: str, steps: int) -> tuple[Any, Any, Any]:
     """Return the environment, and programs that start episodes and play `steps` of them."""
-    env, player = assistax_envs.make(task), PersonPlayer(task, family)
-    script, column = script_of(task, env.model), SCRIPTS[task].force
+    env, player = assistax_envs.make(task), PersonPlayer(task)
 
-    def command(memory: Any, obs: jax.Array, time: jax.Array) -> tuple[Any, jax.Array]:
+    def command(memory: Any, state: Any, time: jax.Array) -> tuple[Any, jax.Array]:
+        obs = state.obs["robot"]
         if not isinstance(robot, str):
             return robot[1](memory, obs, time)
         if robot == "idle":
             return memory, jnp.zeros((obs.shape[0], env.action_size["robot"]))
-        # A probing script believes that the force is SCRIPTED when it is something else.
-        if robot == "probe" and column is not None:
-            phase = jnp.abs((time / (STEPS_A_SECOND * SWEEP)) % 1.0 - 0.5) * 2.0
-            obs = obs.at[:, column].multiply(SCRIPTED / (1.0 + 14.0 * phase))
-        return memory, script(obs)
+        if robot == "script":
+            return memory, script_of(task, env.model)(obs)
+        wishes = state.params.preference.of(task)
+        if robot == "probe":
+            wishes = jnp.broadcast_to(probed(task, time), wishes.shape)
+        return memory, told_script_of(task, env.model)(obs, wishes)
 
     def step(row: jax.Array, loop: tuple[Any, ...], time: jax.Array) -> tuple[Any, Any]:
         state, carry, memory = loop
         obs = state.obs
         carry, action = player.act({"row": row}, carry, obs["human"], time == 0)
         action = jnp.zeros_like(action) if human == "idle" else action
-        memory, driven = command(memory, obs["robot"], time)
+        memory, driven = command(memory, state, time)
         stopped = state.terminated  # what comes after counts for nothing
-        state = env.step(state, {"robot": driven, "human": action})
+        word = player.word(carry) * (human != "idle")
+        before = env.joint_positions(state)["human"]
+        state = env.step(state, {"robot": driven, "human": action, "word": word})
         seen = {
             "reward": jnp.where(stopped, 0.0, state.reward),
             "force": state.measures.force,
             "success": state.measures.success & ~stopped,
             "violated": state.measures.violated,
-            "discomfort": carry.reaction.discomfort,
-            # At the mouth a person shows its preference before the first touch.
-            "met": (state.measures.force > FELT) | (REGISTERED[task].seat == "mouth"),
+            "discomfort": state.measures.discomfort,
+            "done": state.measures.done,
+            "judged": state.measures.judged,
+            "liked": state.measures.liked,
+            "moved": jnp.abs(env.joint_positions(state)["human"] - before).sum(axis=-1),
+            "terminated": stopped,
+            "word": word,
             "obs": obs["robot"],
         }
         return (state, carry, memory), seen
@@ -105,23 +112,36 @@ def episodes(
 
     Args:
         task: one of the gentle tasks.
-        rows: [N, 25] of the persons.
-        robot: "script"; "idle"; "probe", the script with a force from 1 to 15 N and back in 4 s, if
-            it keeps to a force; or a robot of your own.
+        rows: [N, 30] of the persons.
+        robot: "script"; "told", the script that keeps to their wishes; "probe", which keeps to
+            the wishes of `probed`; "idle"; or a robot of your own.
         human: "person", or "idle": a human of the person's body and preference that does nothing.
         family: of the persons.
         steps: to play.
         seed: of the episodes' starts.
 
     Returns:
-        Arrays [T, N] "reward", "force", "success", "violated", "discomfort", "met" (whether a
-        person can be read: it was touched, or is at the mouth) and [T, N, O] "obs".
+        Arrays [T, N] "reward", "force", "success", "violated", "discomfort", "moved" (rad, of all
+        the human's joints), "terminated" (before the step), "word", [T, N, W] "done", "judged",
+        "liked" of the wishes, and [T, N, O] "obs".
     """
-    _, begin, play = _program(task, robot, human, family, steps)
+    _, begin, play = _program(task, robot, human, steps)
     keys = jax.random.split(key_of(seed), len(rows))
-    loop = begin(jnp.asarray(rows), person_params(task, rows), keys)
-    _, seen = play(jnp.asarray(rows), loop, jnp.zeros((), jnp.int32))
+    row = jnp.asarray(marked(rows, FAMILIES.index(family)))
+    loop = begin(row, person_params(task, rows), keys)
+    _, seen = play(row, loop, jnp.zeros((), jnp.int32))
     return jax.tree.map(np.asarray, seen)
+
+
+def probed(task: str, time: jax.Array) -> jax.Array:
+    """Return the wishes [1, W] that a probing script keeps to at a step.
+
+    Each goes from its least to its largest usual value and back, in a time of its own.
+    """
+    low, _, high = np.array([VALUES[name] for name in PREFERRED[task]]).T
+    periods = STEPS_A_SECOND * np.resize(SWEEPS, len(low))
+    share = 1.0 - 2.0 * jnp.abs((time / periods) % 1.0 - 0.5)
+    return jnp.asarray(low * (high / low) ** share, jnp.float32)[None]
 
 
 def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
@@ -139,127 +159,70 @@ def earned(seen: dict[str, np.ndarray]) -> dict[str, float]:
     }
 
 
-def read(seen: dict[str, np.ndarray], preference: np.ndarray, window: float) -> tuple[float, int]:
-    """Return the share of unseen persons whose third of a preference a linear reader finds.
-
-    The reader has means, spreads and changes of the robot's observations from the first touch on,
-    at the mouth from the start on, and the arm's answers to light and to hard touches.
-
-    Args:
-        seen: of `episodes`.
-        preference: [N] of the persons.
-        window: s.
-
-    Returns:
-        The share, and the number of persons that it is of; a third is chance. 0 of 0 if fewer than
-        `LEAST_READ` persons were touched for so long.
-    """
-    obs, force, touched = seen["obs"], seen["force"], seen["met"]
-    begin, length = touched.argmax(axis=0), int(window * STEPS_A_SECOND)
-    enough = touched.any(axis=0) & (begin + length <= len(obs))
-    if enough.sum() < LEAST_READ:
-        return 0.0, 0
-    features = []
-    for person in np.flatnonzero(enough):
-        when = slice(begin[person], begin[person] + length)
-        part = obs[when, person]
-        halves = [half.mean(axis=0) for half in np.array_split(part, 2)]
-        change = np.abs(np.diff(part, axis=0)).mean(axis=0)
-        answers = _answers(part, force[when, person])
-        features.append(np.concatenate([*halves, part.std(axis=0), change, answers]))
-    x = np.array(features, np.float64)
-    thirds = np.searchsorted(np.quantile(preference, [1 / 3, 2 / 3]), preference[enough])
-    train = np.arange(len(x)) % 3 > 0
-    spread = x[train].std(axis=0)
-    x = (x - x[train].mean(axis=0)) / np.where(spread > 1e-9, spread, np.inf)
-    x = np.clip(np.column_stack([x, np.ones(len(x))]), -5.0, 5.0)
-    target = np.eye(3)[thirds]
-    square = x[train].T @ x[train] + 30.0 * np.eye(x.shape[1])
-    weights = np.linalg.solve(square, x[train].T @ target[train])
-    hit = (x[~train] @ weights).argmax(axis=1) == thirds[~train]
-    return float(hit.mean()), len(hit)
-
-
-def preference_parameters(task: str) -> list[str]:
-    """Return the names of a task's parameters that are preferences, and tolerance."""
-    return [name for name in index(task) if name.startswith("liked")] + ["tolerance"]
-
-
-def _answers(part: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the arm's motion after touches of each strength, and their frequencies.
-
-    Args:
-        part: [T, O] what the robot observed.
-        force: [T] N, which it observes too.
-    """
-    arms = part[:, ARMS].reshape(len(part), 2, 3)
-    aside = arms - part[:, None, TOOL]
-    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
-    moved = ((arms[ANSWER:] - arms[:-ANSWER]) * aside[:-ANSWER]).sum(axis=-1)  # [T', 2] m
-    place = np.searchsorted(TOUCHES, force[:-ANSWER])
-    rows = []
-    for strength in range(len(TOUCHES) + 1):
-        chosen = place == strength
-        share = chosen.mean()
-        rows.append([*(moved[chosen].mean(axis=0) if share else (0.0, 0.0)), share])
-    return np.concatenate(rows)
-
-
 @own_settings()
-def film(task: str, rows: np.ndarray, path: str, seconds: float, seed: int = 0) -> None:
-    """Draw a picture of each person, three in a row: the script's episode after a time."""
+def film(task: str, each: int, path: str, seconds: float, seed: int = 0) -> None:
+    """Draw a picture of persons, a line for each family, with their wishes below.
+
+    Args:
+        task: one of the gentle tasks.
+        each: persons of each family; no two have the same row of numbers.
+        path: of the picture.
+        seconds: of the script's episode before the picture.
+        seed: of the episodes' starts.
+    """
     from PIL import Image
 
-    env, begin, play = _program(task, "script", "person", "spring", 10)
-    keys = jax.random.split(key_of(seed), len(rows))
-    row = jnp.asarray(rows)
-    loop = begin(row, person_params(task, rows), keys)
+    numbers = [place * (ROWS + each) + i for place in range(len(FAMILIES)) for i in range(each)]
+    chosen = [person(task, number) for number in numbers]
+    rows, places = np.stack([one.row for one in chosen]), [family_place(p.family) for p in chosen]
+    env, begin, play = _program(task, "script", "person", 10)
+    row, starts = jnp.asarray(marked(rows, places)), jax.random.split(key_of(seed), each)
+    loop = begin(row, person_params(task, rows), jnp.concatenate([starts] * len(FAMILIES)))
     for time in range(0, int(seconds * STEPS_A_SECOND), 10):
         loop, _ = play(row, loop, jnp.asarray(time, jnp.int32))
-    shots = [env.render(loop[0], i, "close", 240, 260)[:168] for i in range(len(rows))]
+    shots = [
+        _named(env.render(loop[0], i, "close", 240, 260, (f"human {one.name}",))[:168], one)
+        for i, one in enumerate(chosen)
+    ]
     env.close()
-    lines = [np.concatenate(shots[i : i + 3], axis=1) for i in range(0, len(shots), 3)]
+    lines = [np.concatenate(shots[i : i + each], axis=1) for i in range(0, len(shots), each)]
     picture = Image.fromarray(np.concatenate(lines))
     picture.quantize(256, Image.Quantize.FASTOCTREE).save(path, optimize=True)
+
+
+def _named(shot: np.ndarray, shown: Person) -> np.ndarray:
+    """Return a picture with the person's family and wishes written below."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    parameters = PARAMETERS[shown.task]
+    named = {one.name: (value, one) for value, one in zip(shown.row, parameters, strict=True)}
+    wishes = [named[f"liked_{name}"] for name in PREFERRED[shown.task]]
+    label = Image.new("RGB", (shot.shape[1], _LABEL), "white")
+    font = ImageFont.load_default(size=13)
+    words = f"{shown.family}, likes {', '.join(f'{value:.2g} {one.unit}' for value, one in wishes)}"
+    ImageDraw.Draw(label).text((6, 2), words, fill="#222222", font=font)
+    return np.concatenate([shot, np.asarray(label)])
 
 
 def main() -> None:
     """Run one of the module's commands."""
     parser = argparse.ArgumentParser(prog="python -m assistax_envs.persons.measure")
-    parser.add_argument("what", choices=("play", "read", "film"))
+    parser.add_argument("what", choices=("play", "film"))
     parser.add_argument("task", choices=tuple(PREFERRED))
     parser.add_argument("path", nargs="?", default="persons.png")
     parser.add_argument("--count", type=int)
-    parser.add_argument("--family", choices=("spring", "muscle"), default="spring")
+    parser.add_argument("--family", choices=FAMILIES, default="spring")
     options = parser.parse_args()
-    count = options.count or {"play": 50, "read": 900, "film": 9}[options.what]
-    rows = persons(options.task)[:INNER][:count]
+    count = options.count or {"play": 50, "film": 3}[options.what]
     if options.what == "film":
-        film(options.task, rows, options.path, 4.0)
-    elif options.what == "play":
-        for robot, human in (("script", "person"), ("script", "idle"), ("idle", "person")):
-            figures = earned(episodes(options.task, rows, robot, human, options.family))
-            line = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-            print(f"{options.task}, {robot} with {human} x {count}: {line}", flush=True)
-    else:
-        _print_read(options.task, rows, options.family)
-
-
-def _print_read(task: str, rows: np.ndarray, family: str) -> None:
-    place = index(task)
-    for robot in ("script",) if SCRIPTS[task].force is None else ("script", "probe"):
-        seen = episodes(task, rows, robot, "person", family, steps=600)
-        for name in preference_parameters(task):
-            for window in WINDOWS:
-                preference = rows[:, place[name]]
-                share, of = read(seen, preference, window)
-                mixed = np.random.default_rng(0).permutation(preference)
-                chance, _ = read(seen, mixed, window)
-                print(
-                    f"{task}, {robot}: {name} from {window:g} s in {share:.0%} of {of} "
-                    f"(shuffled {chance:.0%}, chance 33%)",
-                    flush=True,
-                )
+        film(options.task, count, options.path, 4.0)
+        return
+    rows = persons(options.task)[:INNER][:count]
+    pairs = [(robot, "person") for robot in ("script", "told", "probe", "idle")]
+    for robot, human in (*pairs, ("script", "idle")):
+        figures = earned(episodes(options.task, rows, robot, human, options.family))
+        line = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
+        print(f"{options.task}, {robot} with {human} x {count}: {line}", flush=True)
 
 
 if __name__ == "__main__":

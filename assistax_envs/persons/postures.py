@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.persons.body import Arm
-from assistax_envs.persons.parameters import person_kind
+from assistax_envs.persons.rows import person_kind
 from assistax_envs.persons.senses import Senses
 from assistax_envs.registered import load
 from assistax_envs.tasks.base import LOWER_ARM

@@ -1,31 +1,75 @@
-"""Ten thousand persons a task: Sobol's points, dealt into sides, and their identity."""
+"""Ten thousand persons a task and family: rows of numbers, dealt into sides, and their identity.
+
+A number is the quantile of its own distribution, so that a point of the unit cube is a person. Each
+task has its numbers in its own `person.py`. Imports no JAX or MuJoCo.
+"""
 
 import dataclasses
 import functools
 import hashlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from assistax_envs.persons.parameters import (
-    ASHWORTH,
-    MRC,
-    PARAMETERS,
-    WIDTH,
-    grade,
-    index,
-    left,
-    person_kind,
-)
+from assistax_base.extensions import FAMILIES as ADDED
+from assistax_base.extensions import Extension, extensions, files_sha256
+from assistax_envs.registered import REGISTERED, ByTask
+from assistax_envs.tasks.person import Parameter, PersonKind
+from assistax_envs.tasks.person_numbers import SKIN
 
-PROGRAM_VERSION = 2  # goes up when the same row acts otherwise in the same situation
-COUNT = 10_000
-INNER = 8_000  # persons inside 80% of every axis: training, and each tenth of them validation
-CORNERS = 9_000  # from INNER to here: beyond it on several axes, of the same program
-BEYOND = 5  # axes at least; of 25 a point of the whole cube has that many on average
+PROGRAM_VERSION = 4  # goes up when the same row acts otherwise in the same situation
+FAMILIES = ("spring", "muscle", "stepper")  # forms of the controller; no robot trains with the last
+ROWS = 10_000  # rows of numbers, the same for each family
+COUNT = ROWS * len(FAMILIES)  # persons: those of a family follow each other
+INNER = 8_000  # rows inside 80% of every axis; from here to ROWS: corners
+BEYOND = 10  # of a corner's axes at least lie beyond it, or all of its wishes: of 30 a point of the
+# whole cube has 6 there on average
 BITS = 30  # of a coordinate
 SIDES = ("training", "validation", "test")
-FAMILIES = ("spring", "muscle")  # forms of the controller; see `spring` and `muscle`
+UNSEEN = "stepper"  # the family that no robot trains with
+# Groups of the test side, which count the same in M_test.
+KNOWN_FAMILIES, UNSEEN_FAMILY = "known families", "unseen family"
+OWN_FAMILY = "organiser's family"  # of a season whose organiser brought one
+OWN_PREFIX = "own-"  # of a family's name that an installed package adds, see `installed_family`
+
+
+def person_kind(task: str) -> PersonKind:
+    """Return the persons of a task.
+
+    Raises:
+        ValueError: The task is unknown or has no persons.
+    """
+    person = REGISTERED[task].person if task in REGISTERED else None
+    if person is None:
+        raise ValueError(f"task is {task!r}; allowed are {', '.join(PARAMETERS)}")
+    return person
+
+
+# A row of a person has them in this order.
+PARAMETERS: Mapping[str, tuple[Parameter, ...]] = ByTask(
+    lambda kind: person_kind(kind.name).parameters, lambda kind: kind.person is not None
+)
+WIDTH = len(SKIN)  # numbers of a row
+
+
+def marked(rows: np.ndarray, families: Sequence[int] | np.ndarray | int = 0) -> np.ndarray:
+    """Return rows [P, 31] as `PersonPlayer` takes them: `rows` [P, 30], then the family's place.
+
+    `families` are places among `FAMILIES`, [P] or one of all.
+    """
+    column = np.broadcast_to(np.asarray(families, np.float32), len(rows))
+    return np.concatenate([np.asarray(rows, np.float32), column[:, None]], axis=1)
+
+
+def index(task: str) -> dict[str, int]:
+    """Return the place of each number in a row of a task, by name."""
+    return {parameter.name: place for place, parameter in enumerate(PARAMETERS[task])}
+
+
+def left(task: str, share: float) -> float:
+    """Return the share of strength or range that is left in a task's scene."""
+    return 1.0 - (1.0 - REGISTERED[task].spared) * (1.0 - share)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,8 +79,14 @@ class Person:
     task: str
     number: int
     side: str  # one of SIDES
-    family: str  # one of FAMILIES
-    row: np.ndarray  # [25] float32
+    family: str  # one of FAMILIES, or one of a package
+    row: np.ndarray  # [30] float32
+    files: str = ""  # sha256 of the package's files
+
+    @property
+    def own(self) -> str:
+        """Return the name of the package's family; empty for one of FAMILIES."""
+        return self.family.removeprefix(OWN_PREFIX) if self.family not in FAMILIES else ""
 
     @property
     def name(self) -> str:
@@ -45,8 +95,12 @@ class Person:
 
     @property
     def identity(self) -> str:
-        """Return the SHA-256 of the program's version, the family, the task and the row."""
-        head = f"person program {PROGRAM_VERSION} {self.family} {self.task}\n"
+        """Return the SHA-256 of the program's version, the family, the task and the row.
+
+        Of a package's family, the sha256 of its files belongs to it.
+        """
+        family = " ".join(filter(None, (self.family, self.files)))
+        head = f"person program {PROGRAM_VERSION} {family} {self.task}\n"
         return hashlib.sha256(head.encode() + self.row.astype("<f4").tobytes()).hexdigest()
 
 
@@ -59,13 +113,66 @@ def person(task: str, number: int) -> Person:
     person_kind(task)
     if not 0 <= number < COUNT:
         raise ValueError(f"person {number} is not there; allowed are 0 to {COUNT - 1}")
-    family = FAMILIES[number >= CORNERS]
-    return Person(task, number, side(number), family, persons(task)[number])
+    return Person(task, number, side(number), family(number), persons(task)[number % ROWS])
+
+
+def family(number: int) -> str:
+    """Return the family of a person."""
+    return FAMILIES[number // ROWS]
+
+
+def family_place(family: str) -> int:
+    """Return a family's place among FAMILIES; that of springs for a package's own program."""
+    return FAMILIES.index(family) if family in FAMILIES else 0
+
+
+def family_group(family: str) -> str:
+    """Return the group of a family's persons on the test side."""
+    if family.startswith(OWN_PREFIX):
+        return OWN_FAMILY
+    return UNSEEN_FAMILY if family == UNSEEN else KNOWN_FAMILIES
+
+
+def installed_family(name: str) -> Extension:
+    """Return the entry point of a package's family, which nothing imports here.
+
+    Raises:
+        ValueError: No installed package names such a family.
+        ExtensionError: A name of the group is malformed, taken, or that of two packages.
+    """
+    found = extensions(ADDED, taken=FAMILIES)
+    if name not in found:
+        raise ValueError(
+            f"family {name!r} is none of an installed package; installed are "
+            f"{', '.join(found) or 'none'}: install the package that names it in {ADDED}"
+        )
+    return found[name]
+
+
+def check_files(name: str, digest: str) -> Extension:
+    """Return the entry point of a package's family, after comparing its files with a sha256.
+
+    Whatever is received names a family and its files' sha256 alone; it never brings code.
+
+    Raises:
+        ValueError: The package is missing, or has other files; nothing was imported.
+    """
+    extension = installed_family(name)
+    here = files_sha256(extension.files())
+    if here != digest:
+        raise ValueError(
+            f"the family {name!r} has files of sha256 {digest}, and the installed package "
+            f"{extension.package} {extension.version} has files of sha256 {here}; install the "
+            "package with these very files"
+        )
+    return extension
 
 
 @functools.cache
 def persons(task: str) -> np.ndarray:
-    """Return the rows of all persons of a task, [10000, 25] float32, read-only.
+    """Return the rows of a task's persons, [10000, 30] float32, read-only.
+
+    Person n has row n modulo 10,000: each family has a person with each row.
 
     Raises:
         ValueError: there is no such task.
@@ -79,9 +186,9 @@ def persons(task: str) -> np.ndarray:
 def side(number: int) -> str:
     """Return the side of a person.
 
-    Training: inside; validation: each tenth of those; test: corners, and the other family.
+    Training: inside; validation: each tenth of those; test: corners, and the unseen family.
     """
-    if number >= INNER:
+    if number % ROWS >= INNER or family(number) == UNSEEN:
         return "test"
     return "validation" if number % 10 == 9 else "training"
 
@@ -98,15 +205,41 @@ def numbers(of: str) -> np.ndarray:
 
 
 def drawn(task: str, secret: bytes, count: int) -> np.ndarray:
-    """Return rows [count, 25] of persons from anywhere in the cube, from a secret.
+    """Return rows [count, 30] of a secret's persons.
 
-    The same secret gives the same rows: a season's hidden persons need no storage.
+    `hidden_family` gives their families. Of five persons two are corners, two are of the unseen
+    family from anywhere in the cube, and one lies inside, as those of the training side. The same
+    secret gives the same rows: a season's hidden persons need no storage.
     """
     person_kind(task)
-    size = count * WIDTH
-    stream = hashlib.shake_256(b"persons of " + task.encode() + b" from " + secret).digest(8 * size)
+    points = [_hidden_point(task, secret, place) for place in range(count)]
+    return _rows(task, np.reshape(points, (count, WIDTH)))
+
+
+def hidden_family(place: int) -> str:
+    """Return the family of a secret's person, by its place in the draw."""
+    known = [name for name in FAMILIES if name != UNSEEN]
+    return (known[0], UNSEEN, known[1], UNSEEN, known[place // 5 % 2])[place % 5]
+
+
+def _hidden_point(task: str, secret: bytes, place: int) -> np.ndarray:
+    """Return the point [30] of a secret's person: a corner, inside, or anywhere in the cube."""
+    name = f"person {place} of {task} from ".encode() + secret
+    if hidden_family(place) == UNSEEN:
+        return _stream_points(name, 1)[0]
+    if place % 5 == 4:
+        return 0.1 + 0.8 * _stream_points(name, 1)[0]
+    count = 32  # of 11 points about one is a corner
+    while not (corner := _corners(task, points := _stream_points(name, count))).any():
+        count *= 2
+    return points[corner.argmax()]
+
+
+def _stream_points(name: bytes, count: int) -> np.ndarray:
+    """Return the first points [count, 30] of the cube that a name gives."""
+    stream = hashlib.shake_256(name).digest(8 * WIDTH * count)
     shares = (np.frombuffer(stream, "<u8") >> 11).astype(np.float64) / 2.0**53
-    return _rows(task, shares.reshape(count, WIDTH))
+    return shares.reshape(count, WIDTH)
 
 
 def card(someone: Person) -> str:
@@ -147,7 +280,7 @@ def grades(someone: Person) -> dict[str, str]:
 
 
 def _rows(task: str, points: np.ndarray) -> np.ndarray:
-    """Return the rows of points [P, 25] of the unit cube."""
+    """Return the rows of points [P, 30] of the unit cube."""
     rows = [
         [number.quantile(share) for number, share in zip(PARAMETERS[task], point, strict=True)]
         for point in points.tolist()
@@ -156,20 +289,35 @@ def _rows(task: str, points: np.ndarray) -> np.ndarray:
 
 
 def _points(task: str) -> np.ndarray:
-    """Return points [10000, 25] of the unit cube: first those inside, corners, the other family.
+    """Return points [10000, 30] of the unit cube: first those inside, then corners.
 
     Sobol's numbers by Joe and Kuo, shifted by bits of the task's name: a scrambling that no other
     version of a library draws otherwise.
     """
     from scipy.stats import qmc
 
-    size = 2**15
+    size = 2**16
     plain = qmc.Sobol(WIDTH, scramble=False, bits=BITS).random(size)
     digest = hashlib.shake_256(b"persons of " + task.encode()).digest(4 * WIDTH)
     shift = np.frombuffer(digest, "<u4") >> (32 - BITS)
     points = ((plain * 2.0**BITS).astype(np.uint32) ^ shift) / 2.0**BITS
-    begin, end = 2**14, size  # corners come from the second half, everybody else from the first
-    corners = points[begin:end]
-    corners = corners[(np.abs(corners - 0.5) > 0.4).sum(axis=1) >= BEYOND]
-    inner = 0.1 + 0.8 * points[: INNER + COUNT - CORNERS]
-    return np.concatenate([inner[:INNER], corners[: CORNERS - INNER], inner[INNER:]])
+    begin = 2**14  # corners come from what follows, all others from before it
+    corners = points[begin:][_corners(task, points[begin:])]
+    return np.concatenate([0.1 + 0.8 * points[:INNER], corners[: ROWS - INNER]])
+
+
+def _corners(task: str, points: np.ndarray) -> np.ndarray:
+    """Return whether points [P, 30] of the cube are corners."""
+    beyond = np.abs(points - 0.5) > 0.4
+    wishes = [place for name, place in index(task).items() if name.startswith("liked_")]
+    return (beyond.sum(axis=1) >= BEYOND) | beyond[:, wishes].all(axis=1)
+
+
+# Clinicians' scales: what stands beside a number on a card. The steps are ours (design).
+MRC = ((0.1, "3"), (0.35, "4-"), (0.6, "4"), (0.85, "4+"), (1.01, "5"))  # of a healthy arm
+ASHWORTH = ((0.01, "0"), (0.8, "1"), (1.6, "1+"), (3.0, "2"), (9.0, "3"))  # N m s/rad
+
+
+def grade(scale: tuple[tuple[float, str], ...], value: float) -> str:
+    """Return the first grade of a scale whose bound lies above `value`."""
+    return next(name for bound, name in scale if value < bound)

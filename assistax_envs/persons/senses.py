@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.persons.parameters import person_kind
+from assistax_envs.persons.rows import person_kind
+from assistax_envs.preferences import PREFERRED
 from assistax_envs.registered import ByTask
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS
 
@@ -38,6 +39,7 @@ class Senses:
     unwiped: jax.Array  # [N, K] 1 where a point is left to wipe; K is 0 in other tasks
     to_place: jax.Array  # [N, 3] m from the forearm's middle to its place; 0 in other tasks
     distance: jax.Array  # [N] m from the tool to the target
+    felt: jax.Array  # [N, 2W] of each wish, what is done over its middle, and whether it is judged
 
 
 def sense(task: str, obs: jax.Array) -> Senses:
@@ -58,4 +60,5 @@ def sense(task: str, obs: jax.Array) -> Senses:
         unwiped=parts.get("unwiped", jnp.zeros((n, 0), obs.dtype)),
         to_place=parts.get("to_place", jnp.zeros((n, 3), obs.dtype)),
         distance=jnp.linalg.norm(parts["towards"], axis=-1),
+        felt=parts["felt"] if task in PREFERRED else jnp.zeros((n, 0), obs.dtype),
     )

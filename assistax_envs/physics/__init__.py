@@ -5,6 +5,7 @@ import mujoco
 
 from assistax_envs.own_settings import check_platforms
 from assistax_envs.physics.base import SUBSTEPS, Physics, PhysicsState, diverged
+from assistax_envs.registered import REGISTERED
 
 BACKENDS: tuple[str, ...] = ("fused", "native", "mjx", "mjx-warp")
 # Backends whose contact sensors give a contact's frame beside its force.
@@ -18,6 +19,7 @@ __all__ = [
     "SUBSTEPS",
     "Physics",
     "PhysicsState",
+    "check_scene",
     "diverged",
     "make_physics",
     "resolve_backend",
@@ -51,6 +53,23 @@ def make_physics(model: mujoco.MjModel, backend: str) -> Physics:
     from assistax_envs.physics.mjx import MjxPhysics
 
     return MjxPhysics(model, "warp" if backend == "mjx-warp" else "jax")
+
+
+def check_scene(task: str, backend: str) -> None:
+    """Check that a backend can play a task's scene.
+
+    Raises:
+        ValueError: There is no such scene, or the backend does not say which way contacts push.
+    """
+    if task not in REGISTERED:
+        raise ValueError(
+            f"there is no scene {task!r}; set the class's `scene` to one of {', '.join(REGISTERED)}"
+        )
+    if REGISTERED[task].felt and backend not in GIVES_CONTACT_FRAMES:
+        raise ValueError(
+            f"{task} needs to know which way a contact pushes, and backend {backend!r} does not "
+            f"say; use {' or '.join(GIVES_CONTACT_FRAMES)}"
+        )
 
 
 def _fastest_backend() -> str:

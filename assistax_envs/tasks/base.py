@@ -68,12 +68,19 @@ class Measures:
     success: jax.Array  # [N] bool: the task's goal holds at this step
     # Of the gentle tasks, whose sensors feel every touch:
     contact: jax.Array | None = None  # [N] N, the largest single contact
-    violated: jax.Array | None = None  # [N] bool: some contact so far was above the hard limit
+    violated: jax.Array | None = None  # [N] bool: some contact so far was a violation
+    violation: jax.Array | None = None  # [N] int32, its kind: see `care.Care`
     together: jax.Array | None = None  # [N] N, the largest sum of contacts at once
     # [N] bool: touched with a joint of the right arm at an end of its range; by the environment
     at_end: jax.Array | None = None
     speed: jax.Array | None = None  # [N] m/s, of the tool
     face: jax.Array | None = None  # [N] m, from the tool to the head
+    # Of the W wishes of the task, in the order of its preferences:
+    done: jax.Array | None = None  # [N, W] what is done of each, smoothed
+    liked: jax.Array | None = None  # [N, W] what the human likes
+    judged: jax.Array | None = None  # [N, W] bool: whether it is judged at this step
+    felt: jax.Array | None = None  # [N] bool: the human felt something
+    discomfort: jax.Array | None = None  # [N] 0 to 2
 
 
 def human_joints(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -241,3 +248,21 @@ def observations(
         "human": jnp.concatenate([*human, *tool, *arm, *goal], axis=-1),
         "global": jnp.concatenate([*robot, *tool, *human, *arm, *goal], axis=-1),
     }
+
+
+def unit(vector: jax.Array) -> jax.Array:
+    """Return vectors [N, 3] of length 1 in the same directions; shorter ones than 1e-6 m shrink."""
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+
+
+def check_terms(task: Task, terms: dict[str, Any]) -> None:
+    """Check that a task gives a reward term for each weight.
+
+    Raises:
+        ValueError: A weight has no term.
+    """
+    if set(task.weights) != set(terms):
+        unknown = sorted(set(task.weights) - set(terms))
+        raise ValueError(
+            f"reward weights for unknown terms {unknown}; {task.name} has {sorted(terms)}"
+        )

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.preferences import PREFERRED, WORDS, middles
 from assistax_envs.registered import ByTask, load
 from assistax_envs.tasks.base import ROBOT_JOINTS, rotate
 
@@ -35,6 +36,7 @@ class Chain:
         self._axis = np.array(data.xaxis[ids], np.float32)  # [7, 3]
         addresses = [joint.dofadr[0] for joint in joints]
         gear = [model.actuator(name).gear[0] for name in ROBOT_JOINTS]
+        self._damping = np.array(model.dof_damping[addresses], np.float32)  # N m s/rad
         # Damping balances nearly all of a torque: this share of the limit turns a joint at 1 rad/s.
         self._share = np.array(model.dof_damping[addresses] / gear, np.float32)
 
@@ -42,26 +44,40 @@ class Chain:
         """Return the Jacobians of a point [N, 3] of the hand: of its position, and of rotation.
 
         [N, 3, 7] each, by the product of exponentials: a joint's axis is turned by those before it.
+        A loop over the joints: unrolled, it was half of what a rollout with a script compiles.
         """
-        turned = jnp.zeros((angles.shape[0], 4)).at[:, 0].set(1.0)
-        moved = jnp.zeros((angles.shape[0], 3))
-        linear, angular = [], []
-        for i in range(len(ROBOT_JOINTS)):
-            anchor = moved + rotate(turned, jnp.broadcast_to(self._anchor[i], moved.shape))
-            axis = rotate(turned, jnp.broadcast_to(self._axis[i], moved.shape))
-            linear.append(jnp.cross(axis, point - anchor))
-            angular.append(axis)
-            half = 0.5 * angles[:, i : i + 1]
-            turned = _multiply(
-                jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1), turned
-            )
-            moved = anchor - rotate(turned, jnp.broadcast_to(self._anchor[i], moved.shape))
-        return jnp.stack(linear, axis=-1), jnp.stack(angular, axis=-1)
+        n = angles.shape[0]
+
+        def add(
+            before: tuple[jax.Array, jax.Array], joint: tuple[jax.Array, ...]
+        ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+            (turned, moved), (angle, *own) = before, joint
+            own_anchor, own_axis = (jnp.broadcast_to(of, (n, 3)) for of in own)
+            anchor, axis = moved + rotate(turned, own_anchor), rotate(turned, own_axis)
+            half = 0.5 * angle[:, None]
+            turn = jnp.concatenate([jnp.cos(half), axis * jnp.sin(half)], axis=-1)
+            turned = _multiply(turn, turned)
+            moved = anchor - rotate(turned, own_anchor)
+            return (turned, moved), (jnp.cross(axis, point - anchor), axis)
+
+        still = jnp.zeros((n, 4)).at[:, 0].set(1.0), jnp.zeros((n, 3))
+        joints = angles.T, jnp.asarray(self._anchor), jnp.asarray(self._axis)
+        _, (linear, angular) = jax.lax.scan(add, still, joints)
+        return jnp.moveaxis(linear, 0, -1), jnp.moveaxis(angular, 0, -1)
 
     def velocity(self, obs: jax.Array) -> jax.Array:
         """Return the tool's velocity [N, 3], m/s."""
         linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
         return jnp.einsum("nij,nj->ni", linear, obs[:, 7:14])
+
+    def yields(self, obs: jax.Array, normal: jax.Array) -> jax.Array:
+        """Return the speed [N, 1] at which 1 N along `normal` [N, 3] moves the tool, m/s.
+
+        A tool that is driven at a speed and does not move presses by the speed over this.
+        """
+        linear, _ = self.jacobian(obs[:, :7], obs[:, 14:17])
+        turns = jnp.einsum("ni,nij->nj", normal, linear)
+        return (turns**2 / self._damping[None]).sum(axis=1, keepdims=True)
 
     def drive(
         self,
@@ -102,14 +118,16 @@ class Script:
         numbers: Numbers that it plays by; the best of a search with persons
             (`assistax-zoo gates persons TASK --only search`).
         ranges: Least and largest value that a search tries of each number.
-        force: Column of the robot's observation with the force that the script keeps to; None if
-            it keeps to no force.
+        told: From the numbers of a script that is told the wishes, and the wishes [N, 1] by name,
+            to the numbers that keep to them; None if it cannot be told.
+        careful: Numbers of a script that is told, in place of its own.
     """
 
     play: Callable[[Chain, Numbers, jax.Array], jax.Array]
     numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
     ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    force: int | None = None
+    told: Callable[[Numbers, Mapping[str, jax.Array]], Numbers] | None = None
+    careful: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 SCRIPTS: Mapping[str, Script] = ByTask(lambda kind: load(kind.script))
@@ -130,6 +148,42 @@ def script_of(
     return jax.tree_util.Partial(script.play, Chain(model), chosen)
 
 
+def told_script_of(
+    task: str, model: mujoco.MjModel, numbers: Numbers | None = None
+) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """Return a task's script that keeps to wishes.
+
+    Its arguments are observations [N, O] of the robot and the wishes [N, W], in the order of the
+    task's preferences. Other wishes than the human's make a robot that is wrong on purpose.
+
+    Args:
+        task: The task.
+        model: Model of its scene.
+        numbers: Numbers that replace some of the script's own.
+
+    Raises:
+        ValueError: The task's script cannot be told.
+    """
+    script, chain = SCRIPTS[task], Chain(model)
+    if script.told is None:
+        able = ", ".join(name for name, other in SCRIPTS.items() if other.told)
+        raise ValueError(f"the script of {task} cannot be told wishes; those of {able} can")
+    told, chosen = script.told, {**script.numbers, **script.careful, **(numbers or {})}
+
+    def act(obs: jax.Array, wishes: jax.Array) -> jax.Array:
+        named = dict(zip(PREFERRED[task], jnp.split(wishes, wishes.shape[1], axis=1), strict=True))
+        return script.play(chain, {**chosen, **told(chosen, named)}, obs)
+
+    return act
+
+
+def observed_wishes(task: str, obs: jax.Array) -> jax.Array:
+    """Return the wishes [N, W] in observations of a robot that is told them."""
+    middle = jnp.array([middles(task)])
+    last = obs.shape[-1] - len(WORDS)
+    return middle * jnp.exp(obs[:, last - middle.shape[1] : last])
+
+
 def capped(vector: jax.Array, most: float | jax.Array) -> jax.Array:
     """Return vectors [N, 3], shortened to at most `most`."""
     length = jnp.linalg.norm(vector, axis=-1, keepdims=True)
@@ -146,8 +200,3 @@ def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     w1, u1, w2, u2 = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     w = w1 * w2 - (u1 * u2).sum(-1, keepdims=True)
     return jnp.concatenate([w, w1 * u2 + w2 * u1 + jnp.cross(u1, u2)], axis=-1)
-
-
-def unit(vector: jax.Array) -> jax.Array:
-    """Return vectors [N, 3] of length 1 in the same directions; shorter ones than 1e-6 m shrink."""
-    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)

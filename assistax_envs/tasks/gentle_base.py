@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from assistax_envs.physics.base import felt_sensors
-from assistax_envs.preferences import PREFERENCES, PREFERRED, VALUES
-from assistax_envs.tasks.base import Measures, Pose, Readings, Sensors, human_joints, rotate
-from assistax_envs.tasks.gentle_rules import LIMITS
+from assistax_envs.preferences import PREFERENCES, PREFERRED, middles
+from assistax_envs.tasks.base import Pose, Readings, Sensors, human_joints, rotate
+from assistax_envs.tasks.gentle_rules import IMPACT_LIMITS, LIMITS
 
 STEP = 0.02  # s, one control step
 SOFT = 10.0  # N, a gentle touch, after Assistive Gym's limit
@@ -35,11 +35,15 @@ class Preferences:
     wait: jax.Array  # m
     depth: jax.Array  # m
     press: jax.Array  # N
+    tolerance: jax.Array  # force that hurts, in units of the task: see `care.after`
+
+    def of(self, task: str) -> jax.Array:
+        """Return the values [N, W] that a task's humans have a wish about."""
+        return jnp.stack([getattr(self, name) for name in PREFERRED[task]], axis=-1)
 
     def observed(self, task: str) -> jax.Array:
         """Return the logarithm [N, W] of each value over its middle, of a task's quantities."""
-        shares = (getattr(self, name) / VALUES[name][1] for name in PREFERRED[task])
-        return jnp.stack([jnp.log(share) for share in shares], axis=-1)
+        return jnp.log(self.of(task) / jnp.array([middles(task)]))
 
 
 def draw_preferences(code: jax.Array, key: jax.Array) -> Preferences:
@@ -71,7 +75,8 @@ class TouchReadings(Readings):
 
     force: jax.Array  # [N] N, the magnitudes of its contacts, summed
     peak: jax.Array  # [N] N, the largest contact
-    hurt: jax.Array  # [N] bool: some contact is above the limit of its part of the human
+    hurt: jax.Array  # [N] bool: some contact is above the quasi-static limit of its part
+    struck: jax.Array  # [N] bool: some contact is above the limit of impacts
     together: jax.Array  # [N] N, the largest sum of contacts at once in any physics step
     face: jax.Array  # [N] m, from the tool to the head's surface
     on_arm: jax.Array  # [N] N, of the tool on right arm and hand
@@ -87,6 +92,7 @@ class TouchSensors(Sensors):
         self._touch = np.stack([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in touches])
         parts = [model.geom(int(sensor.refid[0])).name for sensor in touches]
         self._limits = np.array([LIMITS[part] for part in parts], np.float32)
+        self._impacts = np.array([IMPACT_LIMITS[part] for part in parts], np.float32)
         self._peaks = model.nsensordata
         self._on_arm = np.array([sensor.name.startswith("force-") for sensor in touches])
         joints = human_joints(model)
@@ -115,6 +121,7 @@ class TouchSensors(Sensors):
             force=size.sum(axis=1),
             peak=worst.max(axis=1),
             hurt=(worst > self._limits[None]).any(axis=1),
+            struck=(worst > self._impacts[None]).any(axis=1),
             together=peaks[:, -1],
             face=self._head.distance(base.human_position[:, self._trunk], base.tool_position),
             on_arm=(size * self._on_arm[None]).sum(axis=1),
@@ -145,22 +152,6 @@ class _Head:
         return jnp.linalg.norm(point - centre, axis=-1) - self._radius
 
 
-def touch_measures(
-    r: TouchReadings, distance: jax.Array, success: jax.Array, violated: jax.Array
-) -> Measures:
-    """Return the measures of a step of a gentle task; arguments [N]."""
-    return Measures(
-        force=r.force,
-        distance=distance,
-        success=success,
-        contact=r.peak,
-        violated=violated,
-        together=r.together,
-        speed=jnp.linalg.norm(r.tool_velocity, axis=-1),
-        face=r.face,
-    )
-
-
 def world_force(force: jax.Array, normal: jax.Array, tangent: jax.Array) -> jax.Array:
     """Turn forces [..., 3] of contact frames into the world's.
 
@@ -188,30 +179,25 @@ def along_skin(step: jax.Array, at: jax.Array) -> jax.Array:
     return jnp.linalg.norm(step - across, axis=-1)
 
 
-def bump(x: jax.Array, best: jax.Array) -> jax.Array:
-    """Return (x / best) exp(1 - x / best): 1 at the best, 0 at zero and far above.
-
-    The paper's form for v* and f*.
-    """
-    return x / best * jnp.exp(1.0 - x / best)
-
-
-COSTS = {
+ROUGHNESS = {
     "force": 0.5,
     "stray": 0.2,
     "haste": 0.1,
     "trunk": 0.2,
     "violation": 1.0,
-}  # weights of `costs`
+}  # weights of `roughness`
 
 
-def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
+def roughness(
+    readings: TouchReadings, violated: jax.Array, soft: float = SOFT
+) -> dict[str, jax.Array]:
     """Return the costs of roughness, [N] each, unweighted, in [-1, 0].
 
     After Assistive Gym's preference terms.
 
     Args:
         readings: of this step.
+        violated: [N] bool, whether a violation ended the episode.
         soft: N, the sum of all touches that costs nothing yet.
     """
 
@@ -225,18 +211,23 @@ def costs(readings: TouchReadings, soft: float = SOFT) -> dict[str, jax.Array]:
         ),  # of anything but the tool on the arm
         "haste": share(jnp.linalg.norm(readings.tool_velocity, axis=-1) - 0.3, 0.5),
         "trunk": share(readings.bent - 0.05, 0.1),
-        "violation": -readings.hurt.astype(jnp.float32),
+        "violation": -violated.astype(jnp.float32),
     }
 
 
 def with_preference(
-    obs: dict[str, jax.Array], seen: jax.Array, told: tuple[str, ...]
+    obs: dict[str, jax.Array], felt: jax.Array, seen: jax.Array, told: tuple[str, ...]
 ) -> dict[str, jax.Array]:
     """Add `seen` [N, W] to the observations of central critics and of the `told` roles.
 
-    A human that is not told, which measurements need, observes zeros instead.
+    A human that is not told, which measurements need, observes zeros instead. Critics and humans
+    also observe what is `felt` [N, F].
     """
-    added = {"global": seen, "human": seen if "human" in told else jnp.zeros_like(seen)}
+    shown = seen if "human" in told else jnp.zeros_like(seen)
+    added = {
+        "global": jnp.concatenate([felt, seen], axis=-1),
+        "human": jnp.concatenate([felt, shown], axis=-1),
+    }
     added |= {"robot": seen} if "robot" in told else {}
     return {
         name: jnp.concatenate([value, added[name]], axis=-1) if name in added else value

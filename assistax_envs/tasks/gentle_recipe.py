@@ -12,4 +12,6 @@ RECIPE: Mapping[str, Any] = {
     "anneal_lr": True,
     "anneal_entropy": True,
     "learning_rate": 1e-3,
+    # A narrow liking pays nothing to a robot that knows nothing yet.
+    "liking_width": 0.7,
 }

@@ -24,6 +24,12 @@ BEARABLE: dict[str, float] = {
 }
 # The people here are frail. Limits of frail people have not been measured: half is a choice.
 FRAIL = 0.5
-# N, of one contact with a part in any physics step: above it is a violation, which ends the
-# episode as a protective stop does.
+# N, of one contact with a part in any physics step. Half a second above it, added up over the
+# episode, is a violation, which ends the episode as a protective stop does.
 LIMITS: Mapping[str, float] = {part: FRAIL * limit for part, limit in BEARABLE.items()}
+# N, of one contact, above which even a short one is a violation: twice the quasi-static limit, but
+# no more than that at the face (ISO/TS 15066:2016, Table A.2).
+AT_FACE = ("human_head", *FACE[1:], *(f"human_{part}" for part in TEETH))
+IMPACT_LIMITS: Mapping[str, float] = {
+    part: limit * (1.0 if part in AT_FACE else 2.0) for part, limit in LIMITS.items()
+}

@@ -48,7 +48,6 @@ class TaskKind:
             `preferences.VALUES`; the human observes them. Empty if humans have no preferences.
         person: The persons of the task; None if it has no persons.
         seat: Part of the body that the human's seat moves: the right arm, or trunk, neck and jaw.
-        paper: Whether it is a task of the paper.
         recipe: Hyperparameters of PPO's presets that training for the gates changes.
         spreads: Standard deviations of returns by method, "ppo" or "sac": of seeds, partners,
             pairs, episodes and starts, as `evaluation.figures.metrics.variance.Spread` takes them.
@@ -67,7 +66,6 @@ class TaskKind:
     preferences: tuple[str, ...] = ()
     person: PersonKind | None = None
     seat: Literal["arm", "mouth"] = "arm"
-    paper: bool = False
     recipe: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     spreads: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
     seed_sd: float | None = None
@@ -78,6 +76,12 @@ class TaskKind:
             raise ValueError(
                 f"task {self.name} has preferences about {', '.join(unknown)}; allowed are "
                 f"{', '.join(VALUES)}"
+            )
+        wide = 2 * len(self.preferences)  # as `care.felt_by` has it
+        if wide and self.person and dict(self.person.layout).get("felt") != wide:
+            raise ValueError(
+                f"task {self.name} has {len(self.preferences)} preferences, its persons' layout "
+                f'lacks ("felt", {wide}); place it where `with_preference` adds it'
             )
 
     @property

@@ -16,6 +16,7 @@ WAITING, ENTERING, TAKING, LEAVING, FULL = range(5)  # stages of a bite, and aft
 FARTHEST, BESIDE = 0.25, 0.05  # m: a mouth opens for a spoon that is no farther, and not beside it
 SLOWLY = 0.1  # m/s, likewise
 OPENED = 0.4  # rad, what a mouth opens to for a spoon or a brush
+UNIT = 2.0  # N, of a spoon on the lips: a tolerance of 1
 TURNED = 0.5  # rad of the neck's yaw, what a head turns to for a brush
 
 
@@ -58,6 +59,7 @@ class Comfort:
     preferred: jax.Array  # N: below a share of it pressure is missed
     speed: jax.Array  # speed of the tool, as a share of the preferred one
     near: jax.Array  # distance of the tool, as a share of the preferred one
+    way: jax.Array  # 1, or -1 for a tool that presses from within: it is relieved by coming nearer
 
 
 class MouthSensors(TouchSensors):

@@ -8,6 +8,7 @@ from assistax_envs.tasks.person import Parameter
 
 _GOMI = "Gomi and Osu 1998, J Neurosci 18:8965, for its form; the scale is a design"
 _WISH = "King et al. 2010, IROS: below 3 N wipe skin clean; Proc IMechE H 2023, 237:829"
+FOREARM = 16.0  # N: what a forearm and a hand weigh, and a force at which a carried arm is at ease
 RANGE = "design: the gentle tasks' own range"
 
 BODY = (
@@ -22,38 +23,43 @@ BODY = (
     ),
     Parameter(
         "tremor_frequency", "Hz", 4.0, 12.0,
-        "essential tremor, 4 to 12 Hz: Bhatia et al. 2018 as summarised in PMC12219005",
-        "of the tremor",
+        "essential tremor 4 to 12 Hz, Parkinson's 3 to 8 Hz: introduction of PMC6806079",
+        "frequency of the tremor",
     ),
     Parameter(
         "tremor", "1", 0.02, 0.3, "design: 0.3 of the torque moves the hand by millimetres",
-        "amplitude as a share of the strength", none=0.4,
+        "amplitude of the tremor, as a share of the strength", none=0.4,
     ),
     Parameter(
         "spasticity", "N m s/rad", 0.2, 5.0,
-        "2 on average: elbow, 2.8 N m at 5 and 6.3 at 100 deg/s (PMC5345015); the end is a design",
+        "memory: 2 on average, elbow, 2.8 N m at 5 and 6.3 at 100 deg/s (PMC5345015)",
         "torque of the elbow's flexors against fast stretching", none=0.5,
     ),
     Parameter(
         "catch_speed", "rad/s", 0.3, 1.5,
         "stretches of 15 to 150 deg/s show it: McPherson et al. 2018, Exp Brain Res 237:121",
-        "of stretching, from where on spasticity acts",
+        "speed of stretching at which spasticity begins",
     ),
     Parameter(
         "fatigue", "1/min", 0.0, 1.0, "memory: Rohmert 1960, full effort lasts about a minute",
         "share of strength that a minute of full effort costs",
     ),
     Parameter(
-        "slow_start", "s", 0.1, 1.5, "memory: slowed initiation in Parkinson's disease",
-        "from the wish to move to the movement",
+        "slow_start", "s", 0.1, 1.5,
+        "slowed initiation in Parkinson's disease: Schugens et al. 1993, Mov Disord 8:367; "
+        "the ends are a design",
+        "time from the wish to move to the movement",
     ),
 )  # fmt: skip
 CONTROL = (
-    Parameter("stiffness", "1", 0.3, 2.0, _GOMI, "of the arm against that of healthy adults"),
+    Parameter(
+        "stiffness", "1", 0.3, 2.0, _GOMI, "stiffness of the arm, relative to healthy adults"
+    ),
     Parameter(
         "delay", "s", 0.06, 0.3,
-        "memory: 60 ms long-latency reflex (Pruszynski and Scott 2012), 300 ms choice reaction",
-        "of what is felt",
+        "long-latency reflex 50 to 100 ms, voluntary above 100 ms: Pruszynski and Scott 2012, "
+        "Exp Brain Res 218:341; 300 ms is a design",
+        "delay of what is felt",
     ),
     Parameter(
         "noise", "1", 0.02, 0.25,
@@ -68,11 +74,11 @@ CONTROL = (
 INTENTION = (
     Parameter(
         "pace", "s/bit", 0.1, 0.5, "memory: Fitts 1954 found 0.1 s/bit; slower is a design",
-        "of movements, by Fitts' law",
+        "time of movements, by Fitts' law",
     ),
     Parameter(
         "initiative", "1", 0.0, 1.0, "design",
-        "helps when pushed (below 1/3), when touched (below 2/3), or before anybody comes",
+        "when it helps: when pushed (below 1/3), when touched (below 2/3), or before a touch",
     ),
     Parameter("lapses", "1/min", 0.0, 6.0, "design", "how often attention goes for 1 s"),
     *(
@@ -88,11 +94,11 @@ INTENTION = (
     ),
 )  # fmt: skip
 TOUCH = (
-    Parameter("liked_force", "N", 1.5, 10.0, _WISH, "of the tool on the skin", 4.0, 0.5),
+    Parameter("liked_force", "N", 1.5, 10.0, _WISH, "liked force on the skin", 4.0, 0.5),
     Parameter(
         "liked_speed", "m/s", 0.02, 0.12,
         "strokes of 1 to 10 cm/s please most: Loken et al. 2009, Nat Neurosci 12:547",
-        "of the tool over the skin", 0.05, 0.6,
+        "liked speed over the skin", 0.05, 0.6,
     ),
     Parameter(
         "tolerance", "1", 1.5, 5.0,
@@ -104,13 +110,40 @@ REACTION = (
     Parameter(
         "settle", "s", 0.15, 0.6, "design: about 0.3 s", "how fast discomfort comes and goes"
     ),
-    Parameter("withdraw", "rad", 0.05, 0.3, "design: about 0.15 rad", "way back for discomfort 1"),
-    Parameter("lean", "rad", 0.02, 0.1, "design: about 0.05 rad", "way towards too light a touch"),
+    Parameter(
+        "withdraw",
+        "rad",
+        0.05,
+        0.3,
+        "design: about 0.15 rad",
+        "how far it withdraws at discomfort 1",
+    ),
+    Parameter(
+        "lean", "rad", 0.02, 0.1, "design: about 0.05 rad", "how far it leans to too light a touch"
+    ),
     Parameter("limit", "1", 0.6, 1.5, "design: about 1", "discomfort that ends the help"),
 )
+# Persons inside 80% of every axis have shares of 0.1 to 0.9: a tenth of them has less than 0.18.
+SIGNS = (
+    Parameter(
+        "expressive", "1", 0.3, 1.0, "design",
+        "share of its full lean for a touch not as liked; a fifth of that if it never speaks",
+    ),
+    Parameter(
+        "talkative", "1", 0.5, 1.0, "design", "chance to say a word when one is due", none=0.18
+    ),
+    Parameter(
+        "word_delay", "s", 0.4, 0.8,
+        "a word takes over 0.6 s to prepare: Levinson and Torreira 2015, Front Psychol 6:731; "
+        "the ends are a design",
+        "time from a reason to speak to the word",
+    ),
+    Parameter("word_pause", "s", 0.8, 1.5, "design", "least time between two words"),
+    Parameter("word_error", "1", 0.0, 0.1, "design", "chance that a word is drawn from all words"),
+)  # fmt: skip
 
 # Numbers of a person whose skin is touched.
-SKIN = (*BODY, *CONTROL, *INTENTION, *TOUCH, *REACTION)
+SKIN = (*BODY, *CONTROL, *INTENTION, *TOUCH, *REACTION, *SIGNS)
 # Numbers of a head, by the numbers of an arm whose places they take.
 _OF_MOUTH = {
     "range": Parameter(
@@ -122,7 +155,7 @@ _OF_MOUTH = {
         "torque of the jaw for a quarter of a second after a touch in the mouth", none=0.6,
     ),
     "catch_speed": Parameter(
-        "bite_onset", "N", 0.5, 4.0, "design", "of a touch, from where on the bite reflex acts"
+        "bite_onset", "N", 0.5, 4.0, "design", "force of a touch at which the bite reflex begins"
     ),
     "stiffness": Parameter(
         "stiffness", "1", 0.3, 2.0, "design: 1 is half of the scene's springs",
@@ -150,4 +183,4 @@ _OF_MOUTH = {
 def numbers_of_head(own: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the numbers of a person that moves its head; `own` are the task's three."""
     numbers = (*BODY, *CONTROL, *INTENTION)
-    return (*(_OF_MOUTH.get(number.name, number) for number in numbers), *own, *REACTION)
+    return (*(_OF_MOUTH.get(number.name, number) for number in numbers), *own, *REACTION, *SIGNS)

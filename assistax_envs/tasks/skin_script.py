@@ -4,11 +4,13 @@ In the code h is the height of a point over the tool along the skin's normal, ne
 tool is above the skin. Shapes: N simulations.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from assistax_envs.tasks.base import unit
 from assistax_envs.tasks.chain import DOWN, Chain, Numbers, capped
 
 # Least and largest value that a search tries of each number. Lengths in m, speeds in m/s, forces
@@ -28,7 +30,14 @@ SKIN_RANGES = {
     "turn": (0.0, 0.2),
     "facing": (-1.0, 0.5),  # least cosine between the skin's normal and up
     "damping": (2e-4, 5e-3),
+    "ahead": (0.0, 1.2),  # share of the force that is kept, which the motors press with anyway
+    "drag": (0.0, 1.5),  # friction that is made up for, as a share of the force
 }
+
+
+def rub_as_liked(n: Numbers, wishes: Mapping[str, jax.Array]) -> Numbers:
+    """Return the numbers of a script that keeps to the liked force and speed."""
+    return {"force": n["heed"] * wishes["force"], "slide": n["pace"] * wishes["speed"]}
 
 
 def above_point(
@@ -42,9 +51,33 @@ def above_point(
     return aside, off, above + capped(n["yield"] * obs[:, 21:24], n["fast"])
 
 
-def pressing(n: Numbers, force: jax.Array) -> jax.Array:
-    """Return the speed outward [N, 1] that brings the force to the one that is kept."""
-    return jnp.clip(n["soften"] * (force - n["force"]), -n["press"], n["lift"])
+def pressing(
+    chain: Chain, n: Numbers, obs: jax.Array, normal: jax.Array, force: jax.Array
+) -> jax.Array:
+    """Return the speed outward [N, 1] that brings the force to the one that is kept.
+
+    A share "ahead" of that force comes from the motors as they are, without waiting for a touch.
+    """
+    speed = n["soften"] * (force - n["force"])
+    speed = speed - n["ahead"] * n["force"] * chain.yields(obs, normal)
+    return jnp.clip(speed, -n["press"], n["lift"])
+
+
+def rubbing(
+    chain: Chain,
+    n: Numbers,
+    obs: jax.Array,
+    normal: jax.Array,
+    force: jax.Array,
+    velocity: jax.Array,
+) -> jax.Array:
+    """Return the velocity [N, 3] of a tool that rubs by `velocity` at the force that is kept.
+
+    "drag" times the friction is made up for.
+    """
+    way = unit(velocity)
+    rub = velocity + n["drag"] * force * chain.yields(obs, way) * way
+    return rub + pressing(chain, n, obs, normal, force) * normal
 
 
 def drive_on_skin(

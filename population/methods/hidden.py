@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs.preferences import PREFERRED
+from assistax_envs.preferences import middles
 from population.environment import Environment, EnvState, ShowingMore
 from population.networks.policy import normalise
 from population.networks.seat import Params
@@ -25,7 +25,7 @@ class WithHidden(ShowingMore):
     """An environment that also shows the partner's place and its hidden facts.
 
     "partner" [N, 1] is its place among the partners. "hidden" [N, W] is its preference, its
-    body's setting and, of persons, their 25 numbers, standardised.
+    body's setting and, of persons, their 30 numbers, standardised.
 
     Args:
         env: The environment.
@@ -36,15 +36,17 @@ class WithHidden(ShowingMore):
     def __init__(self, env: Environment, partners: "FrozenPartners", num_envs: int) -> None:
         super().__init__(env)
         self._partners, self._num_envs = partners, num_envs
-        self._preferences = len(PREFERRED.get(env.task, ()))
+        self._middles = np.array([middles(env.task)], np.float32)
+        self._preferences = self._middles.shape[1]
         self._numbers = standardised(partners.numbers)
         width = self._preferences + len(_SETTING) + self._numbers.shape[1]
         self.observation_size |= {WHO: 1, HIDDEN: width}
 
     def _shown(self, state: EnvState) -> EnvState:
         who = self._partners.who(state.params, self._num_envs)
-        everything = state.obs["global"]
-        parts = [everything[:, everything.shape[1] - self._preferences :]]
+        parts = []
+        if self._preferences:
+            parts.append(jnp.log(state.measures.liked / jnp.asarray(self._middles)))
         parts += [getattr(state.params, name)[:, None] for name in _SETTING]
         if self._numbers.size:
             parts.append(jnp.asarray(self._numbers)[who])

@@ -4,7 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +38,11 @@ class Layout:
         """Return a value for each simulation [N], from values that broadcast to [E, P, K]."""
         return jnp.broadcast_to(values, self.block).reshape(-1)
 
+    def for_robots(self, starts: jax.Array) -> jax.Array:
+        """Return rows [N, ...] in which each robot has the rows [P * K, ...] of all episodes."""
+        e, p, k = self.block
+        return jnp.broadcast_to(starts, (e, *starts.shape)).reshape(e * p * k, *starts.shape[1:])
+
     def to_robots(self, flat: Float[Array, "N O"]) -> Float[Array, "G R O"]:
         """Return rows grouped by robot."""
         e, p, k = self.block
@@ -52,7 +57,7 @@ class Layout:
         e, p, k = self.block
         return flat.reshape(e, p, k, -1).swapaxes(0, 1).reshape(p, e * k, -1)
 
-    def from_humans(self, rows: Float[Array, "G R A"]) -> Float[Array, "N A"]:
+    def from_humans(self, rows: Shaped[Array, "G R A"]) -> Shaped[Array, "N A"]:
         """Return the flat rows of rows grouped by human, the inverse of `to_humans`."""
         e, p, k = self.block
         return rows.reshape(p, e, k, -1).swapaxes(0, 1).reshape(e * p * k, -1)

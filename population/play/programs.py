@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int, Key
 from population.environment import Environment, EnvState
 from population.networks.seat import Carry, Params
 from population.play.layout import Layout
-from population.play.seats import act_all, initial_carries, noise_keys, widths
+from population.play.seats import act_all, initial_carries, noise_keys, said, widths
 from population.play.tally import Column, Tally, accumulate, begin, begin_window
 
 
@@ -67,12 +67,25 @@ class Programs:
         episodes = block.keys.shape[-1]
         return Layout(widths(block.robots), widths(block.humans), episodes, self.paired)
 
-    def start(self, block: Block) -> Loop:
-        """Return the loop state at a block's reset: episode k of every pair starts from key k."""
+    def episodes(self, block: Block) -> tuple[Key[Array, "*M"], Any]:
+        """Return the keys and `EnvParams` [P * K] of a block's episodes, for the reset of each.
+
+        All robots meet a human in the same episodes, so a reset knows no robots.
+        """
+        _, p, k = self.layout(block).block
+
+        def flat(leaf: jax.Array) -> jax.Array:
+            return jnp.broadcast_to(leaf, (p, k)).reshape(-1)
+
+        return flat(block.keys), jax.tree.map(
+            lambda leaf: flat(leaf.reshape(p, -1)), block.env_params
+        )
+
+    def start(self, block: Block, state: EnvState) -> Loop:
+        """Return the loop state at a block's start, from the states [P * K] of `episodes`."""
         layout = self.layout(block)
         e, p, k = layout.block
-        params = jax.tree.map(lambda leaf: layout.to_flat(leaf.reshape(1, p, -1)), block.env_params)
-        state = self.env.reset(layout.to_flat(block.keys), params)
+        state = jax.tree.map(layout.for_robots, state)
         return Loop(
             state=state,
             robot=initial_carries(self.robots, layout.egos, k if self.paired else p * k),
@@ -110,7 +123,10 @@ class Programs:
             self.humans, block.humans, loop.human, obs, loop.time == 0, noise[1]
         )
         actions = {"robot": robot_action, "human": layout.from_humans(acted)}
-        state = _step_alone(self.env, loop.state, actions, block.trips)
+        words = said(self.humans, block.humans, human_carry, obs.shape[1])
+        if words is not None:
+            actions["word"] = layout.from_humans(words[..., None])[:, 0]
+        state = step_alone(self.env, loop.state, actions, block.trips)
         before, after = map(self.env.joint_positions, (loop.state, state))
         travel = {role: jnp.sum(jnp.abs(after[role] - before[role]), axis=-1) for role in after}
         window = loop.window
@@ -132,7 +148,7 @@ def trip_count() -> np.ndarray | None:
     return np.asarray(1, np.int32) if jax.default_backend() == "cpu" else None
 
 
-def _step_alone(env: Environment, state: EnvState, actions: dict[str, Any], trips: Any) -> EnvState:
+def step_alone(env: Environment, state: EnvState, actions: dict[str, Any], trips: Any) -> EnvState:
     """Return the state after a step in a loop of its own, into which nothing around it is fused."""
     if trips is None:
         return env.step(state, actions)

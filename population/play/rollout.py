@@ -7,6 +7,7 @@ its own. If egos or partners are of several networks, each has its share of E or
 
 import collections
 import dataclasses
+import functools
 import math
 import threading
 import time
@@ -70,6 +71,7 @@ class Rollout:
         forgets, columns = series == 1, columns or {}
         played = env, robots, humans, steps, paired, stochastic, forgets, columns
         self._programs = Programs(*played)
+        self._reset: Any = _reset_of(env)  # ty: ignore[invalid-argument-type]
         self._start = jax.jit(self._programs.start)
         self._advance = jax.jit(self._programs.advance)
         self._compiled: dict[Any, tuple[Callable[..., Loop], ...]] = {}
@@ -160,9 +162,10 @@ class Rollout:
     def _begin(self, block: Block, device: jax.Device) -> tuple[Loop, Callable[..., Loop]]:
         """Return a block's loop state at its start, and the function that advances it."""
         began = time.perf_counter()
-        start, advance = self._compile(block, device)
+        reset, start, advance = self._compile(block, device)
         self.compile_seconds[device] += time.perf_counter() - began
-        return start(block), own_settings()(lambda *args: jax.block_until_ready(advance(*args)))
+        loop = start(block, reset(*self._programs.episodes(block)))
+        return loop, own_settings()(lambda *args: jax.block_until_ready(advance(*args)))
 
     @own_settings()
     def _compile(self, block: Block, device: jax.Device) -> tuple[Callable[..., Loop], ...]:
@@ -173,18 +176,33 @@ class Rollout:
         with compiling:
             if program not in self._compiled:
                 with self._tracing:
-                    lowered = self._lower(block)
+                    lowered = self._lower(block, device)
                 self._compiled[program] = tuple(part.compile() for part in lowered)
             return self._compiled[program]
 
-    def _lower(self, block: Block) -> tuple[Any, Any]:
-        """Return the traced programs that start and advance a block."""
-        loop, action = jax.eval_shape(self._start, block), None
+    def _lower(self, block: Block, device: jax.Device) -> tuple[Any, Any, Any]:
+        """Return the traced programs that reset, start and advance a block."""
+
+        def there(leaf: Any) -> jax.ShapeDtypeStruct:
+            # Said, since a start reads the states alone, and the block's device is not seen.
+            place = jax.sharding.SingleDeviceSharding(device)
+            return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place)
+
+        episodes, action = self._programs.episodes(block), None
+        state = jax.tree.map(there, jax.eval_shape(self._reset, *episodes))
+        loop = jax.eval_shape(self._start, block, state)
         if not block.robots:
             layout, env = self._programs.layout(block), self._programs.env
             size = math.prod(layout.block), env.action_size["robot"]
             action = jax.ShapeDtypeStruct(size, jnp.float32)
-        return self._start.lower(block), self._advance.lower(loop, block, action)
+        start = self._start.lower(block, state)
+        return self._reset.lower(*episodes), start, self._advance.lower(loop, block, action)
+
+
+@functools.lru_cache(maxsize=4)
+def _reset_of(env: Any) -> Any:
+    """Return the reset of an environment, which compiles once for all rollouts of it."""
+    return jax.jit(lambda keys, params: env.reset(keys, params))
 
 
 def episode_keys(seeds: Seeds) -> jax.Array:

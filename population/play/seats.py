@@ -42,6 +42,19 @@ def act_all(
     return tuple(carry for carry, _ in acted), jnp.concatenate([action for _, action in acted])
 
 
+def said(
+    policies: Sequence[Any], params: Sequence[Params], carries: Sequence[Carry], rows: int
+) -> jax.Array | None:
+    """Return the words [G, R] int32 of a seat's stacks after acting; None if no stack speaks."""
+    if not any(hasattr(policy, "word") for policy in policies):
+        return None
+    words = [
+        policy.word(carry) if hasattr(policy, "word") else jnp.zeros((count, rows), jnp.int32)
+        for policy, carry, count in zip(policies, carries, widths(params), strict=True)
+    ]
+    return jnp.concatenate(words)
+
+
 def _act(
     policy: Any,
     params: Params,

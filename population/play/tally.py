@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from population.environment import EnvState
+from population.play.caring import Caring, add_caring, begin_caring
 
 GAMMA = 0.99  # of the discounted return
 
@@ -62,12 +63,14 @@ class Tally:
     first_contact: Int[Array, "*N"]  # the first step with a force; 0 before it
     distance_sum: Float[Array, "*N"]  # m, summed over steps
     travel: dict[str, jax.Array]  # rad by role: angles that all joints went through together
-    success: Bool[Array, "*N"]  # at any step
+    # At any step. Of a gentle task at the last step: care must have lasted to the end.
+    success: Bool[Array, "*N"]
     nonfinite: Bool[Array, "*N"]  # the physics became non-finite
     contact_peak: Any = None  # [N] N, the largest single contact; None if it is not measured
     violated: Any = None  # [N] bool, a contact was above the hard limit; None likewise
     # Measures of touch by name, see `TOUCH`, each [N]; empty if touch is not measured.
     touch: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
+    caring: Caring | None = None  # what the person felt; None if it is not measured
     # Values of the columns that installed packages add, by name.
     columns: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -102,6 +105,7 @@ def begin(
         contact_peak=None if state.measures.contact is None else zero,
         violated=None if state.measures.violated is None else false,
         touch=_untouched(state) if _measured(state) else {},
+        caring=begin_caring(state),
         columns={name: column.begin(state) for name, column in (columns or {}).items()},
     )
 
@@ -149,9 +153,10 @@ def accumulate(
         ),
         distance_sum=tally.distance_sum + gained(measures.distance),
         travel={role: tally.travel[role] + gained(value) for role, value in travel.items()},
-        success=tally.success | (earning & measures.success),
+        success=_succeeded(tally, measures.success, earning),
         nonfinite=tally.nonfinite | (running & state.nonfinite),
         touch=_touched(tally, before, state, earning, window),
+        caring=add_caring(tally.caring, state, earning, time),
         columns={
             name: jax.tree.map(
                 lambda old, new: jnp.where(earning, new, old).astype(old.dtype),
@@ -162,6 +167,13 @@ def accumulate(
         },
         **touches,
     )
+
+
+def _succeeded(tally: Tally, success: jax.Array, earning: jax.Array) -> jax.Array:
+    """Return the success [N] after a step: care that ends takes it away again."""
+    if tally.caring is None:
+        return tally.success | (earning & success)
+    return jnp.where(earning, success, tally.success)
 
 
 def _measured(state: EnvState) -> bool:

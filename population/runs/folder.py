@@ -26,6 +26,7 @@ from assistax_base.digest import json_sha256
 from assistax_base.errors import FormatError, shorten
 from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_metadata, read_parquet, write_parquet
+from assistax_envs.preferences import WIDTH
 from population.config import Member, TrainConfig
 from population.hyperparameters import PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
@@ -240,9 +241,10 @@ class RunFolder:
 def extends(trainer: TrainerConfig) -> bool:
     """Return whether a longer run may continue a finished one of this trainer.
 
-    It may if the length sets no learning rate, entropy bonus, replay size or student's share.
+    It may if the length sets no learning rate, entropy bonus, replay size, student's share or
+    width of liking.
     """
-    if not isinstance(trainer, PPOConfig):
+    if not isinstance(trainer, PPOConfig) or trainer.liking_width > WIDTH:
         return False
     return not (trainer.anneal_lr or trainer.anneal_entropy or trainer.student_share)
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,49 +11,10 @@ from jaxtyping import Float
 
 from assistax_envs import EnvParams
 from assistax_envs.persons import PersonPlayer, draw_persons, person_params
-from assistax_envs.persons.parameters import WIDTH
+from assistax_envs.persons.rows import WIDTH
 from assistax_envs.persons.senses import SEAT_SIZES
 from population.environment import Environment
-from population.networks.stack import PolicyStack
 from population.trainers.frozen_partners import FrozenPartners
-
-
-class FamiliesPlayer:
-    """Persons of several families; each acts by its own family's program.
-
-    Args:
-        players: Of the families.
-    """
-
-    def __init__(self, players: Sequence[PersonPlayer]) -> None:
-        self._players, self.controller = tuple(players), players[0].controller
-
-    @staticmethod
-    def rows(tables: Sequence[np.ndarray | jax.Array]) -> jax.Array:
-        """Return the rows [P, 26] of the families' tables [P_f, 25]: the family comes last."""
-        marked = [
-            jnp.concatenate([jnp.asarray(rows), jnp.full((len(rows), 1), float(family))], axis=1)
-            for family, rows in enumerate(tables)
-        ]
-        return jnp.concatenate(marked)
-
-    def initial_carry(self, batch_shape: tuple[int, ...]) -> Any:
-        """Return the carries of all families, of which a person uses its own."""
-        return tuple(player.initial_carry(batch_shape) for player in self._players)
-
-    def act(
-        self, params: Any, carry: Any, obs: jax.Array, first: jax.Array
-    ) -> tuple[Any, jax.Array]:
-        """See `PersonPlayer.act`; "row" is [..., 26]."""
-        row, family = params["row"][..., :-1], params["row"][..., -1:]
-        acted = [
-            player.act({"row": row}, own, obs, first)
-            for player, own in zip(self._players, carry, strict=True)
-        ]
-        action = acted[0][1]
-        for place, (_, others) in enumerate(acted[1:], start=1):
-            action = jnp.where(family == place, others, action)
-        return tuple(mind for mind, _ in acted), action
 
 
 class DrawnPersons(FrozenPartners):
@@ -63,25 +24,14 @@ class DrawnPersons(FrozenPartners):
 
     Args:
         player: Acts for them.
-        rows: All of them [P, 25]; of several families as `FamiliesPlayer.rows` has them.
+        rows: All of them [P, 31], as `assistax_envs.persons.rows.marked` has them.
         name: What they are called together, such as the id of their split.
     """
 
     by_partner = False  # who is in a simulation changes, so minds are laid out as simulations are
 
-    def __init__(
-        self, player: PersonPlayer | FamiliesPlayer, rows: Float[jax.Array, "P W"], name: str
-    ) -> None:
+    def __init__(self, player: PersonPlayer, rows: Float[jax.Array, "P W"], name: str) -> None:
         self.role, self.player, self.rows, self.ids = "human", player, jnp.asarray(rows), (name,)
-
-    @classmethod
-    def of_stacks(cls, stacks: Sequence[PolicyStack], name: str) -> Self:
-        """Return the persons of stacks, one stack for each family; `name` is that of them all."""
-        players: list[Any] = [stack.spec.player() for stack in stacks]
-        tables = [stack.params["row"] for stack in stacks]
-        if len(players) == 1:
-            return cls(players[0], tables[0], name)
-        return cls(FamiliesPlayer(players), FamiliesPlayer.rows(tables), name)
 
     @property
     def params(self) -> jax.Array:
@@ -122,7 +72,7 @@ class DrawnPersons(FrozenPartners):
 
     @property
     def numbers(self) -> np.ndarray:
-        """Their rows [P, 25]."""
+        """Their rows [P, 30]."""
         return np.asarray(self.rows)[:, :WIDTH]
 
     def who(self, humans: Any, num_envs: int) -> jax.Array:
@@ -145,6 +95,10 @@ class DrawnPersons(FrozenPartners):
         """Return new minds and actions [N, A] of obs [N, O]."""
         return self.player.act({"row": params[humans.person]}, carry, obs, first)
 
+    def words(self, carry: Any, members: int) -> jax.Array | None:
+        """Return the words [N] int32 that they said with their last actions."""
+        return self.player.word(carry)
+
     def _of(self, places: jax.Array) -> EnvParams:
         humans = person_params(self.player.controller.task, self.rows[places])
         return dataclasses.replace(humans, person=places)
@@ -164,6 +118,9 @@ class IdlePersons(DrawnPersons):
     ) -> tuple[Any, jax.Array]:
         """Return the carries and no torques [N, A]."""
         return carry, jnp.zeros((len(obs), SEAT_SIZES[self.player.controller.task][1]), obs.dtype)
+
+    def words(self, carry: Any, members: int) -> None:
+        """Return None: they say nothing."""
 
 
 class OnePersonEach(DrawnPersons):

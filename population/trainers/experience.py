@@ -156,6 +156,8 @@ def collect(
         partner_carry = state.partners
         if partners:
             partner_carry, action[partners.role] = _play(partners, partner_params, state, members)
+            said = partners.words(partner_carry, members)
+            action |= {} if said is None else {"word": said}
         after = env.step(state.env, action)
         terminated, truncated, ended = _ends(after)
         episodes, tally = _account(state.episodes, tally, after, ended, truncated)

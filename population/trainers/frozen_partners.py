@@ -171,6 +171,22 @@ class FrozenPartners:
         action = jnp.concatenate(actions).reshape(count, members, -1, actions[0].shape[-1])
         return tuple(carries), jnp.moveaxis(action, 1, 0).reshape(-1, action.shape[-1])
 
+    def words(self, carry: Any, members: int) -> jax.Array | None:
+        """Return the words [N] int32 said with their last actions; None if none of them speaks."""
+        speak: list[Any] = [getattr(policy, "word", None) for policy in self._policies]
+        rows = jax.tree.leaves(carry)
+        if not rows or not any(speak):
+            return None
+        silence = [jnp.zeros((len(stack), rows[0].shape[1]), jnp.int32) for stack in self.stacks]
+        said = jnp.concatenate(
+            [
+                word(own) if word else none
+                for word, own, none in zip(speak, carry, silence, strict=True)
+            ]
+        )
+        said = said.reshape(len(self), members, -1)
+        return jnp.moveaxis(said, 1, 0).reshape(-1).astype(jnp.int32)
+
     def _pairs(self) -> list[tuple[Player, PolicyStack]]:
         return list(zip(self._policies, self.stacks, strict=True))
 

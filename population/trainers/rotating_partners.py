@@ -62,6 +62,12 @@ class RotatingPartners:
         carry, action = self.frozen.act(params, carry, obs, first, members=1)
         return (place, carry), jnp.roll(action, -place, axis=0)[:n]
 
+    def word(self, seated: Any, n: int) -> jax.Array | None:
+        """Return the words [N] that they said with their last actions; None if nobody speaks."""
+        place, carry = seated
+        said = self.frozen.words(carry, members=1)
+        return None if said is None else jnp.roll(said, -place)[:n]
+
     def names(self, seated: Any, n: int) -> list[str]:
         """Return the id of each simulation's partner."""
         seats = self._seats(n)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import optax
 
 from assistax_envs import select
+from assistax_envs.preferences import PREFERRED, WIDTH
 from population.config import Member, traced_values
 from population.environment import Environment
 from population.hyperparameters import TrainerConfig
@@ -109,7 +110,7 @@ class Trainer(abc.ABC):
         """
         split = jax.vmap(lambda key: jax.random.split(key, 4))(keys)
         envs, length = self.config.num_envs, self.env.episode_length
-        env_state = self._reset(split[:, 0], env_params)
+        env_state = self._reset(split[:, 0], env_params, jnp.zeros(()))
         stagger = jax.vmap(lambda key: jax.random.randint(key, (envs,), 0, length))(split[:, 1])
         return TrainState(
             members=member_map(self._initial_member)(split[:, 2], split[:, 3]),
@@ -127,7 +128,9 @@ class Trainer(abc.ABC):
         """
         members = state.members
         keys = jax.vmap(lambda key: jax.random.split(key, 4))(members.key)
-        fresh = self._reset(keys[:, 0], state.simulations.env.params, state.simulations.series)
+        share = state.update.astype(jnp.float32) / self.updates  # of the run that is done
+        simulations = state.simulations
+        fresh = self._reset(keys[:, 0], simulations.env.params, share, simulations.series)
         steps = self.config.rollout_steps
         act_keys = jax.vmap(lambda key: jax.random.split(key, steps), out_axes=1)(keys[:, 1])
         simulations, batch = experience.collect(
@@ -207,20 +210,29 @@ class Trainer(abc.ABC):
         named = member.statistics if self.config.normalise else {}
         return {name: normaliser.to_params(statistics) for name, statistics in named.items()}
 
-    def _reset(self, keys: jax.Array, humans: Any, series: Any = ()) -> Any:
+    def _reset(self, keys: jax.Array, humans: Any, share: jax.Array, series: Any = ()) -> Any:
         """Return the environment's state at the start of an episode in each simulation [N].
 
-        `keys` are the members' [M]. Within a series the human and its preference stay.
+        `keys` are the members' [M], `share` is the part of the run that is done. Within a series
+        the human and its preference stay.
         """
         keys = _simulation_keys(keys, self.config.num_envs)
         if not self.partners:
-            return self.env.reset(keys, humans)
-        new = self.partners.renewed(humans, keys)
+            return self.env.reset(keys, self._lenient(humans, share))
+        new = self._lenient(self.partners.renewed(humans, keys), share)
         if self.series > 1:
             new = self.partners.settled(new, keys)
         if series:
             new = select(series.turn < self.series - 1, humans, new)
         return self.env.reset(keys, new)
+
+    def _lenient(self, humans: Any, share: jax.Array) -> Any:
+        """Return the humans [N] with the width of their liking after a share of the run."""
+        more = self.config.liking_width - WIDTH
+        if more <= 0.0 or self.env.task not in PREFERRED:
+            return humans
+        width = WIDTH + more * jnp.maximum(1.0 - 2.0 * share, 0.0)
+        return dataclasses.replace(humans, width=jnp.broadcast_to(width, humans.strength.shape))
 
     def _initial_member(self, key: jax.Array, carried: jax.Array) -> MemberState:
         """Return a member's initial state; `carried` is the key of its rollouts."""

@@ -34,7 +34,7 @@ def commands(registry: Path, run: Path, result: Path) -> dict[str, Command]:
     """Return the commands; a finished training run and a finished evaluation are given to some."""
     toy = ["--task", "scratch", "--backend", "native"]
     zoo = ["--registry", str(registry)]
-    ego = ["--policy", "zoo:scratch/ippo-d1-s0-v0/robot", "--episodes", "2", "--max-envs", "2"]
+    ego = ["zoo:scratch/ippo-d1-s0-v0/robot", "--episodes", "2", "--max-envs", "2"]
     return {
         "evaluate": Command(["evaluate", *toy, *zoo, *ego, "--out", "out"], results_of("out")),
         "crossplay": Command(

@@ -111,7 +111,7 @@ def make_results(registry: Path, home: Path) -> Path:
         team = f"scratch/ippo-d1-s{number}-v0/robot"
         export = ["export", team, "--format", "safetensors", "--registry", str(registry)]
         _done([[*export, "--out", str(file)]], home)
-        _done([["evaluate", *toy, "--policy", str(file), *both, str(home / name)]], home)
+        _done([["evaluate", *toy, str(file), *both, str(home / name)]], home)
     _done([["crossplay", *toy, "--episodes", "1", "--out", str(home / "xp")]], home)
     return home
 

@@ -121,7 +121,7 @@ ROBOTS = {  # none declares DEPENDS
 def jobs(registry: Path) -> dict[str, list[str]]:
     """Return jobs that differ in one thing or more, by what it is."""
     zoo = [*TOY, "--registry", str(registry)]
-    evaluate = ["evaluate", *zoo, "--no-references", "--policy"]
+    evaluate = ["evaluate", *zoo, "--no-references"]
     code = [*evaluate, "python:zeros.py:make", "--episodes"]
     policy = [*evaluate, "zoo:scratch/ippo-d1-s0-v0/robot"]
     other = [*evaluate, "zoo:scratch/ippo-d1-s1-v0/robot"]

@@ -52,6 +52,16 @@ def test_env_prints_a_line_for_people(capfd: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("task", ["scratch", "gentle_feeding"])
+def test_env_with_persons_measures_both(task: str, capfd: pytest.CaptureFixture[str]):
+    words = ["--task", task, "--backend", "native", "--batch", "16", "--seconds", "0.03"]
+    assert run(["env", *words, "--persons", "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert [row["human"] for row in rows] == ["random", "persons"]
+    assert all(row["env_steps_per_second"] > 0 for row in rows)
+
+
+@pytest.mark.slow
 def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.CaptureFixture[str]):
     bench.evaluate(task="scratch", backend="native", shape="1,2,2", seconds=0.03, json=True)
     (row,) = json.loads(capfd.readouterr().out)

@@ -28,11 +28,11 @@ WIDTHS = {
     "scratch": {"robot": 34, "human": 38, "global": 52},
     "bed_bath": {"robot": 34, "human": 38, "global": 52},
     "arm_assist": {"robot": 47, "human": 51, "global": 65},
-    "gentle_scratch": {"robot": 46, "human": 53, "global": 67},
-    "gentle_bath": {"robot": 64, "human": 70, "global": 84},
-    "gentle_feeding": {"robot": 48, "human": 50, "global": 64},
-    "gentle_brushing": {"robot": 69, "human": 72, "global": 86},
-    "gentle_lift": {"robot": 40, "human": 47, "global": 61},
+    "gentle_scratch": {"robot": 54, "human": 57, "global": 79},
+    "gentle_bath": {"robot": 72, "human": 74, "global": 96},
+    "gentle_feeding": {"robot": 56, "human": 54, "global": 76},
+    "gentle_brushing": {"robot": 77, "human": 76, "global": 98},
+    "gentle_lift": {"robot": 48, "human": 51, "global": 73},
 }
 # Over 20 control steps of random torques, float32 against float64: rad, and reward. The largest
 # differences are of an elbow that strikes its stop; the mean tells apart what the largest lets

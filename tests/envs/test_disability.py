@@ -110,8 +110,8 @@ def test_tremor_lies_between_4_and_12_hz() -> None:
 
     def body(state: EnvState, step: jax.Array) -> tuple[EnvState, jax.Array]:
         # The torques of a tremor, which no state keeps.
-        filtered, share = env._shake(
-            dataclasses.replace(state, step=jnp.full(size, step, jnp.int32))
+        filtered, share = env._tremor.shake(
+            state.tremor, state.key, jnp.full(size, step, jnp.int32), state.params.tremor
         )
         return dataclasses.replace(state, tremor=filtered), share
 

@@ -30,19 +30,19 @@ from assistax_envs.preferences import (
     PREFERENCES,
     PREFERRED,
     SPEEDS,
-    VALUES,
+    WORDS,
     Preference,
 )
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.base import HUMAN_JOINTS, Readings
+from assistax_envs.tasks.care import IMPACT, NONE
 from assistax_envs.tasks.chain import SCRIPTS, Chain, script_of
 from assistax_envs.tasks.gentle_base import (
     TouchReadings,
     along_skin,
-    bump,
-    costs,
     draw_preferences,
     in_segment,
+    roughness,
     world_force,
 )
 from assistax_envs.versions import GENTLE_TASKS, PAPER_TASKS, TASKS
@@ -210,14 +210,6 @@ def test_forces_turn_into_the_world_frame() -> None:
 # Arithmetic of touch.
 
 
-def test_bump_peaks_at_its_best() -> None:
-    x = jnp.linspace(0.0, 50.0, 501)
-    for best in itertools.chain(*VALUES.values()):
-        values = np.asarray(bump(x, jnp.float32(best)))
-        assert float(bump(jnp.float32(best), jnp.float32(best))) == pytest.approx(1.0)
-        assert values.max() <= 1.0 + 1e-6 and values.min() >= 0.0 and values[0] == 0.0
-
-
 def test_way_over_the_skin_leaves_out_crossing() -> None:
     at = jnp.array([0.04, 0.0, 0.1])
     steps = jnp.array([[0.0, 0.0, 0.03], [0.02, 0.0, 0.0], [0.5, 0.03, 0.04]])
@@ -237,23 +229,28 @@ def _readings(n: int = 1, **fields) -> TouchReadings:
     )
 
 
+def _roughness(violated: bool = False, **fields) -> dict[str, float]:
+    terms = roughness(_readings(**fields), jnp.array([violated]))
+    return {term: float(value[0]) for term, value in terms.items()}
+
+
 def test_each_cost_has_its_reason_and_bound() -> None:
-    calm = costs(_readings())
-    assert all(float(value[0]) == 0.0 for value in calm.values())
+    calm = _roughness()
+    assert not any(calm.values())
     reasons = {
         "force": {"force": [30.0], "on_arm": [30.0]},
         "stray": {"force": [9.0]},
         "haste": {"tool_velocity": [[0.0, 0.6, 0.0]]},
         "trunk": {"bent": [0.1]},
-        "violation": {"hurt": [True]},
+        "violation": {"violated": True},
     }
     assert set(reasons) == set(calm)
     for name, fields in reasons.items():
-        paid = {term: float(value[0]) for term, value in costs(_readings(**fields)).items()}
+        paid = _roughness(**fields)
         assert -1.0 <= paid.pop(name) < 0.0
         assert not any(paid.values())
-    worst = costs(_readings(force=[1e6], hurt=[True], bent=[9.0], tool_velocity=[[99.0, 0.0, 0.0]]))
-    assert all(float(value[0]) == -1.0 for value in worst.values())
+    worst = _roughness(True, force=[1e6], bent=[9.0], tool_velocity=[[99.0, 0.0, 0.0]])
+    assert set(worst.values()) == {-1.0}
 
 
 def test_points_are_given_in_the_segments_frame() -> None:
@@ -276,15 +273,15 @@ def test_hard_contact_stays_a_violation(task: str) -> None:
     sensors: Any = env._task.sensors
     # Readings that the test alters before the task judges them: an environment returns neither.
     readings = sensors.read(env._physics.forward(physics, env._joint_range(begun.params)))
-    hard = dataclasses.replace(readings, hurt=rows % 2 == 0)
+    hard = dataclasses.replace(readings, struck=rows % 2 == 0, hurt=jnp.zeros(8, bool))
     state, _, terms, measures = env._task.transition(begun.task, hard)
     assert np.asarray(measures.violated).tolist() == [True, False] * 4
+    assert np.asarray(measures.violation).tolist() == [IMPACT, NONE] * 4
     assert (np.asarray(terms["violation"]) < 0.0).tolist() == [True, False] * 4
     np.testing.assert_array_equal(measures.contact, hard.peak)
-    calm = dataclasses.replace(readings, hurt=jnp.zeros(8, bool))
-    _, _, terms, measures = env._task.transition(state, calm)
+    calm = dataclasses.replace(hard, struck=jnp.zeros(8, bool))
+    _, _, _, measures = env._task.transition(state, calm)
     assert np.asarray(measures.violated).tolist() == [True, False] * 4
-    assert not np.asarray(terms["violation"]).any()
     assert not (np.asarray(measures.success) & np.asarray(measures.violated)).any()
 
 
@@ -357,9 +354,10 @@ def test_human_alone_observes_its_preference(task: str) -> None:
     )
     np.testing.assert_array_equal(first["robot"], other["robot"])
     count = len(PREFERRED[task])
-    for who in ("human", "global"):
-        assert (first[who] != other[who]).sum(axis=1).tolist() == [count] * 2
-        np.testing.assert_array_equal(first[who][:, :-count], other[who][:, :-count])
+    for who, words in (("human", 0), ("global", len(WORDS))):
+        apart = np.flatnonzero((np.asarray(first[who]) != np.asarray(other[who])).any(axis=0))
+        end = first[who].shape[1] - words
+        assert apart.tolist() == list(range(end - count, end))
     middle = reset(keys, disability_params(["d1"] * 2, ["p5"] * 2)).obs["human"]
     np.testing.assert_allclose(middle[:, -count:], 0.0, atol=1e-6)
 
@@ -399,7 +397,8 @@ def test_told_robot_observes_the_preference(task: str) -> None:
     more = sizes[0]["robot"] - sizes[1]["robot"]
     assert more >= len(PREFERRED[task])
     obs = env.reset(jax.random.split(jax.random.key(6), 4), disability_params(["d1"] * 4)).obs
-    np.testing.assert_array_equal(obs["robot"][:, -more:], obs["human"][:, -more:])
+    told = obs["robot"][:, : -len(WORDS)]  # words come last
+    np.testing.assert_array_equal(told[:, -more:], obs["human"][:, -more:])
 
 
 def test_paper_tasks_ignore_preferences() -> None:

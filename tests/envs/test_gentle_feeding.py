@@ -11,8 +11,9 @@ import pytest
 from assistax_envs import disability_params
 from assistax_envs.models import build_model
 from assistax_envs.models.care_scenes import OPEN, SEAT, STIFF_JOINTS
-from assistax_envs.preferences import PREFERENCES
+from assistax_envs.preferences import PREFERENCES, WORDS
 from assistax_envs.tasks.base import HUMAN_ACTUATORS, HUMAN_JOINTS, human_actuators, human_joints
+from assistax_envs.tasks.care import WHATEVER
 from assistax_envs.tasks.gentle_feeding.task import (
     ASKED,
     MEAL,
@@ -156,7 +157,8 @@ class Table(LaidOut):
 
     def eat(self) -> None:
         """Take one bite as it is liked best."""
-        self.play(self.preference.wait, 0.0)
+        # For a second: what a spoon does is smoothed, and the one before came back farther.
+        self.play(self.preference.wait, 0.0, steps=50)
         self.play(self.preference.wait, 0.4)
         self.play(-self.preference.depth, 0.4, steps=SERVE)
         self.play(-self.preference.depth, 0.15, bite=2.0, steps=15)
@@ -240,7 +242,9 @@ def test_waiting_and_depth_pay_by_preference(name: str) -> None:
         table.play(0.08, 0.4)
         served[depth] = table.play(-depth, 0.4, steps=SERVE)["serve"]
     assert max(served, key=lambda depth: served[depth]) == likes.depth
-    assert min(served.values()) >= 4.0
+    assert min(*paid.values(), *served.values()) >= 20.0 * WHATEVER
+    # Twice or half of the wish earns a fifth: who does not listen earns little.
+    assert max(paid[wait] for wait in paid if wait != likes.wait) < 5.0
 
 
 def test_spill_takes_back_the_pay_of_the_bite() -> None:
@@ -298,8 +302,9 @@ def test_scripted_pair_eats_unlike_idle_human() -> None:
     _, states = meal(env, 32, 1000)
     violated = np.asarray(states.terminated).any(axis=0)
     assert violated.mean() < 0.1
-    assert float(states.measures.success[-1].mean()) > 0.85
     assert float((states.task.bites[-1] == MEAL).mean()) > 0.8
+    # Care succeeds by chance: the script feeds all humans alike, whatever they like.
+    assert 0.05 < float(states.measures.success[-1].mean()) < 0.5
     _, idle = meal(env, 32, 1000, human=lambda obs: jnp.zeros((obs.shape[0], 5)))
     assert not bool(idle.measures.success.any())
     assert int(idle.task.bites.max()) <= 1  # of starts with the spoon in the mouth
@@ -332,4 +337,5 @@ def test_human_alone_observes_its_preference() -> None:
     np.testing.assert_array_equal(first["robot"], other["robot"])
     for seat in ("human", "global"):
         same = np.asarray(first[seat] == other[seat]).all(axis=0)
-        assert np.flatnonzero(~same).tolist() == [len(same) - 2, len(same) - 1]
+        end = len(same) - (len(WORDS) if seat == "global" else 0)  # words come last
+        assert np.flatnonzero(~same).tolist() == [end - 2, end - 1]

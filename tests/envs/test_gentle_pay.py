@@ -14,6 +14,7 @@ import pytest
 from assistax_envs import disability_params
 from assistax_envs.preferences import PREFERENCES
 from assistax_envs.tasks.base import HUMAN_ACTUATORS
+from assistax_envs.tasks.care import WHATEVER
 from assistax_envs.tasks.gentle_base import TouchReadings
 
 # The formula by itself, at values that play seldom reaches.
@@ -88,7 +89,8 @@ def test_rest_reward_peaks_at_preferred_distance() -> None:
     for row, preference in enumerate(PREFERENCES.values()):
         assert pays[preference.distance][row] == pytest.approx(1.0, abs=1e-4)
         others = [pays[d][row] for d in pays if d != preference.distance]
-        assert max(others) < 0.7 and min(others) > 0.2
+        # What nobody likes earns near nothing: these are 2.4 times too far or too near, or more.
+        assert max(others) < 0.1 and min(others) >= WHATEVER
     assert not _rest(state.waist, 0.1, force=1.0)["rest"].any()
     still = _rest(state.waist, 0.25)
     assert all(not value.any() for name, value in still.items() if name in ("lift", "swing"))
@@ -104,7 +106,7 @@ def test_rest_pays_at_the_hidden_preferred_place_alone() -> None:
         same = np.array(
             [preference.place == PREFERENCES[name].place for preference in PREFERENCES.values()]
         )
-        assert (pays["rest"][same] > 0.2).all() and not pays["rest"][~same].any()
+        assert (pays["rest"][same] >= WHATEVER).all() and not pays["rest"][~same].any()
         assert (pays["there"][same] > 0.99).all() and (pays["there"][~same] < 0.3).all()
     env = environment("gentle_lift", "native")
     keys = jnp.broadcast_to(jax.random.key(1), (len(names),))

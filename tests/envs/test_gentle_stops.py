@@ -14,6 +14,7 @@ from assistax_envs.physics import SUBSTEPS, PhysicsState
 from assistax_envs.physics.base import felt_sensors
 from assistax_envs.tasks import gentle_base
 from assistax_envs.tasks.base import HUMAN_JOINTS
+from assistax_envs.tasks.care import IMPACT, NONE, PRESSED
 from assistax_envs.tasks.chain import script_of
 from tests.envs.conftest import environment
 from tests.envs.fused.scenes import touching_states
@@ -55,32 +56,41 @@ def test_contacts_of_every_physics_step_count(backend: str) -> None:
 
 
 @pytest.mark.slow
-def test_violation_ends_the_episode() -> None:
+@pytest.mark.parametrize(("limits", "kind"), [("_limits", PRESSED), ("_impacts", IMPACT)])
+def test_violation_ends_the_episode(limits: str, kind: int) -> None:
     task = "gentle_scratch"
     env: Any = assistax_envs.make(task, "native")
-    # A limit that every touch breaks.
-    env._task.sensors._limits = np.full_like(env._task.sensors._limits, 1e-3)
+    # A limit that every touch breaks: half a second of touch, or the first one, is a violation.
+    setattr(env._task.sensors, limits, np.full_like(env._task.sensors._limits, 1e-3))
     robot = script_of(task, env.model)
     state = jax.jit(env.reset)(
         jax.random.split(jax.random.key(0), 8), assistax_envs.disability_params(["d1"] * 8)
     )
-    step, stopped = jax.jit(env.step), np.zeros(8, bool)
-    for _ in range(150):
+    step, stopped, touched = jax.jit(env.step), np.zeros(8, bool), np.zeros(8, int)
+    for _ in range(200):
         state = step(state, {"robot": robot(state.obs["robot"]), "human": jnp.zeros((8, 3))})
+        touched += ~stopped & (np.asarray(state.measures.contact) > 1e-3)
         stopped |= np.asarray(state.terminated)
     assert env.stops and stopped.any()
+    assert set(touched[stopped].tolist()) == {26 if kind == PRESSED else 1}
     np.testing.assert_array_equal(state.terminated, state.measures.violated)
+    np.testing.assert_array_equal(state.measures.violation, np.where(stopped, kind, NONE))
 
 
 def test_limits_are_those_of_the_touched_part() -> None:
-    env: Any = assistax_envs.make("gentle_scratch", "native", version=3)
-    limits = dict(zip(_touched_parts(env.model), env._task.sensors._limits.tolist(), strict=True))
+    env: Any = environment("gentle_scratch", "native")
+    # What readings are held against, by part.
+    sensors, parts = env._task.sensors, _touched_parts(env.model)
+    limits = dict(zip(parts, sensors._limits.tolist(), strict=True))
+    impacts = dict(zip(parts, sensors._impacts.tolist(), strict=True))
     assert limits["human_head"] == 32.5 and limits["human_right_lower_arm"] == 80.0
+    # ISO/TS 15066: twice the quasi-static limits for impacts, except at the face.
+    assert impacts["human_head"] == 32.5 and impacts["human_right_lower_arm"] == 160.0
 
 
 def test_another_version_is_refused() -> None:
-    with pytest.raises(ValueError, match="gentle_scratch is 2; this installation plays version 3"):
-        assistax_envs.make("gentle_scratch", "native", version=2)
+    with pytest.raises(ValueError, match="gentle_scratch is 3; this installation plays version 4"):
+        assistax_envs.make("gentle_scratch", "native", version=3)
 
 
 def _touched_parts(model: mujoco.MjModel) -> list[str]:

@@ -35,7 +35,7 @@ class Mine(Scratch):
 
 TEXT = resources.files("assistax_envs.tasks.scratch").joinpath("scene.xml").read_text()
 MINE = dataclasses.replace(
-    SCRATCH, name="mine", version=7, make=f"{__name__}:Mine", scene=Scene(TEXT), paper=False
+    SCRATCH, name="mine", version=7, make=f"{__name__}:Mine", scene=Scene(TEXT)
 )
 
 

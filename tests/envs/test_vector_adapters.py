@@ -17,6 +17,8 @@ from assistax_envs.adapters.jaxmarl import AssistaxMarlVectorEnv
 from assistax_envs.adapters.partners import Idle, Persons
 from assistax_envs.adapters.pettingzoo import ROLES, AssistaxParallelVectorEnv
 from assistax_envs.persons import PersonPlayer, person
+from assistax_envs.persons.rows import FAMILIES, index, marked
+from assistax_envs.preferences import WORDS
 
 TASK, LENGTH = "scratch", 4
 
@@ -58,7 +60,7 @@ def test_humans_who_do_nothing_sit_in_every_task():
     env = AssistaxVectorEnv("gentle_feeding", np.int64(2), backend="native")
     start, _ = env.reset(seed=0)
     obs, *_ = env.step(np.zeros((2, 7)))
-    assert obs.shape == start.shape == (2, 48)
+    assert obs.shape == start.shape == (2, 56)
 
 
 def test_gymnasium_resets_in_the_same_step(vector):
@@ -290,7 +292,7 @@ def test_wrong_arguments_say_what_is_allowed(vector):
 def test_every_episode_brings_new_persons():
     people = Persons("gentle_scratch")
     env = AssistaxVectorEnv("gentle_scratch", 4, people, backend="native", arrays="jax")
-    assert len(people) == 7200
+    assert len(people) == 14_400
     env.reset(seed=0)
     first = env.partner_names()
     for step in range(LENGTH):
@@ -305,7 +307,9 @@ def test_a_person_acts_as_itself():
     task, someone = "gentle_scratch", person("gentle_scratch", 42)
     batch = Batch(task, Persons(task, [42]), 2, "native")
     _, state = jax.jit(batch.reset)(jax.random.key(1))
-    np.testing.assert_allclose(state.env.params.preference.force[0], someone.row[18])
+    np.testing.assert_allclose(
+        state.env.params.preference.force[0], someone.row[index(task)["liked_force"]]
+    )
     player = PersonPlayer(task)
     human = jax.jit(player.act)(
         {"row": jnp.asarray(someone.row)},
@@ -322,8 +326,92 @@ def test_a_person_acts_as_itself():
     assert np.abs(with_person.obs["human"] - idle.obs["human"]).max() > 1e-3
 
 
+class Talker:
+    """Partners who say word `k` to simulation k, in the first step alone."""
+
+    params = ()
+
+    def begin(self, params: Any, key: jax.Array, before: Any, n: int) -> Any:
+        _, humans = Idle().begin(params, key, before, n)
+        return jnp.zeros(n, jnp.int32), humans
+
+    def act(self, params: Any, seated: Any, obs: jax.Array, first: jax.Array) -> Any:
+        word = jnp.where(first, jnp.arange(len(obs), dtype=jnp.int32), 0)
+        return word, jnp.zeros((len(obs), 3), jnp.float32)
+
+    def word(self, seated: Any, n: int) -> jax.Array:
+        return seated
+
+    def names(self, seated: Any, n: int) -> list[str]:
+        return ["talker"] * n
+
+
+def heard_in(obs: Any) -> list[int]:
+    """Return the words that robots hear, from the end of their observations."""
+    said = np.asarray(obs)[:, -len(WORDS) :]
+    return np.where(said.max(axis=1) > 0, said.argmax(axis=1) + 1, 0).tolist()
+
+
+@pytest.mark.parametrize("form", ["gymnasium", "pettingzoo", "jaxmarl"])
+def test_partners_speak_through_every_adapter(form: str) -> None:
+    made: Any = {
+        "gymnasium": AssistaxVectorEnv,
+        "pettingzoo": AssistaxParallelVectorEnv,
+        "jaxmarl": AssistaxMarlVectorEnv,
+    }[form]
+    robot, env = actions(3), made("gentle_scratch", 3, Talker(), backend="native")
+    if form == "gymnasium":
+        env.reset(seed=0)
+        obs = env.step(robot)[0]
+    elif form == "pettingzoo":
+        env.reset(seed=0)
+        obs = env.step({"robot": robot})[0]["robot"]
+    else:
+        _, state = env.reset(jax.random.key(0))
+        obs = env.step(jax.random.key(1), state, {"robot": jnp.asarray(robot)})[0]["robot"]
+    assert heard_in(obs) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("form", ["pettingzoo", "jaxmarl"])
+def test_an_agent_in_the_humans_seat_may_be_given_words(form: str) -> None:
+    acts: dict[str, Any] = {"robot": actions(2), "human": np.zeros((2, 3), np.float32)}
+    if form == "pettingzoo":
+        env = AssistaxParallelVectorEnv("gentle_scratch", 2, backend="native")
+        env.reset(seed=0)
+        obs = [env.step(acts | said)[0]["robot"] for said in ({}, {"word": np.array([8, 0])})]
+    else:
+        env = AssistaxMarlVectorEnv("gentle_scratch", 2, backend="native")
+        _, state = env.reset(jax.random.key(0))
+        given, acts = ({}, {"word": jnp.array([8, 0])}), jax.tree.map(jnp.asarray, acts)
+        obs = [env.step(jax.random.key(1), state, acts | said)[0]["robot"] for said in given]
+    assert [heard_in(one) for one in obs] == [[0, 0], [8, 0]]
+
+
+def test_persons_act_by_their_own_family() -> None:
+    """Persons with the same numbers, and another family, act otherwise."""
+    task = "gentle_scratch"
+    people = Persons(task, [42, 10_042])
+    (number, row, _), _ = people.begin(people.params, jax.random.key(2), None, 2)
+    np.testing.assert_array_equal(row[0, :-1], row[1, :-1])
+    assert sorted(number.tolist()) == [42, 10_042]
+    assert sorted(people.names((number,), 2)) == ["person-00042", "person-10042"]
+    batch = Batch(task, people, 2, "native")
+    _, state = jax.jit(batch.reset)(jax.random.key(2))
+    obs = jnp.broadcast_to(state.env.obs["human"][:1], state.env.obs["human"].shape)
+    seated, action = people.act(state.params, state.seated, obs, jnp.ones(2, bool))
+    player = PersonPlayer(task)
+    for at, number in enumerate(np.asarray(state.seated[0])):
+        alone = marked(
+            person(task, 42).row[None], FAMILIES.index(person(task, int(number)).family)
+        )[0]
+        given = {"row": jnp.asarray(alone)}, player.initial_carry((2,))
+        _, own = player.act(*given, obs, jnp.ones(2, bool))
+        np.testing.assert_allclose(action[at], own[at], atol=1e-6)
+    assert people.word(seated, 2).shape == (2,)
+
+
 def test_persons_of_the_test_side_are_refused():
-    for number in (8000, 9500, 10_000, -1):
+    for number in (8000, 19_500, 20_000, 30_000, -1):
         with pytest.raises(ValueError, match=f"person {number} cannot be trained with"):
             Persons("gentle_scratch", [1, number])
     with pytest.raises(ValueError, match="task is 'swim'; allowed are "):

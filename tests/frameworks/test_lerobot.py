@@ -43,7 +43,7 @@ def test_lerobot_reads_what_was_recorded(tmp_path: Path) -> None:
     np.testing.assert_allclose(read["reward"], steps["reward"].to_numpy(), rtol=1e-6)
     np.testing.assert_allclose(read["mean"], actions.mean(0), atol=1e-6)
     assert read["done"] == (steps["terminated"] | steps["truncated"]).to_list()
-    assert read["batch"] == [4, 53]
+    assert read["batch"] == [4, *steps["human_observation"].to_numpy().shape[1:]]
     second = actions[STEPS:]
     following = np.concatenate([second[1:], second[-1:]])  # the last action stands for what is cut
     np.testing.assert_allclose(read["ahead"], np.stack([second, following], 1), rtol=1e-6)

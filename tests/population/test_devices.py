@@ -16,6 +16,7 @@ import safetensors.numpy
 
 from assistax_envs import make
 from assistax_envs.persons import PersonPlayer, persons
+from assistax_envs.persons.rows import marked
 from population.config import MIXED, Member, TrainConfig
 from population.devices import DeviceShares
 from population.hyperparameters import preset
@@ -63,7 +64,7 @@ def arguments(case, members=4):
 
 def train_with_persons(folder, devices):
     """Train a robot with each of four persons, on so many devices."""
-    rows = jax.numpy.asarray(persons("gentle_scratch")[:4])
+    rows = jax.numpy.asarray(marked(persons("gentle_scratch")[:4]))
     partners = OnePersonEach(PersonPlayer("gentle_scratch"), rows, "some")
     tiny = preset("ippo", num_envs=4, rollout_steps=8, hidden=(8,), minibatches=1, epochs=1)
     team = tuple(Member(seed, MIXED) for seed in range(len(rows)))

@@ -11,6 +11,7 @@ import pytest
 import safetensors.numpy
 
 from assistax_envs.persons import PersonPlayer, numbers, persons
+from assistax_envs.persons.rows import marked
 from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import METHODS, PPOConfig, robot_preset
 from population.methods.hidden import HIDDEN, WHO, WithHidden
@@ -35,7 +36,7 @@ from tests.population.test_ppo import FAST_COMPILE, SMALL
 from tests.population.test_train import Killed, kill_after
 from tests.population.toy_env import ToyEnv, match
 
-NAMES = ("asymmetric", "asymmetric_gru", "liam", "palm", "rma", "rl2")
+NAMES = ("asymmetric", "asymmetric_gru", "liam", "osi", "palm", "rma", "rl2")
 PROBE: dict[str, Any] = {**SMALL, "learning_rate": 3e-3, "num_envs": 64, "gamma": 0.5}
 TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 5, "minibatches": 2, "hidden": (8, 8)}
 
@@ -84,6 +85,14 @@ def test_predicting_memory_remembers_the_partners_bit(name):
     metrics = learn(HiddenBit(), name, 60)[3]
     assert last(metrics, "return") > 0.6 * LENGTH  # without memory 1 at most: its only sight
     assert last(metrics, "model_loss_robot") < 0.3 < 0.8 < metrics["model_loss_robot"][0, 0]
+
+
+@pytest.mark.slow
+def test_identification_acts_by_what_it_read():
+    """Half of the setting pays, and is seen in the second step alone; the rest shows nowhere."""
+    metrics = learn(Settings(), "osi", 100)[3]
+    assert last(metrics, "return") > 0.6 * LENGTH
+    assert last(metrics, "model_loss_robot") < 0.5 < 0.8 < metrics["model_loss_robot"][0, 0]
 
 
 @pytest.mark.slow
@@ -187,8 +196,8 @@ def test_hidden_observation_of_networks_and_persons():
     np.testing.assert_array_equal(state.obs[HIDDEN][:, 0], humans.strength)
     after = env.step(state, {"robot": jnp.zeros((8, 1)), "human": jnp.zeros((8, 2))})
     np.testing.assert_array_equal(after.obs[HIDDEN], state.obs[HIDDEN])
-    rows = persons("gentle_scratch")[numbers("training")][:50]
-    people = DrawnPersons(PersonPlayer("gentle_scratch"), jnp.asarray(rows), "some")
+    rows = persons("gentle_scratch")[numbers("training")[:50]]
+    people = DrawnPersons(PersonPlayer("gentle_scratch"), jnp.asarray(marked(rows)), "some")
     env = WithHidden(Settings(), people, 8)
     met = people.renewed(people.humans(8), jax.random.split(jax.random.key(1), 8))
     state = env.reset(jax.random.split(jax.random.key(0), 8), met)

@@ -1,4 +1,4 @@
-"""Guides are short, and what is to be read through stays readable in an evening."""
+"""Guides are short, and all pages without the log stay readable in an evening or two."""
 
 import copy
 
@@ -32,6 +32,7 @@ def test_every_page_of_docs_is_counted_once() -> None:
         ("Guides", "start.md", 1_201, "start.md has 1,201 words"),
         ("Home", "README.md", 1_201, "README.md has 1,201 words"),
         ("Concepts", "concepts.md", 12_000, "guides and concepts have"),
+        ("Reference", "tasks.md", 25_000, "pages without the log have"),
     ],
 )
 def test_a_page_that_grew_too_long_is_found(
@@ -39,5 +40,11 @@ def test_a_page_that_grew_too_long_is_found(
 ) -> None:
     words = copy.deepcopy(docs_size.count_words())
     words[group][page] = count
-    (text,) = docs_size.find_problems(words)
-    assert text.startswith(problem)
+    assert any(text.startswith(problem) for text in docs_size.find_problems(words))
+
+
+def test_the_log_and_notebooks_may_grow() -> None:
+    words = copy.deepcopy(docs_size.count_words())
+    words["Log"]["log/care.md"] = 100_000
+    words["Notebooks"]["notebook.md"] = 100_000
+    assert docs_size.find_problems(words) == []

@@ -10,7 +10,6 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
 from population.hyperparameters import METHODS
@@ -18,16 +17,14 @@ from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put
 from tools.league.__main__ import run
-from tools.league.page import FIGURES
 from tools.league.queue import read_queue, run_queue
-from tools.league.results import ShownContrast, results_page, sentences
+from tools.league.results import ShownContrast, sentences
 from tools.league.rows import named, rows
 from tools.league.tables import read_tables
 from zoo.parameters.storage import read_policy_file
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
-REPOSITORY = Path(__file__).parents[2]
 TINY = ["--set", "num_envs=60", "--set", "rollout_steps=4", "--set", "minibatches=1"]
 TINY += ["--set", "hidden=(8, 8)", "--steps", "480", "--episodes", "2", "--backend", "native"]
 TINY += ["--checkpoints", "2", "--best-of", "2", "--sampled", "2"]
@@ -70,7 +67,7 @@ PERSONS = "gentle_lift --split persons --part"
         (f"row mirror {PERSONS} 1/2", "part is 1/2 for row 'mirror'; allowed"),
         (f"row mirror {PERSONS} all/2", "'mirror' is not trained in parts"),
         (
-            "row ppo gentle_scratch --split three-sides --side train",
+            "row ppo gentle_scratch --split persons --side train",
             "only best responses are of another side",
         ),
     ],
@@ -198,9 +195,14 @@ seeds = 4
 def test_a_told_best_response_of_a_gentle_task(tmp_path: Path, capfd, monkeypatch) -> None:
     """Robots observe what the human likes, so another environment trains and plays them."""
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
-    monkeypatch.setenv("ASSISTAX_ZOO_DATA", str(tmp_path / "data"))
-    split = create_split(task="gentle_scratch", rule="three-sides")
-    words = ["row", "told-best-response", "gentle_scratch", "--split", split.id, "--seeds", "1"]
+    task = "gentle_scratch"
+    teams = untrained.teams_of(10, *untrained.gentle_specs(task), task=task)
+    path = untrained.published(teams, tmp_path / "zoo")
+    # Humans that nobody trained act alike.
+    monkeypatch.setattr("zoo.splitting.create.similar_pairs", lambda registry, split: [])
+    split = create_split(path, task=task, rule="three-sides")
+    words = ["row", "told-best-response", task, "--split", split.id, "--seeds", "1"]
+    words += ["--registry", str(path)]
     fused = ["fused" if word == "native" else word for word in TINY]
     assert run([*words, "--out", str(tmp_path / "league"), *fused]) == 0
     record = json.loads(capfd.readouterr().out)
@@ -208,7 +210,7 @@ def test_a_told_best_response_of_a_gentle_task(tmp_path: Path, capfd, monkeypatc
     row = tmp_path / "league" / "gentle_scratch" / "told-best-response"
     assert len(_partners(row)) == 2 and set(_partners(row)) < set(split.test)
     [seen] = {read_policy_file(path)[0].observation_size for path in record["robot_files"].values()}
-    own = load_registry().policy(f"{split.train[0]}/robot").spec.observation_size
+    own = load_registry(path).policy(f"{split.train[0]}/robot").spec.observation_size
     assert seen > own
 
 
@@ -245,23 +247,19 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
 
 
-def test_page_names_published_robots_of_chosen_methods() -> None:
-    shown = read_tables(REPOSITORY / "docs/data/league")
-    page = results_page(shown, None, {"images": "images", "tables": "data"}, {}, load_registry())
-    [line] = [line for line in page.splitlines() if line.startswith("Robots of these methods")]
-    assert "`gentle_bath/gru-ego-s100-v3`" in line
-    assert "`gentle_scratch/asymmetric_gru-ego-s122-v3`" in line
-    assert "-s102-" not in line  # learned with teams
-    assert "`gentle_scratch/gru-" not in line  # another method
-    assert line in (REPOSITORY / "docs/results.md").read_text()
-
-
-def test_the_committed_page_is_what_the_tables_give() -> None:
-    data = REPOSITORY / "docs/data/league"
-    named, _ = read_contrasts(data / "contrasts.toml")
-    places = {"images": "images/league", "tables": "data/league"}
-    page = results_page(read_tables(data), named, places, FIGURES, load_registry())
-    assert page == (REPOSITORY / "docs/results.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("rule", "is_named"), [("half", True), ("small-5", False)])
+def test_page_names_published_robots_of_chosen_methods(
+    rule: str, is_named: bool, tmp_path: Path, capsys
+) -> None:
+    """Those that learned with the league's split."""
+    place = tmp_path / "league/scratch"
+    put(place, "ppo", np.full((4, 10), 200.0), baselines=True)
+    put(place, "gru", np.full((4, 10), 150.0))
+    (place / "runs/ppo").mkdir(parents=True)
+    split = load_registry().split("scratch", rule).id
+    (place / "runs/ppo/row.json").write_text(json.dumps({"split": split}))
+    page = written_page(tmp_path, capsys, NAMED)
+    assert ("names: `scratch/ppo-ego-s0-v1`. [Tracks]" in page) == is_named
 
 
 def test_validation_chooses_methods_and_contrasts_name_ppo(tmp_path: Path, capsys) -> None:
@@ -359,14 +357,14 @@ def test_contrast_may_lack_an_interval() -> None:
 
 @pytest.mark.slow
 def test_cards_have_film_and_m_test(tmp_path: Path, capsys) -> None:
-    robot, out = "gentle_brushing/gru-ego-s1-v4", tmp_path / "cards"
+    robot, out = load_registry().of_task("gentle_brushing", "robot")[0].team, tmp_path / "cards"
     words = ["cards", f"{robot}/robot", "--out", str(out), "--persons", "2", "--steps", "5"]
     assert run(words) == 0, capsys.readouterr().err
     place = out / robot.replace("/", "-")
     film = place / "film.webp"
     card, before = (place / "card.md").read_text(), film.stat().st_mtime_ns
     assert "](<film.webp>)" in card and "with 2 partners of the test side of" in card
-    assert f"[{robot}](gentle_brushing-gru-ego-s1-v4/card.md)" in (out / "README.md").read_text()
+    assert f"[{robot}]({place.name}/card.md)" in (out / "README.md").read_text()
     assert run(words) == 0 and film.stat().st_mtime_ns == before, "made once"
     assert run(["cards", "scratch/ippo-*", "--out", str(out)]) == 1
     assert "no robot that learned with" in capsys.readouterr().err

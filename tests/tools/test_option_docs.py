@@ -8,6 +8,7 @@ import pytest
 import assistax_zoo as az
 from tools import option_docs
 
+TASK_TEXT = "Task, such as scratch. Default: that of the names."
 OPTIONS = {
     "evaluate": (
         *("task", "episodes", "seed", "backend", "stochastic", "max_envs", "preferences"),
@@ -42,6 +43,6 @@ def test_changed_option_changes_the_functions(tmp_path: Path) -> None:
     for path in {path for sources in option_docs.SOURCES.values() for path, _ in sources}:
         text = (option_docs.ROOT / path).read_text(encoding="utf-8")
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_text(text.replace("Task, such as scratch.", "Another text."))
+        (tmp_path / path).write_text(text.replace(TASK_TEXT, "Another text."))
     text = option_docs.FUNCTIONS.read_text(encoding="utf-8")
     assert option_docs.updated(text, tmp_path).count("        task: Another text.\n") == 2

@@ -481,7 +481,7 @@ def words(tmp_path: Path, crossplay_folder: Path) -> list[str]:
     names = {"task": "scratch", "algorithm": "ippo", "disability": "d1"}
     curves = pl.DataFrame({**names, **rows})
     tables.write_parquet(curves, data / "curves" / "scratch-ippo.parquet")
-    notes = "## self-play\n\nOurs plays its most likely actions.\n\n## zsc\n\n"
+    notes = "## self-play\n\nOurs plays its [most](../docs/a.md#b) likely actions.\n\n## zsc\n\n"
     (data / "notes.md").write_text(notes)
     common = ["--release", "v0", "--data", str(data), "--out", str(tmp_path / "page.md")]
     return ["page", *common, "--registry", str(tmp_path / "registry.json")]
@@ -497,7 +497,7 @@ def test_the_page_of_a_partial_release(words: list[str], tmp_path: Path, capfd):
     assert f"{message.count('warning: ')} warnings" in message
     assert 'v0,scratch,IPPO,"950.5 [' in (tmp_path / "v0" / "self-play.csv").read_text()
     assert "12 of 434 teams" in text
-    assert "**Why.** Ours plays its most likely actions." in text
+    assert "**Why.** Ours plays its [most](docs/a.md#b) likely actions." in text
     assert text.count("**Why.**") == 1
     assert "and 2 more --policy" in (tmp_path / "v0" / "commands.txt").read_text()
     pictures = [tmp_path / name for name in re.findall(r'src="([^"]+)"', text)]
@@ -619,7 +619,7 @@ def test_pictures_are_those_that_the_data_allow():
 
 def test_committed_page_follows_from_its_tables(monkeypatch, capfd):
     monkeypatch.chdir(ROOT)
-    places = "--data docs/data/v1 --out docs/log/results-v1.md --images docs/images/v1"
+    places = "--data docs/data/paper --out docs/log/paper.md --images docs/images/paper"
     words = f"page --release v1 {places} --registry registry.json --check".split()
     assert run(words) == 0, capfd.readouterr().err
 

@@ -8,6 +8,7 @@ import pytest
 
 import assistax_zoo as az
 from assistax_zoo.shell.main import all_commands
+from evaluation.seat.modules import playable
 from tools import site
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +30,45 @@ def test_every_page_is_built_and_in_the_navigation(built: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_site_has_a_page_to_play_for_each_task(built: Path) -> None:
+    text = (built / "play.html").read_text(encoding="utf-8")
+    for task in playable():
+        assert f'href="play/{task}.html"' in text
+        assert "Content-Security-Policy" in (built / "play" / f"{task}.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_the_front_page_has_a_film_and_pages_to_play(built: Path) -> None:
+    text = (built / "index.html").read_text(encoding="utf-8")
+    assert 'src="film.html"' in text
+    assert "An episode of gentle_scratch" in (built / "film.html").read_text("utf-8")
+    assert all(f'href="play/{task}.html"' in text for task in playable())
+
+
+@pytest.mark.slow
+def test_sections_of_the_menu_are_closed(built: Path) -> None:
+    text = (built / "index.html").read_text(encoding="utf-8")
+    menu = text.partition('aria-label="Navigation"')[2].partition("</nav>\n")[0]
+    assert "md-nav__toggle" in text and "checked" not in menu
+    assert "md-nav__item--section" not in text
+
+
+def test_links_of_all_markdown_files_lead_somewhere() -> None:
+    assert site.find_dead_links() == []
+
+
+def test_a_planted_dead_link_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "docs" / "data" / "notes.md"
+    page.parent.mkdir(parents=True)
+    page.write_text("[a](notes.md#x) [b](../gone.md) [c](https://x.org)\n```\n[d](no.md)\n```\n")
+    (tmp_path / "README.md").write_text('<img src="docs/none.png">')
+    assert site.find_dead_links(tmp_path) == [
+        "README.md links to docs/none.png, which is not there",
+        "docs/data/notes.md links to ../gone.md, which is not there",
+    ]
+
+
+@pytest.mark.slow
 def test_no_table_is_left_as_text(built: Path) -> None:
     for path in built.rglob("*.html"):
         assert not re.search(r"<p>[^<]*\|\s*-{3,}", path.read_text(encoding="utf-8")), path.name
@@ -45,7 +85,7 @@ def test_every_name_and_command_is_in_the_reference(built: Path) -> None:
     assert [place for place in places if place not in page] == []
     page = (built.parent / "docs" / "commands.md").read_text(encoding="utf-8")
     of_evaluate = page.partition("## assistax-zoo evaluate\n")[2].partition("\n## ")[0]
-    assert " --episodes 8 \\\n    --out results\n```" in of_evaluate  # its example is the end
+    assert " --episodes 8 --out results\n```" in of_evaluate  # its example is the end
     assert "default: ()" not in page and "default: *" not in page
     assert "Table of Contents" not in page
 

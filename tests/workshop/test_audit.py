@@ -118,7 +118,7 @@ def test_capable_script_and_violent_teams_fail_their_gates() -> None:
     assert not gates(**{"script, passive human": able})["script with a passive human"].holds
     rough = played([[[100.0] * 4, [50.0] * 4], [[50.0] * 4, [100.0] * 4]], violated=True)
     by_name = gates(**{"all pairs": rough})
-    assert not by_name["teams hurt nobody"].holds and not by_name["teams reach the goal"].holds
+    assert not by_name["teams hurt nobody"].holds
 
 
 def test_best_posture_is_chosen_on_other_episodes() -> None:
@@ -235,7 +235,7 @@ def test_an_audit_of_run_folders(
     )
     assert result.teams == ("own/ippo-d1-s0/robot", "own/ippo-d1-s1/robot")
     assert result.figures["own teams"]["episodes"] == 40  # ten times as many
-    assert {"safe_success", "violated", "contact_peak"} <= set(result.figures["strangers"])
+    assert {"success", "violated", "contact_peak"} <= set(result.figures["strangers"])
     assert "mistaken humans" in result.figures and "told" not in result.figures
 
 

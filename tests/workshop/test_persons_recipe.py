@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
+from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from population.trainers.gae import advantages
 
 PUSHES, STAY = 0.1, 60  # share of pushes among the robot's acts, steps in the mouth
@@ -42,8 +42,9 @@ def test_recipe_with_persons_prefers_to_wait(task: str) -> None:
     recipe = recipe_with_persons(task)
     assert preferred_act(recipe["gae_lambda"]) == "wait"
     # A cut rollout ends in the critic's value too.
-    assert recipe["rollout_steps"] > 4 * STAY
-    assert recipe["rollout_steps"] * recipe["num_envs"] == 131_072
+    assert recipe["rollout_steps"] > 2 * STAY
+    assert recipe["rollout_steps"] * recipe["num_envs"] == 65_536
+    assert recipe["num_envs"] % recipe["minibatches"] == 0
 
 
 def test_shorter_traces_prefer_to_push() -> None:

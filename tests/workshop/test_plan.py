@@ -13,7 +13,7 @@ from population.config import TrainConfig, make_members
 from population.hyperparameters import preset
 from population.runs.folder import RunFolder
 
-V1 = Path(__file__).parents[2] / "zoo" / "plans" / "v1.json"
+PAPER = Path(__file__).parents[2] / "zoo" / "plans" / "paper.json"
 GROUP: dict[str, Any] = {"name": "scratch-ippo", "task": "scratch", "algorithm": "ippo"}
 GROUP |= {"steps": 1000, "disabilities": ["d1", "d3"], "seeds": 3}
 
@@ -21,7 +21,7 @@ GROUP |= {"steps": 1000, "disabilities": ["d1", "d3"], "seeds": 3}
 def test_the_first_release_is_the_papers_table_6():
     counts = collections.Counter(
         (group.task, group.algorithm, member.disability)
-        for group in read_plan(V1).groups
+        for group in read_plan(PAPER).groups
         for member in group.members
     )
     every, first_four = [f"d{n}" for n in range(1, 10)], ["d1", "d2", "d3", "d4"]

@@ -141,11 +141,11 @@ def queue(file: Path, /, *, out: Path) -> None:
     OUT/logs has the output of each row. After an interruption the same command continues.
 
     Args:
-        file: The queue, such as docs/data/league/queue.txt.
+        file: The queue.
         out: Folder of the league.
 
     Example:
-        python -m tools.league queue docs/data/league/queue.txt --out league
+        python -m tools.league queue queue.txt --out league
     """
     from tools.league.queue import cards_here, read_queue, run_queue
 
@@ -195,7 +195,7 @@ def cards(
         steps: Steps of 20 ms in a film.
 
     Example:
-        python -m tools.league cards 'gentle_scratch/*-v3' --out cards
+        python -m tools.league cards 'gentle_scratch/*' --out cards
     """
     from tools.league.cards import write_cards
 

@@ -39,7 +39,7 @@ def write_cards(pattern: str, out: Path, persons: int, steps: int) -> list[Path]
         film, card, result = folder / "film.webp", folder / "card.md", folder / "result"
         manifest, partners = choose_partners(registry, task, f"{split}:test", None)
         many = ["--persons", str(persons)] if registry.source_of_split(manifest).word else []
-        played = ["--task", task, "--policy", robot.id, "--split", split, *many, "--no-references"]
+        played = ["--task", task, robot.id, "--split", split, *many, "--no-references"]
         _run("evaluate", *played, "--out", str(result))
         if not film.is_file():
             seats = ["--robot", robot.id, "--human", partners[0].id, "--steps", str(steps)]

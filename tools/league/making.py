@@ -3,7 +3,6 @@
 Its seeds may be trained in parts, each on a card or a machine of its own, and put together after.
 """
 
-import contextlib
 import dataclasses
 import time
 from collections.abc import Sequence
@@ -14,8 +13,8 @@ from assistax_base.bounded_reading import parse_json
 from assistax_base.digest import sha256
 from assistax_base.files import write_json
 from assistax_envs.preferences import PREFERRED
-from assistax_workshop.gates.persons import WITH_PERSONS, recipe_with_persons
-from assistax_zoo.shell.console import TrainingLine, study_progress
+from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
+from assistax_zoo.shell.console import StudyLine, TrainingLine
 from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, load_partners, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
@@ -278,7 +277,7 @@ def _trained(
     watched = "validation" in row.stages
     line = TrainingLine(f"{row.stage('training')} in {folder}")
     kept: dict[str, Any] = {"snapshots": sizes.checkpoints * watched, "progress": line}
-    with contextlib.closing(line):
+    with line:
         egos = train_egos(learning, folder, backend=making.how.backend, **kept)
     run = egos.run
     seconds["training"] = seconds.get("training", 0.0) + float(run.training["seconds"])
@@ -287,7 +286,7 @@ def _trained(
         return run, ends
     start = time.perf_counter()
     playing: dict[str, Any] = {"best_of": sizes.best_of, "persons": sizes.validators}
-    with study_progress(row.stage("validation")) as line:
+    with StudyLine(row.stage("validation")) as line:
         chosen = choose(making.registry, learning, run, making.how, on_progress=line, **playing)
     seconds["validation"] = time.perf_counter() - start
     return run, [str(run.folder / choice.file) for choice in _picked(row, chosen)]
@@ -311,7 +310,7 @@ def _best_published(making: Making, seconds: dict[str, float]) -> str:
     partners = _partners(making, "validation", making.sizes.validators)
     cast = cast_robots(registry, [entry.id for entry in robots], partners)
     start, folder = time.perf_counter(), making.runs / "validation"
-    with study_progress(making.row.stage("validation")) as line:
+    with StudyLine(making.row.stage("validation")) as line:
         evaluate(cast, making.how, folder, include_own=True, on_progress=line)
     seconds["validation"] = time.perf_counter() - start
     returns = Record.read(folder).returns.evaluated_side
@@ -339,7 +338,7 @@ def _evaluate(making: Making, files: list[str], folder: Path, seconds: dict[str,
     cast = cast_robots(making.registry, files, (split, humans), baselines=references)
     start, kept = time.perf_counter(), cache_root() / "references" if references else None
     playing: dict[str, Any] = {"include_own": knowing, "references": kept}
-    with study_progress(row.stage("evaluation")) as line:
+    with StudyLine(row.stage("evaluation")) as line:
         summary = evaluate(cast, making.how, folder, on_progress=line, **playing)
     seconds["evaluation"] = seconds.get("evaluation", 0.0) + time.perf_counter() - start
     write_run(folder, making.command, summary.env_steps_per_second is not None)

@@ -38,7 +38,7 @@ class ShownRow:
     mean: float
     low: float | None  # ends of the mean's 95% interval
     high: float | None
-    safe_success: float | None
+    caring_success: float | None
     violations: float | None
     seed_sd: float | None
 

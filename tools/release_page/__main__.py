@@ -3,6 +3,7 @@
 Run from a checkout: `python -m tools.release_page collect` and `page`.
 """
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,10 +58,10 @@ def page(
         registry: Registry to read instead of the installed one.
 
     Example:
-        python -m tools.release_page page --release v1 --data docs/data/v1 --out v1.md
+        python -m tools.release_page page --release v1 --data docs/data/paper --out v1.md
     """
     from tools.release_page import paper
-    from tools.release_page.pages import check_pages, relative_folder
+    from tools.release_page.pages import check_pages, relative_folder, relinked
     from zoo.registry import load_registry
 
     if out.suffix.lower() != ".md":
@@ -70,6 +71,8 @@ def page(
     folder = images or out.parent / "images" / release
     published = load_registry(registry)
     results = paper.read_results(published, release, data)
+    notes = {key: relinked(note, data, out) for key, note in results.notes.items()}
+    results = dataclasses.replace(results, notes=notes)
     places = f"--data {data.as_posix()} --out {out.as_posix()}"
     if images:
         places += f" --images {images.as_posix()}"
@@ -106,7 +109,7 @@ def collect(folders: tuple[Path, ...], /, *, out: Path) -> None:
         out: Folder of the release's tables.
 
     Example:
-        python -m tools.release_page collect runs/eval-ppo runs/ego-ppo --out docs/data/v1
+        python -m tools.release_page collect runs/eval-ppo runs/ego-ppo --out docs/data/paper
     """
     from tools.release_page.collect import collect as condense
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
-from evaluation.plots.heatmap import crossplay_heatmap
-from evaluation.plots.matrix import arrange
+from evaluation.plots.crossplay.heatmap import crossplay_heatmap
+from evaluation.plots.crossplay.matrix import arrange
 from tools.release_page.data import CrossPlayed
 from tools.release_page.markdown import MISSING, figure, spoken, table
 

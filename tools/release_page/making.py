@@ -10,7 +10,8 @@ from tools.release_page.data import Played
 from tools.release_page.markdown import spoken
 from zoo.schema import PolicyEntry, Training
 
-_POLICY = re.compile(r"--policy[ =](\S+)")
+# A robot of an evaluation, which had an option before it when the paper's tables were made.
+_ROBOT = re.compile(r"(--policy[ =])?(\S+\.safetensors)(?=\s|$)")
 _TASKS = list(VERSIONS)
 HEADINGS = ("what", "how much", "device", "backend", "device minutes")
 
@@ -94,9 +95,11 @@ def _minutes(seconds: Sequence[float | None]) -> str:
 
 
 def _shortened(command: str) -> str:
-    """Return a command in which the policies of many seeds are the first and a number."""
-    policies = _POLICY.findall(command)
-    if len(policies) < 3:
+    """Return a command in which the robots of many seeds are the first and a number."""
+    robots = _ROBOT.findall(command)
+    if len(robots) < 3:
         return command
-    rest = re.sub(r" {2,}", " ", _POLICY.sub("", command)).strip()
-    return f"{rest} --policy {policies[0]}  # and {len(policies) - 1} more --policy"
+    rest = re.sub(r" {2,}", " ", _ROBOT.sub("", command)).strip()
+    option, first = robots[0]
+    word = option.strip(" =") or "robots"
+    return f"{rest} {option.replace('=', ' ')}{first}  # and {len(robots) - 1} more {word}"

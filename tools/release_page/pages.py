@@ -1,6 +1,7 @@
 """A page and its figures on disk: written, or compared with the files there."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -8,6 +9,15 @@ from pathlib import Path
 def relative_folder(images: Path, page: Path) -> str:
     """Return the folder of the figures as the page links to it."""
     return Path(os.path.relpath(images, page.parent)).as_posix()
+
+
+def relinked(text: str, source: Path, page: Path) -> str:
+    """Return Markdown with relative links, written for the folder `source`, as links of a page."""
+
+    def link(found: re.Match[str]) -> str:
+        return "](" + Path(os.path.relpath(source / found[1], page.parent)).as_posix()
+
+    return re.sub(r"\]\((?![\w+.-]+:|#)([^)#\s]+)", link, text)
 
 
 def first_difference(text: str, expected: str) -> str:

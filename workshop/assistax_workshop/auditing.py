@@ -8,7 +8,7 @@ from pathlib import Path
 from assistax_workshop.gates.audit import EPISODES, Audit, Others, audit_task
 from assistax_workshop.gates.audit_teams import Teams, read_robots, read_teams, read_trained_egos
 from assistax_zoo.evaluating import Shown
-from assistax_zoo.shell.console import chosen_progress, study_progress
+from assistax_zoo.shell.console import StudyLine, chosen_progress
 from assistax_zoo.zoos import Zoo, open_zoo
 from evaluation.cast.cast import env_version as version_together
 from evaluation.play.how import PlaySettings
@@ -81,7 +81,7 @@ def audit(
     if env_version is None:
         env_version = version_together(registry, task, registry.known(own.robots.ids))
     play = partial(audit_task, episodes=episodes, seed=seed, backend=backend, version=env_version)
-    shown = chosen_progress(progress, study_progress(f"audit {task}"))
+    shown = chosen_progress(progress, StudyLine(f"audit {task}"))
     with tempfile.TemporaryDirectory() as temporary, shown as on_progress:
         return play(task, own, Others(**policies), Path(out or temporary), on_progress=on_progress)
 

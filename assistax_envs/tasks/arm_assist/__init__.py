@@ -14,7 +14,6 @@ TASK = TaskKind(
     tool="hook",
     looks="narrow_bed",
     person=PERSON,
-    paper=True,
     spreads={
         "ppo": (187.7, 124.9, 203.9, 286.8, 99.8),
         "sac": (2242.1, 26.8, 126.5, 234.0, 16.6),

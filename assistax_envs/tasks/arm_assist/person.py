@@ -3,11 +3,11 @@
 import dataclasses
 
 from assistax_envs.tasks.person import ARM_SEEN, ArmHelp, Parameter, PersonKind
-from assistax_envs.tasks.person_numbers import BODY, CONTROL, INTENTION, RANGE, REACTION
+from assistax_envs.tasks.person_numbers import BODY, CONTROL, INTENTION, RANGE, REACTION, SIGNS
 
 CARRIED = (
-    Parameter("liked_distance", "m", 0.1, 0.6, RANGE, "of the hook from the arm", 0.25, 0.6),
-    Parameter("liked_place", "m", 0.1, 0.3, RANGE, "across the waist, where the arm should lie"),
+    Parameter("liked_distance", "m", 0.1, 0.6, RANGE, "liked distance of the hook", 0.25, 0.6),
+    Parameter("liked_place", "m", 0.1, 0.3, RANGE, "liked place of the arm across the waist"),
     Parameter(
         "tolerance", "1", 1.5, 4.0,
         "design: 40 N on average, in weights of the forearm, 16 N",
@@ -20,7 +20,7 @@ _NEAR = tuple(
     dataclasses.replace(number, low=-0.1, high=0.1) if number.name.startswith("belief") else number
     for number in INTENTION
 )
-CARRIED_PERSON = (*BODY, *CONTROL, *_NEAR, *CARRIED, *REACTION)
+CARRIED_PERSON = (*BODY, *CONTROL, *_NEAR, *CARRIED, *REACTION, *SIGNS)
 
 PERSON = PersonKind(
     parameters=CARRIED_PERSON,

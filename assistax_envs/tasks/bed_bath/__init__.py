@@ -14,7 +14,6 @@ TASK = TaskKind(
     tool="pad",
     looks="wide_bed",
     person=PERSON,
-    paper=True,
     spreads={"ppo": (17.1, 4.5, 35.9, 25.1, 1.1), "sac": (16.7, 9.7, 36.7, 25.3, 1.6)},
     seed_sd=15.7,
     goal="The robot wipes points on the arm of a person in bed.",

@@ -5,7 +5,7 @@ from assistax_envs.tasks.person_numbers import SKIN
 
 # Degrees about each segment's axis, from its frame's x to its y: where the pad comes little while
 # the arm rests, and which rolling the arm inward shows. Teams that rolled it outward first, where
-# there were points too, stayed there: docs/tasks.md.
+# there were points too, stayed there: docs/log/gentle_tasks.md.
 UNDERSIDE = ((90.0, 270.0), (165.0, 340.0))
 
 PERSON = PersonKind(

@@ -9,7 +9,7 @@ from assistax_envs.tasks.kind import TaskKind
 
 TASK = TaskKind(
     name="gentle_bath",
-    version=3,
+    version=4,
     make="assistax_envs.tasks.gentle_bath.task:GentleBath",
     script="assistax_envs.tasks.gentle_bath.script:SCRIPT",
     scene=dataclasses.replace(BASE.scene, human_share=0.5, softened=True),
@@ -17,7 +17,7 @@ TASK = TaskKind(
     looks=BASE.looks,
     preferences=("force", "speed"),
     person=PERSON,
-    recipe={**RECIPE, "entropy_coef": 3e-3},
+    recipe={**RECIPE, "entropy_coef": 3e-3, "liking_width": 1.0},
     seed_sd=31.5,
     goal="The robot wipes points on the arm of a person in bed.",
 )

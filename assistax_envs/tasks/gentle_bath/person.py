@@ -13,6 +13,7 @@ PERSON = PersonKind(
         ("touch", 1),
         ("sliding", 1),
         ("unwiped", 25),
+        ("felt", 4),  # of two wishes: what is done over a usual value, whether it is judged
         ("known", 2),
     ),
     help=ArmHelp(

@@ -3,8 +3,15 @@
 import jax
 import jax.numpy as jnp
 
-from assistax_envs.tasks.chain import Chain, Numbers, Script, unit
-from assistax_envs.tasks.skin_script import SKIN_RANGES, above_point, drive_on_skin, pressing
+from assistax_envs.tasks.base import unit
+from assistax_envs.tasks.chain import Chain, Numbers, Script
+from assistax_envs.tasks.skin_script import (
+    SKIN_RANGES,
+    above_point,
+    drive_on_skin,
+    rub_as_liked,
+    rubbing,
+)
 
 NUMBERS: dict[str, float] = {
     "approach": 2.83,
@@ -25,6 +32,29 @@ NUMBERS: dict[str, float] = {
     "keep": 0.142,
     "back": 0.0154,
     "slide": 0.0634,
+    "ahead": 0.0,
+    "drag": 0.0,
+}
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {
+    "heed": 0.768,
+    "pace": 0.797,
+    "ahead": 0.368,
+    "drag": 0.445,
+    "soften": 0.00979,
+    "press": 0.0825,
+    "lift": 0.134,
+    "lean": 1.28,
+    "turn": 0.153,
+    "damping": 0.00408,
+    "approach": 2.29,
+    "fast": 0.35,
+    "hover": 0.0458,
+    "yield": 0.00295,
+    "touch": 0.496,
+    "over": 0.0533,
+    "keep": 0.132,
+    "back": 0.0228,
 }
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = SKIN_RANGES | {
@@ -45,10 +75,10 @@ def wipe(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     along = unit(obs[:, 24:27] - obs[:, 27:30])
     onward = jnp.sign((chain.velocity(obs) * along).sum(-1, keepdims=True)) * along
     way = jnp.where(off < n["back"], onward, aside / jnp.maximum(off, 1e-3))
-    rub = n["slide"] * way + pressing(n, force) * normal
+    rub = rubbing(chain, n, obs, normal, force, n["slide"] * way)
     on = (off < n["over"]) | ((off < n["keep"]) & (force > n["touch"]))
     velocity = jnp.where(on & (normal[:, 2:] > n["facing"]), rub, above)
     return drive_on_skin(chain, n, obs, normal, force, velocity)
 
 
-SCRIPT = Script(wipe, NUMBERS, RANGES, force=37)
+SCRIPT = Script(wipe, NUMBERS, RANGES, told=rub_as_liked, careful=CAREFUL)

@@ -1,4 +1,4 @@
-"""Gentle bath: the underside of the arm is wiped in any order, at the preferred force and speed.
+"""Gentle bath: the underside of the arm is wiped in any order, at the liked force and speed.
 
 The arm lies on the bed, and its upper side is clean. The human has to turn and lift it.
 """
@@ -11,22 +11,22 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.tasks import care
 from assistax_envs.tasks.base import LOWER_ARM, Measures, Pose, observations, rotate
 from assistax_envs.tasks.bed_bath.person import UNDERSIDE
 from assistax_envs.tasks.bed_bath.task import START, arm_points
 from assistax_envs.tasks.gentle_base import (
-    COSTS,
+    FELT,
+    ROUGHNESS,
     SOFT,
     STEP,
     Preferences,
     TouchReadings,
     TouchSensors,
     along_skin,
-    bump,
-    costs,
     episode_preferences,
     in_segment,
-    touch_measures,
+    roughness,
     with_preference,
 )
 
@@ -34,12 +34,13 @@ from assistax_envs.tasks.gentle_base import (
 NEAR = 0.04
 SLIDE = 0.02  # m/s over the skin, below which nothing is wiped
 PRESS = 0.5  # N, likewise
-# Steps that a point is under the pad until it is clean, if it is wiped as preferred; else it takes
-# longer. So touching down does not decide what a point pays.
+# Steps that a point is wiped until it is clean. How well that is liked changes what it pays, not
+# how long it takes: a robot that observed the rest of a point would be told.
 DWELL = 50.0
-# Points wiped that are success, of the 12 on the forearm, which are all that is asked for. A human
-# whose arm has half of its strength cannot show the upper arm's.
-ENOUGH = 8
+# Points wiped as liked that are success, of the 12 on the forearm, which are all that is asked for.
+# A human whose arm has half of its strength cannot show the upper arm's. A point counts if half of
+# its wiping was within 1.5 of the liked force and speed.
+ENOUGH, MOSTLY = 8, 0.5
 # m above the skin, where the way to a point is measured to: points that face the pad come first
 FACING = 0.03
 # m that half a turn of the arm counts for in that way. The shortest way to a point on the far side
@@ -59,7 +60,8 @@ class WipeState:
     last: jax.Array  # [2, 3] tool a step ago in each segment's frame, m; NaN before the first step
     drift: jax.Array  # [2, 3] m/s, its smoothed velocity there
     nearest: jax.Array  # m, to the nearest point a step ago
-    violated: jax.Array  # bool, some contact was above the hard limit
+    well: jax.Array  # [K] how much of a point was wiped as liked
+    care: care.Care
     preference: Preferences
 
 
@@ -75,18 +77,15 @@ class GentleBath:
         model: mujoco.MjModel,
         weights: dict[str, float] | None = None,
         told: tuple[str, ...] = ("human",),
-        whatever: float = 0.2,
     ) -> None:
-        """Prepare; `whatever` is the share of a point's wiping that no preference changes."""
         terms = {"progress": 20.0, "wipe": 20.0}
-        self.weights = terms | COSTS | {"violation": 40.0} | (weights or {})
+        self.weights = terms | ROUGHNESS | care.COSTS | {"violation": 40.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
-        self._told, self._whatever = told, whatever
+        self._told = told
         self._segment, self._offset = underside(model)
         asked = self._segment == LOWER_ARM
         self._asked = np.array(asked, np.float32)  # [K]
-        self._spared = int(asked.sum()) - ENOUGH  # points that may stay unwiped
         radial = self._offset * np.array([1.0, 1.0, 0.0], np.float32)
         self._outward = radial / np.linalg.norm(radial, axis=1, keepdims=True)
         self._over = self._offset + FACING * self._outward
@@ -100,7 +99,8 @@ class GentleBath:
             last=jnp.full((2, 3), nan),
             drift=jnp.zeros((2, 3), jnp.float32),
             nearest=nan,
-            violated=jnp.zeros((), bool),
+            well=jnp.zeros(len(self._asked), jnp.float32),
+            care=care.untouched(self.scene, params),
             preference=episode_preferences(params, preference_key),
         )
         return self.pose.draw(pose_key), state
@@ -119,21 +119,26 @@ class GentleBath:
     def transition(
         self, task_state: WipeState, readings: TouchReadings
     ) -> tuple[WipeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds once enough is wiped without a hard contact."""
+        """See `Task.transition`; the goal holds once enough was wiped as liked."""
         s, r = task_state, readings
         points, over = self._points(r, self._offset), self._points(r, self._over)
         gap, first = _distance(points, r), jnp.isnan(s.nearest)
         tool, drift, speed = self._slide(s, r, gap, first)
+        felt = self._felt(s, r, speed)
         way = _distance(over, r) + TURN * self._turned_away(tool)
-        left, wiped = self._wiped(s, r, gap < NEAR, speed)
-        done = left.sum(axis=1) <= self._spared
+        left = self._left(s, r, gap < NEAR, speed)
+        wiped = (s.left - left).sum(axis=1)
+        best = s.preference.of(self.scene)
         near = jnp.where(s.left > 0, way, WIPED).min(axis=1)
+        liked = care.liked(felt.done, best, felt.width[:, None]).prod(axis=1)
         terms = {
             "progress": jnp.where(first | (near >= WIPED), 0.0, s.nearest - near),
-            "wipe": wiped,
-        } | costs(r)
+            "wipe": wiped * care.paid(liked),
+        }
+        terms |= roughness(r, felt.violated) | care.costs(felt)
+        well = s.well + (s.left - left) * care.within(felt.done, best).all(axis=1, keepdims=True)
         after = jnp.where(left > 0, way, WIPED)
-        row, upcoming = jnp.arange(done.shape[0]), after.argmin(axis=1)
+        row, upcoming = jnp.arange(left.shape[0]), after.argmin(axis=1)
         nearest = after.min(axis=1)
         goal = (
             points[row, upcoming] - r.tool_position,
@@ -143,26 +148,34 @@ class GentleBath:
             speed[:, None] * 10.0,
             left,
         )
-        obs = with_preference(observations(r, *goal), s.preference.observed(self.scene), self._told)
-        violated = s.violated | r.hurt
-        state = WipeState(left, tool, drift, nearest, violated, s.preference)
-        return state, obs, terms, touch_measures(r, near, done & ~violated, violated)
+        obs = with_preference(
+            observations(r, *goal),
+            care.felt_by(felt, self.scene),
+            s.preference.observed(self.scene),
+            self._told,
+        )
+        state = WipeState(left, tool, drift, nearest, well, felt, s.preference)
+        done = (well >= MOSTLY).sum(axis=1) >= ENOUGH
+        return state, obs, terms, care.measures(felt, r, near, done, best)
 
-    def _wiped(
+    def _felt(self, s: WipeState, r: TouchReadings, speed: jax.Array) -> care.Care:
+        """Return the care after a step: of the force, and of the speed of a pad that slides."""
+        touching = r.on_arm > FELT
+        sample, judged = (r.on_arm, speed), (touching, touching & (speed > SLIDE))
+        given = s.care, self.scene, s.preference, r
+        return care.after(*given, sample, judged, s.preference.force)
+
+    def _left(
         self, s: WipeState, r: TouchReadings, under: jax.Array, speed: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Return the rest of each point to wipe [N, K], and the paid amount that was wiped [N].
+    ) -> jax.Array:
+        """Return the rest of each point to wipe [N, K].
 
         `under` [N, K] has the points under the pad, `speed` [N] is that of the pad over the skin.
         """
-        liked = bump(r.on_arm, s.preference.force) * bump(speed, s.preference.speed)
-        # Squared, as in gentle scratch: an episode is too short for robots that ignore preferences.
-        well = self._whatever + (1.0 - self._whatever) * liked**2
         most = 2.0 * SOFT  # some people like 10 N
         gentle = (r.on_arm > PRESS) & (r.on_arm < most) & (speed > SLIDE)
         hit = under & (s.left > 0) & gentle[:, None]
-        left = jnp.maximum(s.left - hit * well[:, None] / DWELL, 0.0)
-        return left, (s.left - left).sum(axis=1)
+        return jnp.maximum(s.left - hit / DWELL, 0.0)
 
     def _slide(
         self, s: WipeState, r: TouchReadings, gap: jax.Array, first: jax.Array

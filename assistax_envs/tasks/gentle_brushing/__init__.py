@@ -9,7 +9,7 @@ from assistax_envs.tasks.scratch import TASK as BASE
 
 TASK = TaskKind(
     name="gentle_brushing",
-    version=1,
+    version=2,
     make="assistax_envs.tasks.gentle_brushing.task:GentleBrushing",
     script="assistax_envs.tasks.gentle_brushing.script:SCRIPT",
     scene=dataclasses.replace(BASE.scene, human_share=1.0, softened=True, teeth=True),

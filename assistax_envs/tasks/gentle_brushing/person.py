@@ -4,11 +4,16 @@ from assistax_envs.tasks.person import HEAD_SEEN, HeadHelp, Parameter, PersonKin
 from assistax_envs.tasks.person_numbers import RANGE, numbers_of_head
 
 _BRUSHED = (
-    Parameter("liked_press", "N", 0.5, 2.0, RANGE, "of the brush on the teeth", 1.0, 0.5),
-    Parameter("liked_speed", "m/s", 0.02, 0.08, RANGE, "of the brush over the teeth", 0.04, 0.5),
     Parameter(
-        "tolerance", "1", 2.0, 8.0, "design: 4 N on average", "force that hurts, in liked forces",
-        4.0, 0.3,
+        "liked_press", "N", 0.8, 4.0,
+        "1.6 N on average, by hand: Wiegand et al. 2012; 330 g: Van der Weijden et al. 1998, "
+        "J Clin Periodontol 25:413; the ends are a design",
+        "liked press on the teeth", 2.0, 0.5,
+    ),
+    Parameter("liked_speed", "m/s", 0.02, 0.08, RANGE, "liked speed over the teeth", 0.04, 0.5),
+    Parameter(
+        "tolerance", "1", 1.5, 5.0, "design: 5 N on average", "force that hurts, in liked forces",
+        2.5, 0.3,
     ),
 )  # fmt: skip
 
@@ -31,6 +36,7 @@ PERSON = PersonKind(
         ("done", 1),
         ("touch", 1),
         ("pressed", 1),
+        ("felt", 4),  # of two wishes: what is done over a usual value, whether it is judged
         ("known", 3),
     ),
     help=HeadHelp(

@@ -1,10 +1,12 @@
 """Script of gentle brushing, and its numbers."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
 from assistax_envs.tasks.chain import Chain, Numbers, Script, capped
-from assistax_envs.tasks.skin_script import pressing
+from assistax_envs.tasks.skin_script import rubbing
 
 NUMBERS: dict[str, float] = {
     "approach": 6.05,
@@ -22,6 +24,28 @@ NUMBERS: dict[str, float] = {
     "gate": 0.0341,
     "turn": 0.1,
     "damping": 0.0015,
+    "ahead": 0.0,
+    "drag": 0.0,
+}
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {
+    "heed": 0.837,
+    "pace": 1.27,
+    "ahead": 0.661,
+    "drag": 1.03,
+    "soften": 0.00769,
+    "approach": 5.18,
+    "fast": 0.126,
+    "above": 0.0174,
+    "inside": 0.00398,
+    "over": 0.0117,
+    "rub": 6.73,
+    "press": 0.0727,
+    "lift": 0.0388,
+    "round": 0.0201,
+    "gate": 0.0339,
+    "turn": 0.143,
+    "damping": 0.00247,
 }
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = {
@@ -40,6 +64,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "gate": (0.02, 0.06),  # before the lips, on the way in
     "turn": (0.02, 0.3),
     "damping": (1e-4, 5e-3),
+    "ahead": (0.0, 1.2),  # share of the force that is kept, which the motors press with anyway
+    "drag": (0.0, 1.5),  # friction that is made up for, as a share of the force
 }
 
 
@@ -61,7 +87,7 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     rubs = (at < n["over"]) & (jnp.abs(aside).max(axis=1, keepdims=True) < 0.03)
     at_place = jnp.where(
         rubs & (height > -0.002) & shown,
-        capped(n["rub"] * aside, n["slide"]) + pressing(n, force) * normal,
+        rubbing(chain, n, obs, normal, force, capped(n["rub"] * aside, n["slide"])),
         capped(n["approach"] * way, n["fast"]),
     )
     # Between the lips, and before them until it may go in there.
@@ -71,4 +97,9 @@ def brush(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     return chain.drive(obs, velocity, -forward, turn=n["turn"], damping=n["damping"])
 
 
-SCRIPT = Script(brush, NUMBERS, RANGES)
+def keep_to(n: Numbers, wishes: Mapping[str, jax.Array]) -> Numbers:
+    """Return the numbers of a script that keeps to the liked press and speed."""
+    return {"force": n["heed"] * wishes["press"], "slide": n["pace"] * wishes["speed"]}
+
+
+SCRIPT = Script(brush, NUMBERS, RANGES, told=keep_to, careful=CAREFUL)

@@ -17,9 +17,13 @@ YAW, JAW = SEAT.index("neck_yaw"), SEAT.index("jaw")
 def feel(now: Perceived) -> Comfort:
     """Judge a brush by how hard it presses and how fast it rubs."""
     force = now.numbers["liked_press"]
-    one = jnp.ones_like(now.force)
+    one, speed = jnp.ones_like(now.force), now.moving / now.numbers["liked_speed"]
     return Comfort(
-        unit=force, preferred=force, speed=now.moving / now.numbers["liked_speed"], near=one
+        unit=force,
+        preferred=force,
+        speed=speed,
+        near=one,
+        way=jnp.where(jnp.asarray(INNER)[jnp.minimum(now.place, PLACES - 1)], -1.0, 1.0),
     )
 
 

@@ -1,7 +1,7 @@
-"""Gentle brushing: strokes over twelve places on the teeth, at the preferred force and speed.
+"""Gentle brushing: strokes over twelve places on the teeth, at the liked force and speed.
 
 Neither can do it alone: the human turns its head to show a side and opens its mouth for the inside,
-the robot brushes. The robot has to find out how hard and how fast the human prefers it.
+the robot brushes. The robot has to find out how hard and how fast the human likes it.
 """
 
 import dataclasses
@@ -14,14 +14,13 @@ import numpy as np
 
 from assistax_envs.models.care_scenes import OPEN, TEETH
 from assistax_envs.models.teeth import INNER, OFF, PLACES, ROW, SHOWN_BY, places
+from assistax_envs.tasks import care
 from assistax_envs.tasks.base import Measures, human_joints, observations, rotate
 from assistax_envs.tasks.gentle_base import (
     STEP,
     Preferences,
-    bump,
-    costs,
     episode_preferences,
-    touch_measures,
+    roughness,
     with_preference,
 )
 from assistax_envs.tasks.gentle_feeding.task import AtMouth, arm_at
@@ -32,17 +31,16 @@ AT_END = 0.004  # m along the row, how near the brush comes to an end
 STROKE = 0.01  # m, way of a stroke: what a liked speed means in time
 BESIDE = 0.007  # m across the row, how far the brush may be from where it should be
 LIGHTEST, HARDEST = 0.1, 8.0  # N on the row
-STROKES = 4  # of a place, if they are liked: a dentist's ten would take a minute and a half
-# Effect of a stroke that is far from the preference, while a preferred one has 1; and the power of
-# `bump` for force and time: twice the preferred value has a third.
-WHATEVER, SHARP = 0.2, 4
-ASKED = 6  # places that are success
+# Of a place: a dentist's ten would take a minute and a half. How well they are liked changes what
+# they pay, not their number: a robot that observed when a place is done would be told.
+STROKES = 4
+# Places that are success, with this many strokes within 1.5 of the liked force and time.
+ASKED, WELL = 6, 2
 HALF_OPEN = 0.25  # rad of the jaw, from where on the inside can be brushed
 SHOWN = 0.3  # rad of the neck's yaw, likewise a side
 JAW_WAY, TURN_WAY = 0.2, 0.1  # m of a place's way that a radian of jaw and neck counts for
 GATE = np.array([0.0, 0.0, -0.005], np.float32)  # between the lips, where a brush goes in and out
 WITHIN = -0.002  # m: a brush that is farther out than this is before the mouth
-SPARED = 0.5  # of STROKES: no robot brushes just as preferred
 NEAR = 0.75  # share of the last 16 mm of a way that is not paid: strokes pay by preference
 BEFORE = 5  # rows of `WAY` in which episodes start before the mouth
 # The robot's joints at each place, rad: the brush along the mouth's axis, 2 mm from the teeth of a
@@ -71,21 +69,28 @@ class BrushState:
     place: jax.Array  # int32 index into `teeth.ORDER`
     done: jax.Array  # int32, places that are brushed
     strokes: jax.Array  # int32, of this place
-    brushed: jax.Array  # what they did, of STROKES
+    well: jax.Array  # int32, those of them that were liked
+    liked_places: jax.Array  # int32
     side: jax.Array  # +1 or -1: the end that the brush goes to
     time: jax.Array  # steps that this stroke has taken at the place
     liked: jax.Array  # sum over them of how well the human liked the force
+    pressed: jax.Array  # sum over the touched ones of the logarithm of the force
+    touched: jax.Array  # those in touch
+    speed: jax.Array  # m/s, of the last stroke; 0 before the first
     left: jax.Array  # m of the way to that end a step ago; NaN before the first step
-    violated: jax.Array  # bool, some contact was above its limit
+    care: care.Care
     preference: Preferences
 
 
 class GentleBrushing(AtMouth):
-    """Progress to the stroke's end, pay for each stroke by preference, and for each place."""
+    """Progress to the stroke's end, pay for each stroke as it is liked, and for each place.
+
+    A stroke pays by the steps that it should take, as in gentle scratch: a fixed pay teaches haste.
+    """
 
     name = scene = "gentle_brushing"
     target_colours: ClassVar = {"place": (0.95, 0.05, 0.55, 0.5)}
-    terms: ClassVar = {"progress": 100.0, "stroke": 5.0, "place": 10.0}
+    terms: ClassVar = {"progress": 50.0, "stroke": 1.0, "place": 10.0}
     felt: ClassVar = TEETH
 
     def __init__(
@@ -118,12 +123,16 @@ class GentleBrushing(AtMouth):
             place=place,
             done=nought,
             strokes=nought,
-            brushed=zero,
+            well=nought,
+            liked_places=nought,
             side=jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0),
             time=zero,
             liked=zero,
+            pressed=zero,
+            touched=zero,
+            speed=zero,
             left=jnp.full((), jnp.nan, jnp.float32),
-            violated=jnp.zeros((), bool),
+            care=care.untouched(self.scene, params),
             preference=episode_preferences(params, preference_key),
         )
 
@@ -140,45 +149,60 @@ class GentleBrushing(AtMouth):
     def transition(
         self, task_state: BrushState, readings: MouthReadings
     ) -> tuple[BrushState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after six places without a hard contact."""
+        """See `Task.transition`; the goal holds after six places as liked."""
         s, r = task_state, readings
         spot = self._spot(s, r)
         full = s.done >= PLACES
-        first = jnp.isnan(s.left)
         there = spot.shown & (spot.aside < BESIDE) & ~full
         touching = there & (spot.force > LIGHTEST) & (spot.force < HARDEST)
         arrived = touching & (s.side * spot.at > HALF - AT_END) & (jnp.abs(spot.at) < HALF + AT_END)
-        time, liked = (
-            s.time + there,
-            s.liked + there * bump(spot.force, s.preference.press) ** SHARP,
-        )
-        took = jnp.maximum(time, 1.0)
-        preferred_steps = STROKE / s.preference.speed / STEP  # steps
-        well = liked / took * bump(preferred_steps / took, jnp.ones_like(took)) ** SHARP
-        does = jnp.minimum(WHATEVER + (1.0 - WHATEVER) * well, STROKES - s.brushed) * arrived
-        brushed = s.brushed + does
-        finished = brushed > STROKES - SPARED
+        felt = self._felt(s, r, spot, touching)
+        press, best = felt.done[:, 0], STROKE / s.preference.speed / STEP  # steps
+        time = s.time + there
+        liked = s.liked + touching * care.liked(press, s.preference.press, felt.width)
+        pressed = s.pressed + touching * jnp.log(jnp.maximum(press, LIGHTEST))
+        touched, took = s.touched + touching, jnp.maximum(time, 1.0)
+        pays = care.paid(care.liked(took, best, felt.width) * liked / took)
+        well = arrived & care.within(took, best)
+        well &= care.within(jnp.exp(pressed / jnp.maximum(touched, 1.0)), s.preference.press)
+        strokes, well = s.strokes + arrived, s.well + well
+        finished = strokes >= STROKES
+        as_liked = finished & (well >= WELL)
+        moved = jnp.isnan(s.left) | full
         terms = {
-            "progress": jnp.where(first | full, 0.0, s.left - spot.left),
-            "stroke": does,
-            "place": finished.astype(jnp.float32),
-        } | costs(r)
+            "progress": jnp.where(moved, 0.0, s.left - spot.left),
+            "stroke": arrived * best * pays,
+            "place": as_liked.astype(jnp.float32),
+        }
+        terms |= roughness(r, felt.violated) | care.costs(felt)
         after = dataclasses.replace(
             s,
             place=jnp.where(finished, (s.place + 1) % PLACES, s.place),
             done=s.done + finished,
-            strokes=jnp.where(finished, 0, s.strokes + arrived).astype(jnp.int32),
-            brushed=jnp.where(finished, 0.0, brushed),
+            liked_places=s.liked_places + as_liked,
+            strokes=jnp.where(finished, 0, strokes).astype(jnp.int32),
+            well=jnp.where(finished, 0, well).astype(jnp.int32),
             side=jnp.where(arrived, -s.side, s.side),
             time=jnp.where(arrived, 0.0, time),
             liked=jnp.where(arrived, 0.0, liked),
-            violated=s.violated | r.hurt,
+            pressed=jnp.where(arrived, 0.0, pressed),
+            touched=jnp.where(arrived, 0.0, touched),
+            speed=jnp.where(arrived, STROKE / (STEP * took), s.speed),
+            care=felt,
         )
         ahead = self._spot(after, r)
         after = dataclasses.replace(after, left=ahead.left)
         obs = self._observed(after, r, ahead, liked / took)
-        success = (after.done >= ASKED) & ~after.violated
-        return after, obs, terms, touch_measures(r, spot.left, success, after.violated)
+        goal, wishes = after.liked_places >= ASKED, s.preference.of(self.scene)
+        return after, obs, terms, care.measures(felt, r, spot.left, goal, wishes)
+
+    def _felt(
+        self, s: BrushState, r: MouthReadings, spot: "Spot", touching: jax.Array
+    ) -> care.Care:
+        """Return the care after a step: of the press, and of the last stroke's speed."""
+        sample, judged = (spot.force, s.speed), (touching, touching & (s.speed > 0.0))
+        given = s.care, self.scene, s.preference, r
+        return care.after(*given, sample, judged, s.preference.press)
 
     def _spot(self, s: BrushState, r: MouthReadings) -> "Spot":
         """Return the brush relative to the place that is to be brushed."""
@@ -241,7 +265,7 @@ class GentleBrushing(AtMouth):
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))
         # The human alone feels how well the force fits: a robot that observed it would be told.
         seen = jnp.column_stack([liked, s.preference.observed(self.scene)])
-        return with_preference(obs, seen, self._told)
+        return with_preference(obs, care.felt_by(s.care, self.scene), seen, self._told)
 
 
 @jax.tree_util.register_dataclass

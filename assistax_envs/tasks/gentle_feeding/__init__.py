@@ -9,7 +9,7 @@ from assistax_envs.tasks.scratch import TASK as BASE
 
 TASK = TaskKind(
     name="gentle_feeding",
-    version=2,
+    version=3,
     make="assistax_envs.tasks.gentle_feeding.task:GentleFeeding",
     script="assistax_envs.tasks.gentle_feeding.script:SCRIPT",
     # Trunk, neck and jaw hold their posture.

@@ -14,6 +14,7 @@ from assistax_envs.tasks.mouth import (
     LEAVING,
     SLOWLY,
     TAKING,
+    UNIT,
     WAITING,
     Comfort,
     Perceived,
@@ -24,7 +25,6 @@ WIDE, NARROW = 0.42, 0.05  # rad of the jaw: for a spoon, and on it
 RIPE = 0.2  # of the logarithm of a spoon's distance, within which it waits as preferred
 SOON = 0.25  # s that a spoon has to wait at the preferred place, beside the slow start
 DEEP = 1.6  # times the preferred depth, from where on a bowl is too deep
-UNIT = 2.0  # N, of a spoon on the lips
 
 
 def feel(now: Perceived) -> Comfort:
@@ -38,14 +38,19 @@ def feel(now: Perceived) -> Comfort:
     deep = jnp.maximum(-out, 1e-4) / numbers["liked_depth"]
     near = jnp.where(out < 0.0, jnp.minimum(one, LIGHT * DEEP / deep), waits)
     near = jnp.where(now.place >= LEAVING, one, near)
-    return Comfort(unit=UNIT * one, preferred=0.0 * one, speed=one, near=near)
+    return Comfort(
+        unit=UNIT * one,
+        preferred=0.0 * one,
+        speed=one,
+        near=near,
+        way=one,
+    )
 
 
 def intend(now: Perceived) -> tuple[Array, Array]:
     """Return the seconds [N] for which it has been willing, and the wanted posture [N, 5], rad."""
     numbers = now.numbers
-    out, aside = now.tool[:, 0], jnp.linalg.norm(now.tool[:, 1:], axis=-1)
-    waits = (out > 0.0) & (out < FARTHEST) & (aside < BESIDE) & (now.moving < SLOWLY)
+    out, waits = now.tool[:, 0], _waits(now)
     off = jnp.log(jnp.maximum(out, 1e-3) / numbers["liked_wait"])
     ripens = waits * jnp.exp(-0.5 * (off / RIPE) ** 2) * now.eager
     waiting = now.place == WAITING
@@ -56,3 +61,9 @@ def intend(now: Perceived) -> tuple[Array, Array]:
     shut = (waiting & ~ripe) | (now.place == TAKING)
     jaw = jnp.where(shut, NARROW, WIDE)
     return willing, jnp.zeros_like(now.aim).at[:, JAW].set(jaw)
+
+
+def _waits(now: Perceived) -> Array:
+    """Return whether the spoon waits before the mouth [N]."""
+    out, aside = now.tool[:, 0], jnp.linalg.norm(now.tool[:, 1:], axis=-1)
+    return (out > 0.0) & (out < FARTHEST) & (aside < BESIDE) & (now.moving < SLOWLY)

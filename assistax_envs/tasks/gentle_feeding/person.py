@@ -4,8 +4,8 @@ from assistax_envs.tasks.person import HEAD_SEEN, HeadHelp, Parameter, PersonKin
 from assistax_envs.tasks.person_numbers import RANGE, numbers_of_head
 
 _FED = (
-    Parameter("liked_wait", "m", 0.04, 0.16, RANGE, "of the spoon before the lips", 0.08, 0.8),
-    Parameter("liked_depth", "m", 0.012, 0.028, RANGE, "of the bowl behind the lips", 0.02, 0.3),
+    Parameter("liked_wait", "m", 0.04, 0.16, RANGE, "liked wait before the lips", 0.08, 0.8),
+    Parameter("liked_depth", "m", 0.012, 0.028, RANGE, "liked depth behind the lips", 0.02, 0.3),
     Parameter(
         "tolerance", "1", 1.5, 5.0, "design: 5 N on average, in forces of 2 N",
         "force that hurts, in forces of 2 N", 2.5, 0.3,
@@ -25,6 +25,7 @@ PERSON = PersonKind(
         ("touch", 1),
         ("bitten", 1),
         ("speed", 1),
+        ("felt", 4),  # of two wishes: what is done over a usual value, whether it is judged
         ("known", 2),
     ),
     help=HeadHelp(

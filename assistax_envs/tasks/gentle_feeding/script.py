@@ -1,5 +1,7 @@
 """Script of gentle feeding, and its numbers."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +17,8 @@ NUMBERS: dict[str, float] = {
     "turn": 0.1,
     "damping": 0.001,
 }
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = {
     "approach": (1.0, 8.0),
@@ -45,4 +49,9 @@ def feed(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     )
 
 
-SCRIPT = Script(feed, NUMBERS, RANGES)
+def keep_to(n: Numbers, wishes: Mapping[str, jax.Array]) -> Numbers:
+    """Return the numbers of a script that waits and comes in as liked."""
+    return {"wait": wishes["wait"], "deep": wishes["depth"]}
+
+
+SCRIPT = Script(feed, NUMBERS, RANGES, told=keep_to, careful=CAREFUL)

@@ -1,7 +1,7 @@
 """Gentle feeding: a spoon waits before the mouth, comes in level, is closed upon, and leaves.
 
 Neither can do it alone: the robot cannot open the mouth, and the human cannot reach the spoon. The
-human prefers a distance at which the spoon waits and a depth to which it comes; the robot has to
+human likes a distance at which the spoon waits and a depth to which it comes; the robot has to
 find them out. The mouth opens when the human wants it to.
 """
 
@@ -14,14 +14,13 @@ import mujoco
 import numpy as np
 
 from assistax_envs.models.care_scenes import LIPS, OPEN
+from assistax_envs.tasks import care
 from assistax_envs.tasks.base import ROBOT_JOINTS, Measures, Pose, observations
 from assistax_envs.tasks.gentle_base import (
-    COSTS,
+    ROUGHNESS,
     Preferences,
-    bump,
-    costs,
     episode_preferences,
-    touch_measures,
+    roughness,
     with_preference,
 )
 from assistax_envs.tasks.mouth import (
@@ -33,6 +32,7 @@ from assistax_envs.tasks.mouth import (
     OPENED,
     SLOWLY,
     TAKING,
+    UNIT,
     WAITING,
     MouthReadings,
     MouthSensors,
@@ -67,10 +67,8 @@ LEVEL, SPILT = 0.966, 0.866  # cosines of 15 and 30 degrees
 SERVE, BITE = 15, 10  # steps: 0.3 s still in the mouth, 0.2 s between the lips
 SOFTEST, HARDEST = 0.5, 5.0  # N of either lip on the bowl, smoothed over 0.2 s
 GONE = 0.08  # m before the lips
-ASKED, MEAL = 3, 6  # bites that are success, and that are paid
+ASKED, MEAL = 3, 6  # bites as liked that are success, and bites that are paid
 OUTSIDE = 0.16  # m before the lips, nearer than which no approach is paid
-WIDE = 0.006  # m, how the pay for a depth falls off
-WHATEVER = 0.2  # share of the pay that no preference changes
 JAW_WAY = 0.2  # m of a stage's way that a radian of the jaw counts for
 
 
@@ -88,7 +86,10 @@ class FeedState:
     left: jax.Array  # m of this stage's way a step ago; NaN before its first step
     earned: jax.Array  # what this bite has paid: a spill takes it back
     tilted: jax.Array  # bool: the last step spilt
-    violated: jax.Array  # bool, some contact was above its limit
+    waited: jax.Array  # bool: the spoon of this bite waited as liked
+    served: jax.Array  # bool: it came in as deep as liked
+    well: jax.Array  # int32, bites as liked
+    care: care.Care
     preference: Preferences
 
 
@@ -106,7 +107,8 @@ class AtMouth:
         told: tuple[str, ...] = ("human",),
     ) -> None:
         # Humans lean forward to eat, or to have their teeth brushed: a bent trunk costs nothing.
-        self.weights = self.terms | COSTS | {"trunk": 0.0, "violation": 20.0} | (weights or {})
+        self.weights = self.terms | ROUGHNESS | care.COSTS
+        self.weights |= {"trunk": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = MouthSensors(model, self.pose, self.felt)
         self._told = told
@@ -115,7 +117,7 @@ class AtMouth:
 
 
 class GentleFeeding(AtMouth):
-    """Pay for each stage of a bite by preference, and for its way; a spill takes it back."""
+    """Pay for each stage of a bite as it is liked, and for its way; a spill takes it back."""
 
     name = scene = "gentle_feeding"
     target_colours: ClassVar = {"mouth": (0.95, 0.05, 0.55, 0.6)}
@@ -158,7 +160,10 @@ class GentleFeeding(AtMouth):
             left=jnp.full((), jnp.nan, jnp.float32),
             earned=jnp.zeros((), jnp.float32),
             tilted=jnp.zeros((), bool),
-            violated=jnp.zeros((), bool),
+            waited=jnp.zeros((), bool),
+            served=jnp.zeros((), bool),
+            well=zero,
+            care=care.untouched(self.scene, params),
             preference=episode_preferences(params, preference_key),
         )
 
@@ -170,7 +175,7 @@ class GentleFeeding(AtMouth):
     def transition(
         self, task_state: FeedState, readings: MouthReadings
     ) -> tuple[FeedState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after three bites without a hard contact."""
+        """See `Task.transition`; the goal holds after three bites as liked."""
         s, r = task_state, readings
         out, aside = r.bowl[:, 0], jnp.linalg.norm(r.bowl[:, 1:], axis=-1)
         drift = s.drift + SMOOTH * (r.tool_velocity - s.drift)
@@ -180,18 +185,19 @@ class GentleFeeding(AtMouth):
         held, done = self._done(s, r, out, aside, speed, bitten, shut)
         spilt = (r.level < SPILT) & (s.stage < LEAVING)
         passed = [done & (s.stage == stage) & ~spilt for stage in range(FULL)]
+        felt = self._felt(s, r, out, aside, speed, shut)
+        best = s.preference.of(self.scene)
+        liked = care.paid(care.liked(felt.done, best, felt.width[:, None]))
+        within = care.within(felt.done, best)
+        waited = jnp.where(passed[WAITING], within[:, 0], s.waited)
+        served = jnp.where(passed[ENTERING], within[:, 1], s.served)
         stage, bites = self._next(s, done, spilt)
-        changed = stage != s.stage
+        changed, first = stage != s.stage, jnp.isnan(s.left)
         left = _left(s.stage, r, out, aside)
-        first = jnp.isnan(s.left)
-        pay = {
-            "open": passed[WAITING] * _well(bump(jnp.maximum(out, 0.0), s.preference.wait) ** 2),
-            "serve": passed[ENTERING] * _well(jnp.exp(-(((out + s.preference.depth) / WIDE) ** 2))),
-            "take": passed[TAKING].astype(jnp.float32),
-            "leave": passed[LEAVING].astype(jnp.float32),
+        pay = _pay(passed, liked) | {
+            "progress": jnp.where(first | (s.stage == FULL), 0.0, s.left - left),
+            "hold": (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE),
         }
-        pay["progress"] = jnp.where(first | (s.stage == FULL), 0.0, s.left - left)
-        pay["hold"] = (held - s.held) / jnp.where(s.stage == ENTERING, SERVE, BITE)
         # A tilted spoon spills once, until it is level again.
         charged = spilt & ~s.tilted
         earned = s.earned + sum(self.weights[name] * paid for name, paid in pay.items())
@@ -201,9 +207,9 @@ class GentleFeeding(AtMouth):
                 "level": -jnp.clip((1.0 - r.level) / (1.0 - SPILT), 0.0, 1.0),
                 "spill": charged * (-1.0 - jnp.maximum(s.earned, 0.0) / self.weights["spill"]),
             }
-            | costs(r)
+            | roughness(r, felt.violated)
+            | care.costs(felt)
         )
-        violated = s.violated | r.hurt
         state = FeedState(
             bites=bites,
             stage=stage,
@@ -214,12 +220,29 @@ class GentleFeeding(AtMouth):
             left=jnp.where(changed, jnp.nan, left),
             earned=jnp.where(passed[LEAVING] | spilt, 0.0, earned),
             tilted=spilt,
-            violated=violated,
+            waited=waited,
+            served=served,
+            well=s.well + (passed[LEAVING] & s.waited & s.served),
+            care=felt,
             preference=s.preference,
         )
-        obs = self._observed(state, r, speed)
-        success = (bites >= ASKED) & ~violated
-        return state, obs, terms, touch_measures(r, jnp.abs(out) + aside, success, violated)
+        obs, goal = self._observed(state, r, speed), state.well >= ASKED
+        return state, obs, terms, care.measures(felt, r, jnp.abs(out) + aside, goal, best)
+
+    def _felt(
+        self,
+        s: FeedState,
+        r: MouthReadings,
+        out: jax.Array,
+        aside: jax.Array,
+        speed: jax.Array,
+        shut: jax.Array,
+    ) -> care.Care:
+        """Return the care after a step: of a spoon that waits, and of a bowl in the mouth."""
+        waits = (s.stage == WAITING) & shut & _before(out, aside, speed)
+        inside = ((s.stage == ENTERING) | (s.stage == TAKING)) & (out < -SHALLOW)
+        sample, judged = (jnp.maximum(out, 0.0), jnp.maximum(-out, 0.0)), (waits, inside)
+        return care.after(s.care, self.scene, s.preference, r, sample, judged, UNIT)
 
     def _done(
         self,
@@ -232,8 +255,7 @@ class GentleFeeding(AtMouth):
         shut: jax.Array,
     ) -> tuple[jax.Array, jax.Array]:
         """Return the steps [N] that the stage's condition held, and whether the stage is done."""
-        before = (out > BEFORE) & (out < FARTHEST) & (aside < BESIDE) & (speed < SLOWLY)
-        opened = shut & before & (r.jaw > HALF)
+        opened = shut & _before(out, aside, speed) & (r.jaw > HALF)
         there = (out < -SHALLOW) & (out > -DEEP) & (aside < ASIDE) & (r.level > LEVEL)
         served = there & (r.jaw > HALF) & (speed < STILL)
         taken = (bitten > SOFTEST) & (bitten < HARDEST) & (out < 0.0) & (r.jaw < CLOSING)
@@ -266,7 +288,18 @@ class GentleFeeding(AtMouth):
             speed[:, None] * 10.0,
         )
         obs = observations(r, *goal, body=(r.mouth_position, r.forward))
-        return with_preference(obs, state.preference.observed(self.scene), self._told)
+        felt = care.felt_by(state.care, self.scene)
+        return with_preference(obs, felt, state.preference.observed(self.scene), self._told)
+
+
+def _pay(passed: list[jax.Array], liked: jax.Array) -> dict[str, jax.Array]:
+    """Return the pay [N] of stages that are passed [N] now, by how well they are liked [N, 2]."""
+    return {
+        "open": passed[WAITING] * liked[:, 0],
+        "serve": passed[ENTERING] * liked[:, 1],
+        "take": passed[TAKING].astype(jnp.float32),
+        "leave": passed[LEAVING].astype(jnp.float32),
+    }
 
 
 def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) -> jax.Array:
@@ -285,8 +318,9 @@ def _left(stage: jax.Array, r: MouthReadings, out: jax.Array, aside: jax.Array) 
     return ways[stage, jnp.arange(out.shape[0])]
 
 
-def _well(liked: jax.Array) -> jax.Array:
-    return WHATEVER + (1.0 - WHATEVER) * liked
+def _before(out: jax.Array, aside: jax.Array, speed: jax.Array) -> jax.Array:
+    """Return whether a spoon waits before the mouth [N]."""
+    return (out > BEFORE) & (out < FARTHEST) & (aside < BESIDE) & (speed < SLOWLY)
 
 
 def arm_at(place: jax.Array, rows: int = len(WAY)) -> jax.Array:

@@ -9,7 +9,7 @@ from assistax_envs.tasks.kind import TaskKind
 
 TASK = TaskKind(
     name="gentle_lift",
-    version=3,
+    version=4,
     make="assistax_envs.tasks.gentle_lift.task:GentleLift",
     script="assistax_envs.tasks.gentle_lift.script:SCRIPT",
     # The arm holds the forearm where it was brought to, and cannot bring it there.

@@ -16,6 +16,7 @@ PERSON = PersonKind(
         ("left", 1),
         ("touch", 1),
         ("swing", 1),
+        ("felt", 4),  # of two wishes: what is done over a usual value, whether it is judged
         ("known", 3),
     ),
     help=ArmHelp("brings", across=(ACROSS, MIDDLE)),

@@ -1,9 +1,13 @@
 """Script of gentle lift, and its numbers."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
-from assistax_envs.tasks.chain import DOWN, Chain, Numbers, Script, capped, unit
+from assistax_envs.tasks.base import unit
+from assistax_envs.tasks.chain import DOWN, Chain, Numbers, Script, capped
+from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
 
 NUMBERS: dict[str, float] = {
     "approach": 2.84,
@@ -24,7 +28,10 @@ NUMBERS: dict[str, float] = {
     "force": 13.5,
     "turn": 0.211,
     "damping": 0.00241,
+    "place": MIDDLE,
 }
+# Of the script that is told the wishes, in place of those above.
+CAREFUL: dict[str, float] = {}
 # Lengths in m, speeds in m/s, forces in N.
 RANGES: dict[str, tuple[float, float]] = {
     "approach": (1.0, 8.0),
@@ -45,12 +52,15 @@ RANGES: dict[str, tuple[float, float]] = {
     "force": (10.0, 45.0),
     "turn": (0.0, 0.4),
     "damping": (1e-4, 5e-3),
+    "place": (0.1, 0.3),  # of the forearm across the waist
 }
 
 
 def bring(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     """Bring the bar under the forearm, with it to the waist, and away once it lies there."""
-    to_section, to_waist, left = obs[:, 30:33], obs[:, 34:37], obs[:, 37:38]
+    to_section = obs[:, 30:33]
+    to_waist = obs[:, 34:37] + (n["place"] - MIDDLE) * jnp.asarray([ACROSS], jnp.float32)
+    left = jnp.linalg.norm(to_waist, axis=-1, keepdims=True)
     force, down = 10.0 * obs[:, 38:39], jnp.asarray(DOWN)
     along = unit(obs[:, 24:27] - obs[:, 27:30])  # of an arm that hangs straight: towards the hand
     under = to_section + n["handward"] * along + n["under"] * down
@@ -73,4 +83,9 @@ def _share(way: jax.Array, whole: float) -> jax.Array:
     return jnp.minimum(1.0, jnp.linalg.norm(way[:, :2], axis=-1, keepdims=True) / whole)
 
 
-SCRIPT = Script(bring, NUMBERS, RANGES)
+def keep_to(n: Numbers, wishes: Mapping[str, jax.Array]) -> Numbers:
+    """Return the numbers of a script that lays the arm and waits as liked."""
+    return {"wait": wishes["distance"], "place": wishes["place"]}
+
+
+SCRIPT = Script(bring, NUMBERS, RANGES, told=keep_to, careful=CAREFUL)

@@ -1,7 +1,7 @@
 """Gentle lift: the hanging forearm is brought beside the waist, and rests once the hook let go.
 
 Neither can do it alone: the human is too weak to lift its arm, and an arm that is not held slides
-off the bed. Once it rests, the hook waits at the distance that the human prefers.
+off the bed. Once it rests, the hook waits at the distance that the human likes.
 """
 
 import dataclasses
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.tasks import care
 from assistax_envs.tasks.arm_assist.task import START
 from assistax_envs.tasks.base import (
     HUMAN_ACTUATORS,
@@ -23,19 +24,18 @@ from assistax_envs.tasks.base import (
     to_target,
 )
 from assistax_envs.tasks.gentle_base import (
-    COSTS,
     LIGHTEST,
+    ROUGHNESS,
     STEP,
     Preferences,
     TouchReadings,
     TouchSensors,
-    bump,
-    costs,
     episode_preferences,
-    touch_measures,
+    roughness,
     with_preference,
 )
 from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
+from assistax_envs.tasks.person_numbers import FOREARM
 
 # m: the preferred place of the forearm lies across the waist from here. Everywhere there an arm
 # that is not held slides off the body by 7 to 13 cm. A weak human can let it slide down the
@@ -43,7 +43,7 @@ from assistax_envs.tasks.gentle_lift.person import ACROSS, MIDDLE
 EDGE = (-0.338, -0.382, 0.765)
 # rad: shoulder 1, shoulder 2, elbow of an arm that is rolled onto the bed and bent. Episodes start
 # anywhere between, as if it had slipped so far. Teams that always start with the whole way find its
-# first half, and stay there: docs/tasks.md.
+# first half, and stay there: docs/log/gentle_tasks.md.
 WAY = (
     (-0.92, -0.97, -1.57),
     (-0.74, -1.02, -1.57),
@@ -70,7 +70,6 @@ HOLD = 100  # steps of rest that are success: 2 s
 SWING = 0.4  # m/s of the forearm that costs nothing yet
 SOFT = 40.0  # N, the sum over the hook: a forearm and hand weigh 15 N
 WIDE = 0.08  # m, how the pay for being there falls off
-WHATEVER = 0.2  # share of the pay for resting there that no preference changes
 
 
 @jax.tree_util.register_dataclass
@@ -82,9 +81,9 @@ class LiftState:
     section: jax.Array  # [3] middle of the forearm a step ago; NaN before the first step
     left: jax.Array  # m, from it to the target a step ago
     under: jax.Array  # m, from the hook to where it lifts the forearm, a step ago
-    held: jax.Array  # int32, steps of rest in a row
+    held: jax.Array  # int32, steps of rest in a row, with the hook at the liked distance
     longest: jax.Array  # int32
-    violated: jax.Array  # bool, some contact was above the hard limit
+    care: care.Care
     preference: Preferences
 
 
@@ -109,7 +108,8 @@ class GentleLift:
     ) -> None:
         terms = {"approach": 10.0, "lift": 100.0, "there": 0.3, "rest": 1.0, "swing": 0.1}
         # A hook that carries touches more than the bar.
-        self.weights = terms | COSTS | {"stray": 0.0, "violation": 20.0} | (weights or {})
+        self.weights = terms | ROUGHNESS | care.COSTS
+        self.weights |= {"stray": 0.0, "violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._told = told
@@ -128,7 +128,7 @@ class GentleLift:
             under=nan,
             held=zero,
             longest=zero,
-            violated=jnp.zeros((), bool),
+            care=care.untouched(self.scene, params),
             preference=preference,
         )
         return self._slipped(self.pose.draw(pose_key), start_key), state
@@ -141,7 +141,7 @@ class GentleLift:
     def transition(
         self, task_state: LiftState, readings: TouchReadings
     ) -> tuple[LiftState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after 2 s of rest without a hard contact."""
+        """See `Task.transition`; the goal holds after 2 s of rest at the liked distance."""
         s, r = task_state, readings
         section = r.arm_position[:, LOWER_ARM]
         towards, distance = to_target(section, r)
@@ -151,17 +151,19 @@ class GentleLift:
         speed = jnp.linalg.norm(jnp.where(first[:, None], 0.0, section - s.section), axis=-1) / STEP
         rest = (left < THERE) & (speed < CALM) & (r.force < LIGHTEST)
         _, under = to_target(_lifted_at(section, r), r)
-        liked = bump(distance, s.preference.distance) ** 2
+        felt = self._felt(s, r, section, distance, rest)
+        liked = care.liked(felt.done[:, 0], s.preference.distance, felt.width)
         terms = {
             "approach": jnp.where(first | (left < THERE), 0.0, s.under - under),
             "lift": jnp.where(first, 0.0, s.left - left),
             "there": jnp.exp(-((left / WIDE) ** 2)) * jnp.exp(-((speed / CALM) ** 2)),
-            "rest": rest * (WHATEVER + (1.0 - WHATEVER) * liked),
+            "rest": rest * care.paid(liked),
             "swing": -jnp.minimum(1.0, jnp.maximum(speed - SWING, 0.0) / SWING),
-        } | costs(r, SOFT)
-        held = jnp.where(rest, s.held + 1, 0)
+        }
+        terms |= roughness(r, felt.violated, SOFT) | care.costs(felt)
+        liked_rest = rest & care.within(felt.done[:, 0], s.preference.distance)
+        held = jnp.where(liked_rest, s.held + 1, 0)
         longest = jnp.maximum(s.longest, held)
-        violated = s.violated | r.hurt
         to_middle = _place(MIDDLE)[None] - section
         goal = (
             towards,
@@ -173,10 +175,26 @@ class GentleLift:
         )
         # The human alone feels whether the arm rests at its place.
         seen = jnp.column_stack([jnp.minimum(held, HOLD) / HOLD, s.preference.observed(self.scene)])
-        obs = with_preference(observations(r, *goal), seen, self._told)
-        state = LiftState(s.waist, section, left, under, held, longest, violated, s.preference)
-        done = (longest >= HOLD) & ~violated
-        return state, obs, terms, touch_measures(r, left, done, violated)
+        obs = with_preference(
+            observations(r, *goal), care.felt_by(felt, self.scene), seen, self._told
+        )
+        state = LiftState(s.waist, section, left, under, held, longest, felt, s.preference)
+        best = s.preference.of(self.scene)
+        return state, obs, terms, care.measures(felt, r, left, longest >= HOLD, best)
+
+    def _felt(
+        self,
+        s: LiftState,
+        r: TouchReadings,
+        section: jax.Array,
+        distance: jax.Array,
+        rest: jax.Array,
+    ) -> care.Care:
+        """Return the care after a step: of the hook's distance and the arm's place at rest."""
+        across = jnp.array([ACROSS], jnp.float32)
+        place = ((section - jnp.array([EDGE], jnp.float32)) * across).sum(axis=-1)
+        sample = distance, jnp.maximum(place / (across**2).sum(), 0.01)
+        return care.after(s.care, self.scene, s.preference, r, sample, (rest, rest), FOREARM)
 
     def _slipped(self, pose: jax.Array, key: jax.Array) -> jax.Array:
         """Return the pose [nq] with the arm somewhere on its way."""

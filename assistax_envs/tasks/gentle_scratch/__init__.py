@@ -9,7 +9,7 @@ from assistax_envs.tasks.scratch import TASK as BASE
 
 TASK = TaskKind(
     name="gentle_scratch",
-    version=3,
+    version=4,
     make="assistax_envs.tasks.gentle_scratch.task:GentleScratch",
     script="assistax_envs.tasks.gentle_scratch.script:SCRIPT",
     scene=dataclasses.replace(BASE.scene, human_share=0.5, softened=True),

@@ -15,6 +15,7 @@ PERSON = PersonKind(
         ("touch", 1),
         ("time", 1),
         ("strokes", 1),
+        ("felt", 4),  # of two wishes: what is done over a usual value, whether it is judged
         ("known", 3),
     ),
     help=ArmHelp("presents", hidden=HIDDEN, most=0.95),

@@ -1,4 +1,4 @@
-"""Gentle scratch: strokes to and fro over an itch, at the preferred force and speed.
+"""Gentle scratch: strokes to and fro over an itch, at the liked force and speed.
 
 The itch is a line of 2 cm along the arm. The tool goes from one end to the other and back, in
 contact. Most itches lie where the tool cannot come while the arm rests: the human has to turn or
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs.tasks import care
 from assistax_envs.tasks.base import (
     ARM_SEGMENTS,
     Measures,
@@ -22,19 +23,17 @@ from assistax_envs.tasks.base import (
     segment_points,
 )
 from assistax_envs.tasks.gentle_base import (
-    COSTS,
     FELT,
+    ROUGHNESS,
     SOFT,
     STEP,
     Preferences,
     TouchReadings,
     TouchSensors,
     along_skin,
-    bump,
-    costs,
     episode_preferences,
     in_segment,
-    touch_measures,
+    roughness,
     with_preference,
 )
 from assistax_envs.tasks.scratch.task import START
@@ -49,7 +48,9 @@ STROKE = 0.012  # m, way of a stroke: what a liked speed means in time
 # itches there the script scratches 24% with a human that does nothing, near the arcs' ends; in
 # these arcs it scratches 1%.
 ARCS = ((110.0, 165.0), (175.0, 285.0))
-ENOUGH = 12  # strokes: half of those that the slowest preference leaves time for
+# Liked strokes that are success, within 1.5 of the liked force and time: half of those that the
+# slowest wish leaves time for.
+ENOUGH = 12
 
 
 @jax.tree_util.register_dataclass
@@ -64,17 +65,21 @@ class StrokeState:
     distance: jax.Array  # m, to that end a step ago
     time: jax.Array  # steps that this stroke has taken
     liked: jax.Array  # sum over them of how well the human liked the force
+    pressed: jax.Array  # sum over them of the logarithm of the force in touch
+    touched: jax.Array  # steps of them in touch
+    speed: jax.Array  # m/s, of the last stroke; 0 before the first
     strokes: jax.Array  # int32, done
-    violated: jax.Array  # bool, some contact was above the hard limit
+    well: jax.Array  # int32, of these liked ones
+    care: care.Care
     preference: Preferences
 
 
 class GentleScratch:
     """Progress to the stroke's end, and for each stroke as many points as steps it should take.
 
-    A stroke of time T that should take T* pays T* exp(1 - T* / T) mean(bump(F; F*)^2): 1 a step at
-    the preferred force and speed, whatever they are. Pay for speed itself teaches trembling, and a
-    fixed pay teaches haste.
+    A stroke of time T that should take T* pays T* liked(T; T*) mean(liked(F; F*)): 1 a step at the
+    liked force and speed, whatever they are. Pay for speed itself teaches trembling, and a fixed
+    pay teaches haste.
     """
 
     name = scene = "gentle_scratch"
@@ -97,7 +102,7 @@ class GentleScratch:
             told: Roles that observe the preference.
         """
         terms = {"progress": 20.0, "stroke": 1.0}
-        self.weights = terms | COSTS | {"violation": 20.0} | (weights or {})
+        self.weights = terms | ROUGHNESS | care.COSTS | {"violation": 20.0} | (weights or {})
         self.pose = Pose(model, START)
         self.sensors = TouchSensors(model, self.pose)
         self._hard, self._told = hard, told
@@ -118,8 +123,12 @@ class GentleScratch:
             distance=zero,
             time=zero,
             liked=zero,
+            pressed=zero,
+            touched=zero,
+            speed=zero,
             strokes=jnp.zeros((), jnp.int32),
-            violated=jnp.zeros((), bool),
+            well=jnp.zeros((), jnp.int32),
+            care=care.untouched(self.scene, params),
             preference=episode_preferences(params, preference_key),
         )
         return self.pose.draw(pose_key), state
@@ -134,7 +143,7 @@ class GentleScratch:
     def transition(
         self, task_state: StrokeState, readings: TouchReadings
     ) -> tuple[StrokeState, dict[str, jax.Array], dict[str, jax.Array], Measures]:
-        """See `Task.transition`; the goal holds after enough strokes without a hard contact."""
+        """See `Task.transition`; the goal holds after enough liked strokes without a violation."""
         s, r = task_state, readings
         tool = in_segment(r, s.segment, r.tool_position)
         first = jnp.isnan(s.last[:, 0])
@@ -144,36 +153,51 @@ class GentleScratch:
         distance = jnp.linalg.norm(to_end, axis=-1)
         near = (along_skin(to_end, tool) < AT_END) & (distance < OFF_END)
         arrived = touching & (r.force < SOFT) & near
-        time, liked = s.time + 1.0, s.liked + touching * bump(r.on_arm, s.preference.force) ** 2
-        preferred_steps = STROKE / s.preference.speed / STEP  # steps
+        time = s.time + 1.0
+        felt = self._felt(s, r, touching)
+        liked = s.liked + touching * care.liked(felt.done[:, 0], s.preference.force, felt.width)
+        pressed = s.pressed + touching * jnp.log(jnp.maximum(felt.done[:, 0], FELT))
+        touched = s.touched + touching
+        best = STROKE / s.preference.speed / STEP  # steps
+        well = arrived & care.within(time, best)
+        well &= care.within(jnp.exp(pressed / jnp.maximum(touched, 1.0)), s.preference.force)
         terms = {
             "progress": jnp.where(first, 0.0, s.distance - distance),
-            "stroke": arrived
-            * preferred_steps
-            * jnp.exp(1.0 - preferred_steps / time)
-            * liked
-            / time,
-        } | costs(r)
+            "stroke": arrived * best * care.liked(time, best, felt.width) * liked / time,
+        }
+        terms |= roughness(r, felt.violated) | care.costs(felt)
         after = dataclasses.replace(
             s,
             side=jnp.where(arrived, -s.side, s.side),
             last=tool,
             time=jnp.where(arrived, 0.0, time),
             liked=jnp.where(arrived, 0.0, liked),
+            pressed=jnp.where(arrived, 0.0, pressed),
+            touched=jnp.where(arrived, 0.0, touched),
+            speed=jnp.where(arrived, STROKE / (STEP * time), s.speed),
             strokes=s.strokes + arrived,
-            violated=s.violated | r.hurt,
+            well=s.well + well,
+            care=felt,
         )
         goal, left = self._goal(after, r, step, time)
         # The human alone feels how well the force fits: a robot that observed it would be told.
         seen = jnp.column_stack([liked / time, s.preference.observed(self.scene)])
-        obs = with_preference(observations(r, *goal), seen, self._told)
-        done = (after.strokes >= ENOUGH) & ~after.violated
+        obs = with_preference(
+            observations(r, *goal), care.felt_by(felt, self.scene), seen, self._told
+        )
+        done, wishes = after.well >= ENOUGH, s.preference.of(self.scene)
         return (
             dataclasses.replace(after, distance=left),
             obs,
             terms,
-            touch_measures(r, distance, done, after.violated),
+            care.measures(felt, r, distance, done, wishes),
         )
+
+    def _felt(self, s: StrokeState, r: TouchReadings, touching: jax.Array) -> care.Care:
+        """Return the care after a step: of the force, and of the last stroke's speed."""
+        sample, judged = (r.on_arm, s.speed), (touching, touching & (s.speed > 0.0))
+        given = s.care, self.scene, s.preference, r
+        return care.after(*given, sample, judged, s.preference.force)
 
     def _goal(
         self, s: StrokeState, r: TouchReadings, step: jax.Array, time: jax.Array

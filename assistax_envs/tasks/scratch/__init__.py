@@ -12,7 +12,6 @@ TASK = TaskKind(
     tool="stick",
     looks="wheelchair",
     person=PERSON,
-    paper=True,
     spreads={"ppo": (0.8, 3.8, 0.0, 18.6, 7.8), "sac": (8.8, 5.1, 8.9, 37.6, 16.7)},
     seed_sd=5.8,
     goal="The robot scratches an itch on the person's arm.",

@@ -1,4 +1,4 @@
-"""Prints how near the fused engine is to converged MuJoCo, as the table of docs/engine.md.
+"""Prints how near the fused engine is to converged MuJoCo, as the table of docs/log/engine.md.
 
     python -m tests.envs.fused.accuracy
 

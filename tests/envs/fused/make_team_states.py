@@ -41,8 +41,11 @@ def visited(robot: PolicyEntry) -> dict[str, np.ndarray]:
 
     def step(state, time):
         action = act(state, time)
-        # The engine's input of this step, which no state keeps.
-        control = env._control(state.params, action, env._shake(state)[1])
+        given = state.tremor, state.key, state.step, state.params.tremor
+        # No state keeps the tremor's torque,
+        shake = env._tremor.shake(*given)[1]
+        # nor the engine's input of this step.
+        control = env._control(state.params, action, shake)
         seen = state.physics.qpos, state.physics.qvel, control
         return env.step(state, action), seen
 

@@ -61,42 +61,43 @@ def persons(
     /,
     *,
     only: str = "",
-    seeds: str = "16",
+    seeds: str = "8",
     steps: str = "",
     single: int = 50,
-    tries: int = 200,
-    models: int = 64,
+    tries: int = 400,
+    models: int = 32,
+    programs: int = 256,
     set_: Changes = (),
     backend: str = "auto",
     json: bool = False,
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Stages are ppo, told, gru, told-gru (robots that are told the preference, or have a memory),
-    idle (trained with idle persons), best (one robot for each of some persons), script, search (the
-    best numbers for the script, which stays unchanged) and read (are preferences read?). Each has a
-    run and a file in FOLDER, and resumes where it stopped. The table covers all files.
+    Robots are ppo, gru, rma, osi, told-gru, masked (persons show nothing), learned
+    (with the test side), idle and best (one a person). Others are script, told-script, search and
+    search-told, read, swapped (one wish changes) and steals. The table covers all files in FOLDER.
 
     Args:
         task: Gentle task.
         folder: Folder of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind.
-        steps: Environment steps of each robot; 50M, of best responses 10M, if not given.
+        steps: Environment steps of each robot; if not given, 50M, of best responses 20M.
         single: Persons with a best response.
-        tries: Tries of the search over the script's numbers.
+        tries: Tries of each search.
         models: Persons of each try.
+        programs: Open-loop programs that are tried.
         set_: Hyperparameter, such as num_envs=512; repeat it for more.
         backend: fused, native, mjx, mjx-warp, or auto for the fastest here.
         json: Print the gates as JSON.
 
     Example:
-        assistax-zoo gates persons gentle_bath runs/persons-bath --only ppo,told --seeds 8
+        assistax-zoo gates persons gentle_bath runs/persons-bath --only read
     """
     from assistax_workshop.commands.audit import print_gates
-    from assistax_workshop.gates.persons import STAGES, run_stages
-    from assistax_workshop.gates.persons_play import Plan
-    from assistax_workshop.gates.persons_table import gates_of_persons, read_stages
+    from assistax_workshop.gates.persons.play import Plan
+    from assistax_workshop.gates.persons.stages import STAGES, run_stages
+    from assistax_workshop.gates.persons.table import gates_of_persons, read_stages
     from assistax_zoo.shell.console import print_json, stdout_is_data
     from evaluation.record.tables import to_json
 
@@ -105,9 +106,7 @@ def persons(
         folder,
         parse_seeds(seeds),
         parse_steps(steps) if steps else None,
-        single=single,
-        tries=tries,
-        models=models,
+        *(single, tries, models, programs),
         changes=parse_changes(set_),
         backend=backend,
     )

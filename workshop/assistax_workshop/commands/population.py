@@ -39,7 +39,7 @@ def population(
     the plan and its cost.
 
     Args:
-        plan: JSON file of the plan, such as zoo/plans/v1.json; docs/population.md describes it.
+        plan: JSON file of the plan, such as zoo/plans/paper.json; docs/population.md describes it.
         out: Folder of the runs, one folder for each.
         registry: Registry to publish to; default your own zoo, as for `publish`.
         groups: Only these groups: comma-separated globs over their names, such as `'scratch-*'`.
@@ -54,7 +54,7 @@ def population(
         json_lines: Print a JSON object for each report of a training on standard output.
 
     Example:
-        assistax-zoo train population --plan zoo/plans/v1.json --out runs/v1 --dry-run
+        assistax-zoo train population --plan zoo/plans/paper.json --out runs/v1 --dry-run
     """
     content = read_plan(plan)
     work = PlanTraining(

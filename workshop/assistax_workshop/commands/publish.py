@@ -1,18 +1,23 @@
 """Command that publishes trained teams."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 from pydantic import ValidationError
 
-from assistax_base.errors import counted
+from assistax_base.errors import counted, listing
 from assistax_base.validated import first_problem
+from assistax_zoo.commands.options import parse_seeds
 from assistax_zoo.shell.console import answer
 from zoo.locations import OWN, own_registry
 from zoo.saving import writable_registry
 from zoo.schema import Citation
+
+if TYPE_CHECKING:
+    from population.runs.trained import TrainedTeam
 
 
 @Parameter(name="*")
@@ -57,6 +62,7 @@ class Card:
 def publish(
     *runs: Path,
     release: str,
+    seeds: str = "",
     persons: tuple[str, ...] = (),
     to: str | None = None,
     registry: Path | None = None,
@@ -75,6 +81,7 @@ def publish(
     Args:
         runs: Run folders that `assistax-zoo train` or `train-ego` wrote.
         release: Release that the teams join, such as v0; it is made if it does not exist.
+        seeds: Seeds to publish, such as 3 for 0 to 2, or 0,4,7; all if not given.
         persons: Task whose persons join the release, such as a task of your own; repeat it for
             more.
         to: Folder, or hf://org/name, to publish to; it is made if it does not exist.
@@ -98,7 +105,7 @@ def publish(
         raise ValueError(
             "both --to and --registry given; --to takes a folder or hf://org/name, and is enough"
         )
-    teams = [team for run in runs for team in read_run(run)]
+    teams = _of_seeds([team for run in runs for team in read_run(run)], seeds)
     place = to or writable_registry(registry) or own_registry()
     about: dict[str, Any] = {"date": date, "description": description, "citation": cited.given()}
     about["persons"] = persons
@@ -111,3 +118,14 @@ def publish(
         done = dataclasses.replace(done, added=tuple(f"{OWN}:{id}" for id in done.added))
         lines.append(f"they are {OWN}:... everywhere: assistax-zoo list '{OWN}:*'")
     answer(json, vars(done), *lines)
+
+
+def _of_seeds(teams: "Sequence[TrainedTeam]", seeds: str) -> "Sequence[TrainedTeam]":
+    """Return the teams of the seeds that a text names; all of them if it is empty."""
+    if not seeds:
+        return teams
+    wanted, there = parse_seeds(seeds), sorted({team.seed for team in teams})
+    if missing := [seed for seed in wanted if seed not in there]:
+        allowed = listing(map(str, there))
+        raise ValueError(f"seed {missing[0]} is not in the runs; allowed are {allowed}")
+    return [team for team in teams if team.seed in wanted]

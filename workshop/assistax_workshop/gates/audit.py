@@ -19,7 +19,7 @@ import polars as pl
 from assistax_envs import disability_params, make
 from assistax_envs.own_settings import key_of, own_settings
 from assistax_envs.preferences import PREFERENCES, PREFERRED, VALUES, preferences_of
-from assistax_envs.tasks.gentle_base import FELT, Preferences
+from assistax_envs.tasks.gentle_base import FELT
 from assistax_envs.tasks.gentle_rules import HARD
 from assistax_workshop.gates.audit_gates import (
     Condition,
@@ -102,7 +102,7 @@ class WrongBeliefEnv:
     def _exchanged(self, state: Any) -> Any:
         task, preference = self._env.task, state.task.preference
         other = {name: _next(getattr(preference, name), values) for name, values in VALUES.items()}
-        believed = Preferences(**other).observed(task)
+        believed = dataclasses.replace(preference, **other).observed(task)
         human = state.obs["human"].at[:, -len(PREFERRED[task]) :].set(believed)
         obs = {**state.obs, "human": human}
         return dataclasses.replace(state, obs=obs)

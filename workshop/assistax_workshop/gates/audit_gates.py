@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_rules import HARD
 from evaluation.figures.bootstrap import RESAMPLES, draw_counts
 from evaluation.figures.metrics import Traits, cross_play
-from evaluation.record.columns import with_safety
 from evaluation.record.record import lay_out
 from population.views import View
 
@@ -61,8 +59,8 @@ def gates_of(
     """Return the gates of a task, from the episodes of each condition; see `audit_task`."""
     played = {Condition(name): table for name, table in tables.items()}  # refuses others
     pairs = played[Condition.PAIRS]
-    own, goal = played[Condition.OWN], "safe_success" if REGISTERED[task].felt else "success"
-    reached = with_safety(own).group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
+    own, goal = played[Condition.OWN], "success"
+    reached = own.group_by("ego").agg(pl.col(goal).cast(pl.Float64).mean())
     half = float(reached[goal].to_numpy().max()) / 2
 
     def earned(
@@ -139,8 +137,7 @@ def strange_pairs(table: pl.DataFrame) -> pl.DataFrame:
 
 def condition_figures(table: pl.DataFrame) -> dict[str, float]:
     """Return the means of a condition's episodes by name."""
-    table = with_safety(table)
-    names = ("return", "success", "safe_success", "violated", "force_mean", "force_peak")
+    names = ("return", "success", "discomfort_share", "violated", "force_mean", "force_peak")
     present = [name for name in (*names, "contact_peak") if name in table.columns]
     means = table.select(pl.col(name).cast(pl.Float64).mean() for name in present)
     return {"episodes": float(table.height), **means.row(0, named=True)}
@@ -162,7 +159,7 @@ def _share(
     name: str, bar: str, table: pl.DataFrame, column: str, holds: Callable[[float], bool]
 ) -> Gate:
     """Return the gate of a share of episodes, the mean of a column."""
-    if column not in with_safety(table).columns:
+    if column not in table.columns:
         return Gate(name, bar, None, None, None, "not measured: a gentle task's sensors feel it")
     values = _by_robot(table, column)
     value, ci = of_means(lambda mean: mean, values)
@@ -250,7 +247,7 @@ def _by_robot(table: pl.DataFrame, column: str, who: str = "ego") -> np.ndarray:
     With `who` "partner", of each human: those who meet one robot each stand for it, by one name in
     all conditions.
     """
-    table = with_safety(table).with_columns(pl.col(column).cast(pl.Float64))
+    table = table.with_columns(pl.col(column).cast(pl.Float64))
     if table["ego"].n_unique() == 1:
         return table.sort("partner", "episode")[column].to_numpy()
     return table.group_by(who).agg(pl.col(column).mean()).sort(who)[column].to_numpy()

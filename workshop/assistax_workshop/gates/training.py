@@ -4,7 +4,6 @@ Examples are teams whose robot is told the human's preference, teams whose human
 robots that train with an idle human. Only the gates use them; no release holds them.
 """
 
-import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -142,7 +141,7 @@ def train_conditions(
                 self_play_episodes=0,
                 partners=humans.ids if humans else (),
             )
-            with contextlib.closing(TrainingLine(str(place))) as line:
+            with TrainingLine(str(place)) as line:
                 train(config, env, place, partners=humans, progress=line)
 
 

@@ -20,7 +20,8 @@ from assistax_base.errors import (
     shorten,
 )
 from assistax_base.files import atomic_write
-from assistax_workshop.press.model_card import MARK, model_card
+from assistax_workshop.press.croissant import FILE, croissant
+from assistax_workshop.press.model_card import MARK, card_license, model_card
 from assistax_workshop.press.publish import publish
 from population.runs.trained import TrainedTeam
 from zoo.registry import MAX_REGISTRY_BYTES, Registry, load_registry
@@ -100,8 +101,13 @@ class _Shown:
         self.license = license
         self.files = {f"film{film.suffix.lower()}": film.read_bytes()} if film else {}
 
-    def card(self, registry: Registry, name: str, before: str) -> bytes:
-        return model_card(registry, name, self.license, next(iter(self.files), ""), before).encode()
+    def texts(self, registry: Registry, name: str, before: str, url: str = "") -> dict[str, bytes]:
+        """Return the files that describe a remote, by name; the card last."""
+        card = model_card(registry, name, self.license, next(iter(self.files), ""), before)
+        return {
+            FILE: croissant(registry, name, card_license(card), url),
+            "README.md": card.encode(),
+        }
 
 
 def _publish_to_folder(
@@ -114,9 +120,9 @@ def _publish_to_folder(
     card = to / "README.md"
     text = card.read_text("utf-8", errors="replace") if card.exists() else ""
     if to != path and (not card.exists() or MARK in text):
-        for name, data in shown.files.items():
+        texts = shown.texts(registry, to.resolve().name, text)
+        for name, data in {**shown.files, **texts}.items():
             atomic_write(to / name, data)
-        atomic_write(card, shown.card(registry, to.resolve().name, text))
     added = tuple(entry.id for entry in registry.policies if entry.id not in before)
     return Publication(str(path), release, added, len(registry.policies))
 
@@ -179,7 +185,8 @@ def _files(remote: HubRemote, registry: Registry, shown: _Shown) -> dict[str, by
     card = _read_optional(remote, "README.md", MAX_CARD_BYTES)
     if card is None or MARK.encode() in card:
         before = (card or b"").decode(errors="replace")
-        files |= {**shown.files, "README.md": shown.card(registry, remote.repo, before)}
+        url = f"{constants.ENDPOINT}/{remote.repo}"
+        files |= {**shown.files, **shown.texts(registry, remote.repo, before, url)}
     return files
 
 

@@ -26,9 +26,8 @@ def model_card(
         film: Name of a film beside the card; default that of `before`.
         before: The card that this one replaces.
     """
-    was_licensed = re.search(r"^license: ([\w.-]+)$", before, re.MULTILINE)
     was_filmed = re.search(r"\]\((film\.\w+)\)", before)
-    license = license or (was_licensed[1] if was_licensed else LICENSE)
+    license = license or card_license(before)
     metadata = {"license": license, **_metadata(registry, name)}
     return render(
         "model_card.md",
@@ -39,6 +38,12 @@ def model_card(
         policies=registry.policies,
         measured=_measured(registry),
     )
+
+
+def card_license(card: str) -> str:
+    """Return the licence that a card names; Apache-2.0 if it names none."""
+    named = re.search(r"^license: ([\w.-]+)$", card, re.MULTILINE)
+    return named[1] if named else LICENSE
 
 
 def _metadata(registry: Registry, name: str) -> dict[str, object]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from assistax_base.digest import sha256
 from assistax_base.errors import ImmutableError, PublishError, listing
 from assistax_base.files import atomic_write, exclusive
+from assistax_envs.registered import track_of
 from assistax_envs.versions import VERSIONS
 from assistax_workshop.press.candidates import Candidate, Check, make_candidate
 from assistax_workshop.press.release import completed, signed
@@ -235,7 +236,8 @@ def _with_members(
     runs, shards, files = dict(data.runs), dict(data.shards), {}
     rows: dict[tuple[str, Role], PolicyRow] = {}
     for (task, algorithm, role, spec), members in _by_shard(fresh):
-        path = _free_path(f"zoo/shards/{release}/{task}-{algorithm}-{role}-{spec.digest}", shards)
+        stem = f"zoo/shards/{track_of(task)}/{task}-{algorithm}-{role}-{spec.digest}"
+        path = _free_path(stem, shards)
         content, hashes = encode_shard(
             spec, [(f"{member.team}/{role}", member.leaves[role]) for member in members]
         )

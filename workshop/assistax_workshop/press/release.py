@@ -9,7 +9,7 @@ from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry
 from zoo.schema import RegistryFile
-from zoo.splitting.create import SINCE, competent, partner_teams, with_defaults
+from zoo.splitting.create import competent, leaves_out, partner_teams, with_defaults
 from zoo.splitting.rules import half_side, make_split
 
 
@@ -51,7 +51,7 @@ def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     splits, halves = {split.id: split for split in data.splits}, {}
     for task in data.releases[release].environments:
         partners = partner_teams(data, task, release)
-        if release_number(release) >= SINCE:
+        if leaves_out(task):
             partners = competent(data, partners, {})
         if len({half_side(parse_team(team)) for team in partners}) == 2:
             split = make_split(partners, task=task, release=release)

@@ -8,6 +8,6 @@ HIDDEN = ((90.0, 200.0), (150.0, 295.0))
 
 PERSON = PersonKind(
     parameters=SKIN,
-    layout=(*ARM_SEEN, ("distance", 1), ("outward", 3), ("touch", 1), ("known", 2)),
+    layout=(*ARM_SEEN, ("distance", 1), ("outward", 3), ("touch", 1), ("felt", 4), ("known", 2)),
     help=ArmHelp("presents", hidden=HIDDEN, most=0.95),
 )

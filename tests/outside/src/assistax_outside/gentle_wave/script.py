@@ -19,6 +19,7 @@ NUMBERS = {
     "touch": 0.4,
     "lean": 1.4,
     "turn": 0.03,
+    "ahead": 0.0,
     "damping": 0.002,
     "over": 0.02,
     "descend": 0.04,
@@ -36,10 +37,10 @@ def wave(chain: Chain, n: Numbers, obs: jax.Array) -> jax.Array:
     towards, normal, force = obs[:, 30:33], obs[:, 34:37], 10.0 * obs[:, 37:38]
     aside, off, above = above_point(n, obs, towards, normal)
     descend = 2.0 * aside - n["descend"] * normal
-    rub = capped(10.0 * aside, n["slide"]) + pressing(n, force) * normal
+    rub = capped(10.0 * aside, n["slide"]) + pressing(chain, n, obs, normal, force) * normal
     off_skin = jnp.where(off < n["over"], descend, above)
     velocity = jnp.where(force > n["touch"], rub, off_skin)
     return drive_on_skin(chain, n, obs, normal, force, velocity)
 
 
-SCRIPT = Script(wave, NUMBERS, RANGES, force=37)
+SCRIPT = Script(wave, NUMBERS, RANGES)
