@@ -18,7 +18,7 @@ from assistax_envs.registered import REGISTERED, ByTask
 from assistax_envs.tasks.person import Parameter, PersonKind
 from assistax_envs.tasks.person_numbers import SKIN
 
-PROGRAM_VERSION = 4  # goes up when the same row acts otherwise in the same situation
+PROGRAM_VERSION = 5  # goes up when the same row acts otherwise in the same situation
 FAMILIES = ("spring", "muscle", "stepper")  # forms of the controller; no robot trains with the last
 ROWS = 10_000  # rows of numbers, the same for each family
 COUNT = ROWS * len(FAMILIES)  # persons: those of a family follow each other

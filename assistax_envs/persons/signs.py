@@ -16,7 +16,7 @@ from assistax_envs.persons.common import nods, uniform
 from assistax_envs.preferences import ASKS, PREFERRED, WORDS, code, middles
 from assistax_envs.tasks.gentle_base import STEP
 
-LINGERS = 0.2  # s, for which a touch is felt after it
+LINGERS = 1.0  # s, for which a touch is felt after it
 LONG = 10.0  # s
 LEANS = 0.3  # s, in which it leans
 HALFWAY = 0.5  # of the logarithm of done over liked, where leaning bends

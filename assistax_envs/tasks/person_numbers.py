@@ -133,12 +133,12 @@ SIGNS = (
         "talkative", "1", 0.5, 1.0, "design", "chance to say a word when one is due", none=0.18
     ),
     Parameter(
-        "word_delay", "s", 0.4, 0.8,
-        "a word takes over 0.6 s to prepare: Levinson and Torreira 2015, Front Psychol 6:731; "
-        "the ends are a design",
+        "word_delay", "s", 0.25, 0.5,
+        "a word takes over 0.6 s to prepare, of which some is the delay of what is felt: Levinson "
+        "and Torreira 2015, Front Psychol 6:731; the ends are a design",
         "time from a reason to speak to the word",
     ),
-    Parameter("word_pause", "s", 0.8, 1.5, "design", "least time between two words"),
+    Parameter("word_pause", "s", 0.5, 0.9, "design", "least time between two words"),
     Parameter("word_error", "1", 0.0, 0.1, "design", "chance that a word is drawn from all words"),
 )  # fmt: skip
 
