@@ -15,6 +15,7 @@ import numpy as np
 
 from assistax_envs.persons.controller import LIMP, Controller
 from assistax_envs.persons.head import Head
+from assistax_envs.persons.rows import FAMILIES
 from assistax_envs.persons.senses import sense
 from assistax_envs.registered import REGISTERED
 from assistax_envs.tasks.gentle_base import STEP
@@ -24,7 +25,7 @@ TURNS = np.array([0.6, 1.5, 1.5, 1.5, 4.0], np.float32)  # rad/s, of trunk, neck
 DAMPED = 0.05  # m, of inverse kinematics: what an arm that is stretched out gives up
 TRIES = 3  # steps of inverse kinematics in a control step
 FOLLOWS = 0.4  # s, in which a relaxed arm's intention becomes the posture that it has
-# Numbers of a person as `PARAMETERS` names them, without what a visitor's own body does.
+# Numbers of a person as `common.numbers_of` names them, without what a visitor's own body does.
 NUMBERS = {
     "strength": 1.0,
     "stiffness": 1.2,
@@ -34,6 +35,7 @@ NUMBERS = {
     "catch_speed": 1.0,
     "bite_onset": 4.0,
     "tremor_frequency": 8.0,
+    "family": float(FAMILIES.index("spring")),
     **dict.fromkeys(("noise", "tremor", "spasticity", "bite_reflex", "wander", "fatigue"), 0.0),
 }
 
