@@ -42,7 +42,7 @@ def test_roots_of_trees_are_those_that_were_published(count: int, root: str) -> 
 
 def test_the_releases_of_the_project_have_their_roots() -> None:
     data = load_registry(ROOT / "registry.json").data
-    root = "bd328742e3f62da6eacbc32e8bf31267ed11b0f7c8b7b5fd4fc4a152fcdd1134"
+    root = "7977df617029a5b5bfca1dfba31ca43641a6113f94dd993487b443f6d407b83e"
     assert release_root(data, "v1") == root
 
 
