@@ -17,7 +17,16 @@ from assistax_base.errors import (
     SplitError,
     UnknownIdError,
 )
-from assistax_envs.persons.rows import COUNT, WIDTH, drawn, marked, person, persons, side
+from assistax_envs.persons.rows import (
+    COUNT,
+    PROGRAM_VERSION,
+    WIDTH,
+    drawn,
+    marked,
+    person,
+    persons,
+    side,
+)
 from assistax_envs.versions import VERSIONS
 from zoo.exports.card import find_cards, markdown_card
 from zoo.exports.policies import export_policy
@@ -36,6 +45,7 @@ from zoo.verify import verify
 
 ROOT = Path(__file__).parents[2]
 NOW = "v1"  # the release with persons of the installed program
+LATER = PROGRAM_VERSION + 1
 TASK, SOMEBODY = "gentle_scratch", f"gentle_scratch/person-00042-{NOW}/human"
 
 
@@ -74,7 +84,7 @@ def test_persons_of_an_older_program_are_read_and_not_played(
     """Such a registry loads, lists its robots, and says in one error who is gone."""
     older = changed(official, tmp_path, program=2)
     assert older.select(f"{TASK}/*-{NOW}")
-    words = "persons of program 4, as installed, found program 2"
+    words = f"persons of program {PROGRAM_VERSION}, as installed, found program 2"
     for look in (
         lambda: older.policy(SOMEBODY),
         lambda: older.select(f"{TASK}/person-0004*-{NOW}"),
@@ -207,7 +217,7 @@ def test_split_of_persons_is_checked(official: Registry) -> None:
 @pytest.mark.parametrize(
     ("fields", "error", "words"),
     [
-        ({"program": 5}, RegistryVersionError, "program 5"),
+        ({"program": LATER}, RegistryVersionError, f"program {LATER}"),
         ({"sha256": "0" * 64}, IntegrityError, "sha256 000"),
         ({"count": 9999}, IntegrityError, "9999 rows"),
     ],
@@ -230,7 +240,7 @@ def test_verify_counts_persons_and_finds_changes(official: Registry, tmp_path: P
     report = verify(official)
     assert report.ok and report.persons == 5 * COUNT
     assert f"persons {TASK}" in leaves(official.data, NOW)
-    other = changed(official, tmp_path, program=5)
+    other = changed(official, tmp_path, program=LATER)
     assert lost_leaves(official.data, other.data) == [f"persons {TASK}"]
 
 
