@@ -86,6 +86,7 @@ def train_ego(
     hyperparameters: Mapping[str, Any] | None = None,
     preferences: Sequence[str] = (),
     told: bool = False,
+    teacher: Sequence[Path | str] = (),
     backend: str = "auto",
     resume: bool = True,
     zoo: "str | Path | Zoo | None" = None,
@@ -95,7 +96,7 @@ def train_ego(
 
     Args:
         task: Task, such as "scratch".
-        algorithm: "ppo", "sac", or a method, such as "asymmetric" (docs/methods.md).
+        algorithm: "ppo", "sac", "dagger", or a method, such as "asymmetric" (docs/methods.md).
         folder: Of the run; one that was interrupted goes on. Default a new temporary one.
         split: Split whose training side are the partners; default the release's own.
         partners: "persons" for a new person of the training side each episode.
@@ -105,6 +106,7 @@ def train_ego(
         preferences: Preferences of a gentle task's humans, such as ("p2", "p3"), in turns; default
             those of the split's training side, or all, drawn anew each episode.
         told: Let the robot observe the human's preference: a row to compare with, and no robot.
+        teacher: Policy files of told robots, which the robots imitate in turns; for "dagger".
         backend: Physics, or "auto" for the fastest one here.
         resume: Continue the run that the folder holds.
         zoo: Where the partners come from, as in `open_zoo`.
@@ -124,7 +126,7 @@ def train_ego(
         >>> [path.name for path in run.files]
         ['ppo-s0.safetensors']
     """
-    from evaluation.ego_training import prepare, train_egos
+    from evaluation.ego_training import prepare, train_egos, with_teachers
 
     registry = open_zoo(zoo).registry
     training = prepare(
@@ -139,6 +141,7 @@ def train_ego(
         preferences=preferences,
         told=told,
     )
+    training = with_teachers(training, teacher)
     line = TrainingLine(f"{task} {algorithm}")
     with chosen_progress(progress, line) as report:
         return train_egos(training, folder, backend=backend, resume=resume, progress=report)

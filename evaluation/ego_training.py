@@ -11,12 +11,15 @@ from assistax_envs.preferences import Told
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
 from population.hyperparameters import TrainerConfig, robot_preset
+from population.networks.stack import PolicyStack, stack_policies
+from population.networks.tensors import flatten, row_sha256
 from population.runs.folder import RunFolder
 from population.runs.logged_run import run_training
 from population.runs.trained import TrainedRun
+from population.views import View
 from zoo.met.claims import side_met
 from zoo.met.published import Met
-from zoo.parameters.storage import write_policy_file
+from zoo.parameters.storage import read_policy_file, write_policy_file
 from zoo.registry import Registry
 from zoo.schema import Split
 
@@ -36,6 +39,7 @@ class EgoTraining:
     split: Split
     met: Met  # the split's training side, which the robots' files say
     preset_envs: int  # simulations of a member in the preset, before they were shared out
+    teacher: PolicyStack | None = None  # of each robot, for DAgger
 
     @property
     def summary(self) -> str:
@@ -84,7 +88,7 @@ def prepare(
         split: Split whose training side are the partners: an id or its beginning, or the split
             itself; by default the release's own.
         partners: "persons" for a new person of the training side each episode; else networks.
-        algorithm: "ppo", "sac", or a method: `population.hyperparameters.METHODS`.
+        algorithm: "ppo", "sac", "dagger", or a method: `population.method_presets.METHODS`.
         seeds: Number of seeds, from 0, or the seeds themselves.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset.
@@ -149,12 +153,44 @@ def train_egos(
         backend,
         folder,
         partners=training.partners,
+        teacher=training.teacher,
         resume=resume,
         tensorboard=tensorboard,
         snapshots=snapshots,
         progress=progress,
     )
     return write_egos(run, training)
+
+
+def with_teachers(training: EgoTraining, files: Sequence[Path | str]) -> EgoTraining:
+    """Return the training with the robots of policy files as teachers, in turns; for "dagger".
+
+    Raises:
+        ValueError: A file holds no robot of the task that is told the preference, or the robots
+            have different forms.
+        assistax_base.errors.ZooError: A file cannot be read.
+    """
+    if not files:
+        return training
+    config, found = training.config, []
+    for path in files:
+        file = read_policy_file(path)
+        view, task = View.claimed(file.metadata), file.metadata.get("task")
+        if (task, view) != (config.task, View.PREFERENCE):
+            raise ValueError(
+                f"the teacher {path} is no robot of {config.task} that is told the preference; "
+                "give policy files of such a training"
+            )
+        found.append((str(path), file.spec, file.params))
+    stack, *others = stack_policies(found)
+    if others:
+        raise ValueError(
+            f"the teachers {files[0]} and {others[0].ids[0]} have networks of different forms; "
+            "give those of one run"
+        )
+    stack = stack.take([place % len(stack) for place in range(len(config.members))])
+    key = {**config.key, "teacher": row_sha256(flatten(stack.params))}
+    return dataclasses.replace(training, config=dataclasses.replace(config, key=key), teacher=stack)
 
 
 def training_key(registry: Registry, split: Split, met: Met) -> dict[str, str]:

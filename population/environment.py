@@ -9,7 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax_envs.models.build import scene_sha256
+from assistax_envs.preferences import WORDS
+from assistax_envs.tasks.speech import told
 
+TEACHER = "teacher"  # name of the observation that a teacher reads
 EnvState = Any  # the environment's own state; axis N first in every leaf
 
 
@@ -94,3 +97,29 @@ class ToldNumbers(ShowingMore):
         told = jnp.asarray(self._rows)[state.params.person]
         robot = jnp.concatenate([state.obs["robot"], told], axis=-1)
         return dataclasses.replace(state, obs={**state.obs, "robot": robot})
+
+
+class WithTeacher(ShowingMore):
+    """An environment that also shows "teacher": the observation of a robot told the wishes.
+
+    Args:
+        env: The environment of a gentle task, whose robot is told nothing.
+        width: Of that observation.
+
+    Raises:
+        ValueError: No robot of the task that is told the wishes observes so many numbers.
+    """
+
+    def __init__(self, env: Environment, width: int) -> None:
+        super().__init__(env)
+        own = env.observation_size["robot"]
+        self._added = width - own
+        if not 0 < self._added <= env.observation_size["global"] - len(WORDS):
+            raise ValueError(
+                f"the teacher observes {width} numbers and a robot of {env.task} {own}; give a "
+                "robot of this task that is told the preference"
+            )
+        self.observation_size[TEACHER] = width
+
+    def _shown(self, state: EnvState) -> EnvState:
+        return dataclasses.replace(state, obs={**state.obs, TEACHER: told(state.obs, self._added)})

@@ -10,29 +10,24 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, Pos
 from assistax_base import extensions
 from assistax_base.validated import Share, Widths, validated
 from assistax_envs.preferences import WIDTH
+from population.method_presets import METHODS, methods
 
 LogStd = Annotated[float, Field(ge=-5, le=1)]
 
 
 @validated
 class Hyperparameters:
-    """Hyperparameters that PPO and SAC share."""
+    """Hyperparameters that all trainers share."""
 
-    # Input of critics: that of their role (observation, and for SAC the action too), or everything.
-    critic: Literal["local", "central"] = "local"
     num_envs: PositiveInt = 1024  # simulations of one member
     rollout_steps: PositiveInt = 64  # steps of each simulation between updates
     adam_eps: PositiveFloat = 1e-8  # added to Adam's denominator
     max_grad_norm: PositiveFloat = 0.5  # global norm to which each network's gradient is clipped
-    gamma: Share = 0.99  # discount
     torso: Literal["mlp", "gru"] = "mlp"  # "gru": actors and critics are recurrent
     hidden: Widths = (128, 128)  # widths of the hidden layers; (embedding, GRU) for "gru"
     activation: Literal["tanh", "relu"] = "tanh"  # after each dense hidden layer
     normalise: bool = True  # whether observations are normalised by running statistics
     initial_log_std: LogStd = -0.5  # log standard deviation of actions before training
-    # Width of liking of the gentle tasks' rewards at the start. It falls linearly to the tasks' own
-    # over the first half of the run: a narrow one pays nothing to a robot that knows nothing.
-    liking_width: Annotated[float, Field(ge=WIDTH, le=2)] = WIDTH
 
     @property
     def batch_steps(self) -> int:
@@ -46,7 +41,19 @@ class Hyperparameters:
 
 
 @validated
-class PPOConfig(Hyperparameters):
+class RewardHyperparameters(Hyperparameters):
+    """Hyperparameters of the trainers that learn from rewards: PPO and SAC."""
+
+    # Input of critics: that of their role (observation, and for SAC the action too), or everything.
+    critic: Literal["local", "central"] = "local"
+    gamma: Share = 0.99  # discount
+    # Width of liking of the gentle tasks' rewards at the start. It falls linearly to the tasks' own
+    # over the first half of the run: a narrow one pays nothing to a robot that knows nothing.
+    liking_width: Annotated[float, Field(ge=WIDTH, le=2)] = WIDTH
+
+
+@validated
+class PPOConfig(RewardHyperparameters):
     """Hyperparameters of PPO.
 
     The defaults are the paper's IPPO (appendix, hyperparameters of IPPO).
@@ -130,16 +137,20 @@ class PPOConfig(Hyperparameters):
                 f"{self.torso!r}; a population's humans have feed-forward networks of their own: "
                 "leave shared and torso out"
             )
-        if self.num_envs % self.minibatches:
-            raise ValueError(
-                f"num_envs is {self.num_envs} and minibatches {self.minibatches}; "
-                "a minibatch holds whole simulations, so choose num_envs as a multiple of "
-                "minibatches"
-            )
+        check_minibatches(self.num_envs, self.minibatches)
+
+
+def check_minibatches(num_envs: int, minibatches: int) -> None:
+    """Raise ValueError if simulations cannot be divided into minibatches of whole ones."""
+    if num_envs % minibatches:
+        raise ValueError(
+            f"num_envs is {num_envs} and minibatches {minibatches}; a minibatch holds whole "
+            "simulations, so choose num_envs as a multiple of minibatches"
+        )
 
 
 @validated
-class SACConfig(Hyperparameters):
+class SACConfig(RewardHyperparameters):
     """Hyperparameters of SAC.
 
     The defaults are the paper's ISAC (appendix, hyperparameters of ISAC).
@@ -207,8 +218,41 @@ class SACConfig(Hyperparameters):
             )
 
 
-TrainerConfig = PPOConfig | SACConfig
-KINDS: Mapping[str, type[PPOConfig] | type[SACConfig]] = {"ppo": PPOConfig, "sac": SACConfig}
+@validated
+class DAggerConfig(Hyperparameters):
+    """Hyperparameters of DAgger, by which a robot learns to act like one that is told."""
+
+    kind: ClassVar[str] = "dagger"
+    traced: ClassVar[tuple[str, ...]] = ("learning_rate", "max_grad_norm")
+    rates: ClassVar[tuple[str, ...]] = ("learning_rate",)
+    checkpoint_every: ClassVar[int] = 20  # default of a run
+    updates_per_call: ClassVar[int] = 1  # default of a run
+
+    num_envs: PositiveInt = 512  # simulations of one member
+    rollout_steps: PositiveInt = 128  # steps of each simulation between updates
+    torso: Literal["mlp", "gru"] = "gru"  # what a robot is not told it has to remember
+    epochs: PositiveInt = 4  # passes over a rollout
+    minibatches: PositiveInt = 8  # parts of a pass; each holds whole simulations
+    learning_rate: PositiveFloat = 5e-4  # of Adam
+    anneal_lr: bool = True  # whether the learning rate falls linearly to 0 over the run
+    # What trainers that learn from rewards choose.
+    critic: ClassVar[str] = "local"
+    liking_width: ClassVar[float] = WIDTH
+    population_coef: ClassVar[float] = 0.0
+    latent: ClassVar[int] = 0
+    squash: ClassVar[str] = "clip"
+    std: ClassVar[str] = "parameter"
+
+    def __post_init__(self) -> None:
+        check_minibatches(self.num_envs, self.minibatches)
+
+
+TrainerConfig = PPOConfig | SACConfig | DAggerConfig
+KINDS: Mapping[str, type[PPOConfig] | type[SACConfig] | type[DAggerConfig]] = {
+    "ppo": PPOConfig,
+    "sac": SACConfig,
+    "dagger": DAggerConfig,
+}
 
 # The paper's tables, as differences from the defaults of the trainer. PPO's "scale clip eps" and
 # "ratio clip eps" are off in both: the clip range is neither divided by the number of agents nor
@@ -231,35 +275,6 @@ PRESETS: Mapping[str, tuple[str, Mapping[str, Any]]] = types.MappingProxyType(
         "mep": ("ppo", {"population_coef": 1e-2}),
     }
 )
-
-# Methods that a robot's training with partners adds to PPO: the place of the class ("" if there is
-# none), and the hyperparameters that differ from PPO's. `population.methods.method.register` adds
-# a row; `methods` has those of installed packages too.
-METHODS: dict[str, tuple[str | type, Mapping[str, Any]]] = {
-    "gru": ("", {"torso": "gru"}),
-    "asymmetric": ("population.methods.asymmetric:Asymmetric", {"critic": "central"}),
-    "asymmetric_gru": (
-        "population.methods.asymmetric:Asymmetric",
-        {"critic": "central", "torso": "gru"},
-    ),
-    "liam": ("population.methods.modelling:Modelling", {"latent": 16}),
-    "palm": ("population.methods.modelling:Modelling", {"latent": 16, "kl_coef": 1e-2}),
-    "osi": (
-        "population.methods.modelling:Identification",
-        {"critic": "central", "latent": 16},
-    ),
-    "rl2": ("", {"torso": "gru", "series": 5}),
-    "rma": ("population.methods.teacher:Teacher", {"latent": 8, "student_share": 0.4}),
-}
-
-
-def methods() -> tuple[str, ...]:
-    """Return the names of all methods: those of `METHODS`, then those of installed packages.
-
-    Raises:
-        assistax_base.extensions.ExtensionError: A package takes a name that there is already.
-    """
-    return (*METHODS, *extensions.extensions(extensions.METHODS, METHODS))
 
 
 def find_method(name: str) -> tuple[str | type, Mapping[str, Any]]:
@@ -308,8 +323,11 @@ def robot_preset(algorithm: str, **changes: Any) -> TrainerConfig:
     alone = {"ppo": "ippo", "sac": "isac"}  # the presets of teams, for one seat
     if algorithm in alone:
         return _changed(algorithm, *PRESETS[alone[algorithm]], changes)
+    if algorithm == DAggerConfig.kind:
+        return _changed(algorithm, algorithm, {}, changes)
     if algorithm not in (names := methods()):
-        raise ValueError(f"algorithm is {algorithm!r}; allowed are {', '.join((*alone, *names))}")
+        allowed = ", ".join((*alone, DAggerConfig.kind, *names))
+        raise ValueError(f"algorithm is {algorithm!r}; allowed are {allowed}")
     home, differences = find_method(algorithm)
     return _changed(algorithm, "ppo", {"method": algorithm if home else "", **differences}, changes)
 

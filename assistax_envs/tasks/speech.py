@@ -28,3 +28,13 @@ def with_word(
     said = jax.nn.one_hot(jnp.where(heard > 0, word, 0) - 1, len(WORDS), dtype=jnp.float32)
     heard_by = {name: jnp.concatenate([obs[name], said], axis=-1) for name in ("robot", "global")}
     return obs | heard_by
+
+
+def told(obs: dict[str, jax.Array], added: int) -> jax.Array:
+    """Return the observation [N, O] of a robot that is told the wishes, from all observations.
+
+    Central critics observe the same `added` numbers, before the words.
+    """
+    last = obs["global"].shape[-1] - len(WORDS)
+    own, words = jnp.split(obs["robot"], (obs["robot"].shape[-1] - len(WORDS),), axis=-1)
+    return jnp.concatenate([own, obs["global"][:, last - added : last], words], axis=-1)

@@ -20,7 +20,7 @@ from assistax_envs.registered import OURS
 from assistax_zoo.shell.caches import KINDS, held
 from assistax_zoo.shell.installed import all_errors
 from assistax_zoo.shell.requirements import extras, missing_of, required_python, version_of
-from population.hyperparameters import METHODS as OUR_METHODS
+from population.method_presets import METHODS as OUR_METHODS
 from zoo.history.merkle import root_problems
 from zoo.locations import (
     CACHE_VARIABLE,

@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from population.environment import Environment
-from population.hyperparameters import METHODS, PPOConfig, find_method, methods
+from population.hyperparameters import PPOConfig, find_method
+from population.method_presets import METHODS, methods
 from population.methods.ppo_loss import Hyper, Metrics, Samples
 from population.networks.policy import Critic, CriticSpec, Policy
 from population.networks.seat import Carry, Params

@@ -28,7 +28,7 @@ from assistax_base.files import METADATA_KEY, atomic_write, write_json
 from assistax_base.parquet import check_readable, read_metadata, read_parquet, write_parquet
 from assistax_envs.preferences import WIDTH
 from population.config import Member, TrainConfig
-from population.hyperparameters import PPOConfig, TrainerConfig
+from population.hyperparameters import DAggerConfig, PPOConfig, TrainerConfig
 from population.networks.spec import PolicySpec
 from population.networks.stack import flatten
 
@@ -244,6 +244,8 @@ def extends(trainer: TrainerConfig) -> bool:
     It may if the length sets no learning rate, entropy bonus, replay size, student's share or
     width of liking.
     """
+    if isinstance(trainer, DAggerConfig):
+        return not trainer.anneal_lr
     if not isinstance(trainer, PPOConfig) or trainer.liking_width > WIDTH:
         return False
     return not (trainer.anneal_lr or trainer.anneal_entropy or trainer.student_share)

@@ -12,6 +12,7 @@ from population.config import TrainConfig
 from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
+    from population.networks.stack import PolicyStack
     from population.runs.tensorboard import EventFiles
     from population.runs.train import Progress
     from population.runs.wandb_run import WandbRuns
@@ -24,6 +25,7 @@ def run_training(
     folder: Path | str | None = None,
     *,
     partners: "FrozenPartners | None" = None,
+    teacher: "PolicyStack | None" = None,
     resume: bool = True,
     tensorboard: Path | str | None = None,
     snapshots: int = 0,
@@ -36,6 +38,7 @@ def run_training(
         backend: Physics.
         folder: Folder of the run; default a new temporary one.
         partners: Frozen partners of egos, as `config.partners` names them.
+        teacher: See `population.runs.train.train`.
         resume: Whether to resume a run that the folder holds.
         tensorboard: Folder for TensorBoard event files, or "wandb:PROJECT".
         snapshots: See `population.runs.train.train`.
@@ -67,6 +70,7 @@ def run_training(
             env,
             folder,
             partners=partners,
+            teacher=teacher,
             resume=resume,
             snapshots=snapshots,
             progress=report,

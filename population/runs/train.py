@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import datetime
 import shutil
-import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
@@ -22,11 +21,14 @@ from assistax_envs.own_settings import key_of, own_settings
 from population.config import MIXED, Member, TrainConfig
 from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment, environment_facts
-from population.hyperparameters import PPOConfig
+from population.hyperparameters import DAggerConfig, PPOConfig
+from population.networks.stack import PolicyStack
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.divergence import DivergedError, describe_divergence, find_divergence
 from population.runs.folder import RunFolder, extends, metrics_table
+from population.runs.progress import Clock, Progress
+from population.trainers.dagger import DAgger
 from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
@@ -36,19 +38,6 @@ _SELF_PLAY = 1  # folded into a member's key for the final evaluation's episodes
 _LIBRARIES = ("jax", "flax", "optax", "mujoco")
 
 
-@dataclasses.dataclass(frozen=True)
-class Progress:
-    """Progress of a run."""
-
-    update: int  # updates done
-    updates: int  # updates in all
-    steps: int  # environment steps done, of all members together
-    total_steps: int  # environment steps in all
-    steps_per_second: float  # of this process; only its first report counts compilation too
-    seconds_left: float | None  # at that speed; None in the first report, where it misleads
-    rows: pl.DataFrame  # metrics of the newest updates: one row for each update and member
-
-
 @own_settings()
 def train(
     config: TrainConfig,
@@ -56,10 +45,11 @@ def train(
     folder: Path | str,
     *,
     partners: FrozenPartners | None = None,
+    teacher: PolicyStack | None = None,
     resume: bool = True,
     stop_on_divergence: bool = True,
     snapshots: int = 0,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], None] = lambda state: None,
     devices: Sequence[jax.Device] | None = None,
 ) -> Path:
     """Train the members of a run and return its folder.
@@ -72,6 +62,7 @@ def train(
         env: The environment of `config.task`.
         folder: Folder for configuration, checkpoints, metrics, and at the end the teams.
         partners: Partners in the other seat, as `config.partners` names them.
+        teacher: Of each member, for DAgger.
         resume: Whether to resume a run that the folder holds.
         stop_on_divergence: Whether a loss that is not finite ends the run.
         snapshots: Number of equal parts of the run after which the policies are saved.
@@ -84,7 +75,7 @@ def train(
         OSError: The folder cannot be written.
     """
     _check(config, env, partners)
-    trainer, run = make_trainer(config, env, partners), RunFolder(folder)
+    trainer, run = make_trainer(config, env, partners, teacher), RunFolder(folder)
     run.open(config, environment_facts(env, config.trainer.packages), resume)
     if run.finished(config):
         return run.folder
@@ -92,8 +83,7 @@ def train(
     def work(check: Callable[[], None]) -> None:
         def report(state: Progress) -> None:
             check()
-            if progress is not None:
-                progress(state)
+            progress(state)
 
         # Each member of a population reads all others, so one device holds them.
         groups = 1 if config.trainer.population_coef else len(config.members)
@@ -112,9 +102,19 @@ def train(
 
 
 def make_trainer(
-    config: TrainConfig, env: Environment, partners: FrozenPartners | None = None
+    config: TrainConfig,
+    env: Environment,
+    partners: FrozenPartners | None = None,
+    teacher: PolicyStack | None = None,
 ) -> Trainer:
-    """Return the trainer of a run."""
+    """Return the trainer of a run; see `train`."""
+    if isinstance(config.trainer, DAggerConfig):
+        return DAgger(config.trainer, env, config.updates, partners, teacher, len(config.members))
+    if teacher:
+        raise ValueError(
+            f"a teacher is given, and algorithm {config.algorithm!r} learns from rewards; leave "
+            f"the teacher out, or choose {DAggerConfig.kind}"
+        )
     if isinstance(config.trainer, PPOConfig):
         return PPO(config.trainer, env, config.updates, partners)
     return SAC(config.trainer, env, config.updates, partners)
@@ -213,7 +213,7 @@ class _Training:
         advance = self._advance(state)
         if done < config.updates:
             self.run.teams.unlink(missing_ok=True)
-        clock = _Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
+        clock = Clock(float(metrics[-1]["seconds"][-1]) if metrics else 0.0, done)
         while done < config.updates:
             updates = min(config.updates_per_call, config.updates - done)
             state, values = advance(state, updates)
@@ -300,28 +300,6 @@ class _Training:
         seconds = float(metrics["seconds"][-1])
         training = _provenance(config, trainer.env, self.shares, seconds)
         self.run.write_teams(config, trainer.specs, jax.device_get(written), training, figures)
-
-
-class _Clock:
-    """Training time over all processes of a run, and the speed since the first dispatch here."""
-
-    def __init__(self, before: float, done: int) -> None:
-        self._before, self._start = before, time.perf_counter()
-        self._first: tuple[float, int] | None = None
-        self._done = done
-
-    def seconds(self) -> float:
-        return self._before + time.perf_counter() - self._start
-
-    def progress(self, config: TrainConfig, done: int, rows: pl.DataFrame) -> Progress:
-        now = time.perf_counter()
-        first, (since, start) = self._first is None, self._first or (self._start, self._done)
-        self._first = self._first or (now, done)
-        batch = config.trainer.batch_steps * len(config.members)
-        speed = (done - start) * batch / (now - since)
-        total = config.updates * batch
-        left = None if first and done < config.updates else (total - done * batch) / speed
-        return Progress(done, config.updates, done * batch, total, speed, left, rows)
 
 
 def _provenance(

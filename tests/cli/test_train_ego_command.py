@@ -84,3 +84,24 @@ def test_told_robots_are_played_alone_where_they_are_told(tmp_path, capfd):
     assert run(["evaluate", *task, *words]) == 0
     summary = json.loads((tmp_path / "played" / "summary.json").read_text())
     assert summary["engine"]["condition"] == "told"
+
+
+@pytest.mark.slow
+def test_a_robot_imitates_told_ones(tmp_path, capfd):
+    task = ["--task", "gentle_scratch", "--partners", "persons", "--backend", "native"]
+    words = [*TINY, "--algorithm", "gru", "--told", "--steps", "64", "--seeds", "2"]
+    assert run(["train-ego", *task, *words, "--out", str(tmp_path / "told")]) == 0
+    files = [tmp_path / "told" / "policies" / f"gru-s{seed}.safetensors" for seed in (1, 0)]
+    teachers = [word for file in files for word in ("--teacher", str(file))]
+    words = ["train-ego", *task, *TINY, "--steps", "64", "--seeds", "3", *teachers]
+    assert run([*words, "--out", str(tmp_path / "wrong")]) == 1
+    assert "leave the teacher out, or choose dagger" in capfd.readouterr().err
+    words += ["--algorithm", "dagger", "--out", str(tmp_path / "run")]
+    assert run(words) == 0
+    file = tmp_path / "run" / "policies" / "dagger-s2.safetensors"
+    spec, _, metadata = storage.read_policy_file(file)
+    assert "told" not in metadata and spec.observation_size == 54 and spec.torso == "gru"
+    assert run(words) == 0  # nothing is trained again
+    words[words.index(str(files[0]))] = str(files[1])
+    capfd.readouterr()
+    assert run(words) == 1 and "key.teacher" in capfd.readouterr().err

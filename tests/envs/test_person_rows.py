@@ -31,14 +31,14 @@ from assistax_envs.persons.rows import (
 SCRATCH = "gentle_scratch"
 # SHA-256 of the rows of all persons of a task, little-endian float32.
 TABLES = {
-    "scratch": "66de0ec12350d9b0b43873e107b0c73adb350c99ef0a50aa3c04503139c919e7",
-    "bed_bath": "adaded4ec8b205c14bcd33fb7c7fc6ae320ef236e86937ce785b9958d20afc82",
-    "arm_assist": "1e2f181fb7a45bf0d8bf376c09eefbc9a1b122173dad0bdc38e4dc08988e3381",
-    "gentle_scratch": "ee9d2601b92603d13bab62d1b14adeae8fb3b2ca0b58b1d2d2303abb1060981c",
-    "gentle_bath": "e604df2e350c7a3ef4a8544722c9926402b33991fd474b4ea5fd0464f8362f51",
-    "gentle_feeding": "d3c848711b0bb9555f21d7dcd91963f600147d0e259dbd950d9f8ab6eeb321e2",
-    "gentle_brushing": "7183271c8eca36b93b38f455432a953a581c12628d7b77e2d15d2cedf26319ce",
-    "gentle_lift": "52785446cb415f9c6a205eb4657a56b1a1d95a600e583d76d115c17b21f52b4c",
+    "scratch": "cc38bab27e3ddda9bdcb1b1360e49f9a3c573b4d1fefe3189461185d477e2f47",
+    "bed_bath": "56177e0930b4d77ef12248eba252bae4c97db3df0cbbbcb485b9d12b7f6c9ec0",
+    "arm_assist": "545b0c343b6271a99a4c10373a6bc6f130f1cee7732dfd331b2bb00e3c469ccc",
+    "gentle_scratch": "cc817b246a7b1382badba99e277216bda484a822dc0faf23f4f9d27f55cf419e",
+    "gentle_bath": "802f6a5b849ef3790ae8b42462cda766e3dd863273df0dc8b887febc9060113a",
+    "gentle_feeding": "d7f8f84187967cf8a21588fff7e4eaa4e34fc82c0db1b1511a966c5a08ffdcef",
+    "gentle_brushing": "c38641a0e1757d3fb8cb70aca4b066cb14615c8e80a7addfd428e1572487a42e",
+    "gentle_lift": "c0bcf131c1a84e401c62e6f5eaf43c3748c68c0db36655c1bd6f5a1f423829d6",
 }
 
 

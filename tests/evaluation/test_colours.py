@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 
 from evaluation.figures.league import KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR
 from evaluation.plots import style
-from population.hyperparameters import METHODS
+from population.method_presets import METHODS
 
 ROOT = Path(__file__).parents[2]
 # Machado et al. (2009), full severity, on linear RGB.

@@ -15,7 +15,7 @@ from evaluation.figures.saved_tables import save_evaluation
 from evaluation.plots.league import league_chart
 from evaluation.record import tables
 from evaluation.record.record import Record
-from population.hyperparameters import METHODS
+from population.method_presets import METHODS
 from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
 from tests.evaluation.test_contrasts import NAMED
 from tools.league.figures import failure_chart, failures, validation_curves

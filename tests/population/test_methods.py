@@ -13,7 +13,8 @@ import safetensors.numpy
 from assistax_envs.persons import PersonPlayer, numbers, persons
 from assistax_envs.persons.rows import marked
 from population.config import MIXED, Member, TrainConfig
-from population.hyperparameters import METHODS, PPOConfig, robot_preset
+from population.hyperparameters import PPOConfig, robot_preset
+from population.method_presets import METHODS
 from population.methods.hidden import HIDDEN, WHO, WithHidden
 from population.methods.method import Method, method_class, register
 from population.networks.policy import Policy

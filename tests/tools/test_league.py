@@ -12,7 +12,7 @@ from polars.testing import assert_frame_equal
 
 from evaluation.figures.league import read_league, row_folders
 from evaluation.record.record import Record
-from population.hyperparameters import METHODS
+from population.method_presets import METHODS
 from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put

@@ -10,7 +10,7 @@ import pytest
 from assistax_workshop.plans.learning_curves import thin, write_curves
 from assistax_workshop.plans.plan import Group, planned_runs, read_plan
 from population.config import TrainConfig, make_members
-from population.hyperparameters import preset
+from population.hyperparameters import PPOConfig, preset
 from population.runs.folder import RunFolder
 
 PAPER = Path(__file__).parents[2] / "zoo" / "plans" / "paper.json"
@@ -51,6 +51,7 @@ def test_numbers_of_seeds_and_lists_of_them(tmp_path):
     assert (first.seeds, more.seeds) == ((0, 1, 2), (3, 7))
     assert [member.label for member in more.members] == ["d1-s3", "d1-s7", "d3-s3", "d3-s7"]
     config = more.config(more.members)
+    assert isinstance(config.trainer, PPOConfig)
     assert (config.trainer.gamma, config.trainer.hidden) == (0.9, (8, 8))
     assert (config.checkpoint_every, config.updates_per_call) == (20, 1)
 

@@ -16,7 +16,7 @@ from evaluation.figures.league import (
     RESPONSE,
     ordered,
 )
-from population.hyperparameters import METHODS
+from population.method_presets import METHODS
 
 # Partners of the training: the training side; the test side; one partner of the test side each. The
 # last two have no training: the best published robot, or the best of each four of another row.

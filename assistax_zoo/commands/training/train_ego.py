@@ -30,6 +30,7 @@ def train_ego(
     preferences: str | None = None,
     choosing: Choosing = Choosing(),
     told: bool = False,
+    teacher: tuple[Path, ...] = (),
     training: Training = Training(),
     registry: Path | None = None,
     json: bool = False,
@@ -45,12 +46,11 @@ def train_ego(
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
         split: Split of the partners, an id or its beginning; default that of the release.
         partners: persons for a new person of the training side each episode, in place of networks.
-        algorithm: ppo, sac, or a method: gru, asymmetric, asymmetric_gru, liam, palm,
-            rma, rl2.
+        algorithm: ppo, sac, dagger, or a method, such as asymmetric_gru; docs/methods.md has all.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
-        preferences: Preferences of a gentle task's humans, such as p2,p3, in turns; default those
-            of the split's training side, or all, drawn anew each episode.
+        preferences: Of a gentle task's humans, such as p2,p3; default the split's, or all.
         told: Let robots observe the human's preference: a row to compare with.
+        teacher: Policy file of a told robot, which dagger imitates; repeat it for more.
         choosing: What is chosen among.
         training: How it trains.
         registry: Registry to read instead of the installed one.
@@ -58,13 +58,12 @@ def train_ego(
         json_lines: Print a JSON object for each report on standard output instead of the live line.
 
     Example:
-        assistax-zoo train-ego --task scratch --split half --algorithm ppo --seeds 16 --steps 20M
-        --out runs/ego
+        assistax-zoo train-ego --task scratch --split half --seeds 16 --steps 20M --out runs/ego
     """
     what = training.what(steps)
     first = "stage 1 of 2, training of " if choosing.validate else ""
     with shown_training(f"{first}{task} {algorithm}", json_lines) as progress:
-        from evaluation.ego_training import prepare
+        from evaluation.ego_training import prepare, with_teachers
 
         loaded = load_registry(registry)
         prepared = prepare(
@@ -77,6 +76,7 @@ def train_ego(
             told=told,
             **what,
         )
+        prepared = with_teachers(prepared, teacher)
         egos = _trained(loaded, prepared, out, choosing, progress=progress, **training.how())
     _report(egos, _choices(loaded, prepared, egos, choosing, training.backend), json, json_lines)
 

@@ -1,6 +1,7 @@
 """Kinds of robots that train with persons, for the gates of persons."""
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,8 @@ from assistax_workshop.gates.training import CHANGES
 from assistax_zoo.shell.console import TrainingLine
 from population.config import MIXED, Member, make_run
 from population.hyperparameters import robot_preset
-from population.networks.tensors import row_sha256
+from population.networks.stack import PolicyStack
+from population.networks.tensors import flatten, row_sha256
 from population.runs.train import train
 from population.runs.trained import read_trained_run
 from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
@@ -63,6 +65,7 @@ class Robots:
         changes: Changes of the task's hyperparameters.
         partners: A person for each episode; the same but idle; or one for each robot.
         met: Function of the plan that returns the numbers of the persons.
+        teacher: Kind of the robots that it imitates, which the folder must hold.
         steps: Environment steps of each robot, unless the plan has others.
     """
 
@@ -72,6 +75,7 @@ class Robots:
     changes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     partners: type[DrawnPersons] = DrawnPersons
     met: Callable[[Plan], np.ndarray] = _training_side
+    teacher: str = ""
     steps: int = 50_000_000
 
 
@@ -97,6 +101,7 @@ ROBOTS: Mapping[str, Robots] = {
     "rma": Robots("rma"),
     "osi": Robots("osi"),
     "learned": Robots(met=_test_side),
+    "dagger": Robots("dagger", teacher="told-gru", steps=20_000_000),
     "idle": Robots("gru", partners=IdlePersons),
     "best": Robots(
         "gru", told=BOTH, changes=FEW, partners=OnePersonEach, met=_sample, steps=20_000_000
@@ -132,7 +137,9 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
     rows = jnp.asarray(rows_of(plan.task, met, kind.masked))
     seeds = plan.sample if kind.partners is OnePersonEach else plan.seeds
     partners = kind.partners(PersonPlayer(plan.task), rows, f"persons-{name}")
-    changes = {**recipe_with_persons(plan.task), **kind.changes, **plan.changes}
+    recipe = {} if kind.teacher else recipe_with_persons(plan.task)
+    changes = {**recipe, **kind.changes, **plan.changes}
+    teacher = _teacher(plan, kind.teacher, len(seeds)) if kind.teacher else None
     config = make_run(
         plan.task,
         kind.method,
@@ -143,6 +150,21 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
         partners=partners.ids,
     )
     key = {"partners": row_sha256({"rows": np.asarray(partners.rows)})}
+    if teacher:
+        key["teacher"] = row_sha256(flatten(teacher.params))
     config, folder = dataclasses.replace(config, key=key), plan.folder / name
     with TrainingLine(str(folder)) as line:
-        return train(config, env, folder, partners=partners, progress=line)
+        return train(config, env, folder, partners=partners, teacher=teacher, progress=line)
+
+
+def _teacher(plan: Plan, kind: str, count: int) -> PolicyStack:
+    """Return a teacher for each of so many robots: the better half of a kind's, in turns.
+
+    Better is the return with persons of the validation side. The robots of a teacher that has not
+    learned the task cannot learn it either.
+    """
+    found = json.loads((plan.folder / f"{kind}.json").read_text())
+    means = np.mean(found["sides"]["validation"]["return"], axis=(1, 2))
+    best = np.argsort(-means, kind="stable")[: -(-len(means) // 2)]
+    robots = read_trained_run(plan.folder / kind).policies["robot"]
+    return robots.take([int(best[place % len(best)]) for place in range(count)])
