@@ -223,7 +223,7 @@ class DAggerConfig(Hyperparameters):
     """Hyperparameters of DAgger, by which a robot learns to act like one that is told."""
 
     kind: ClassVar[str] = "dagger"
-    traced: ClassVar[tuple[str, ...]] = ("learning_rate", "max_grad_norm")
+    traced: ClassVar[tuple[str, ...]] = ("learning_rate", "max_grad_norm", "aux_coef")
     rates: ClassVar[tuple[str, ...]] = ("learning_rate",)
     checkpoint_every: ClassVar[int] = 20  # default of a run
     updates_per_call: ClassVar[int] = 1  # default of a run
@@ -233,8 +233,10 @@ class DAggerConfig(Hyperparameters):
     torso: Literal["mlp", "gru"] = "gru"  # what a robot is not told it has to remember
     epochs: PositiveInt = 4  # passes over a rollout
     minibatches: PositiveInt = 8  # parts of a pass; each holds whole simulations
-    learning_rate: PositiveFloat = 5e-4  # of Adam
+    learning_rate: PositiveFloat = 1e-3  # of Adam
     anneal_lr: bool = True  # whether the learning rate falls linearly to 0 over the run
+    # Weight of the error with which a gru's memory reads what the teacher is told.
+    aux_coef: NonNegativeFloat = 0.05
     # What trainers that learn from rewards choose.
     critic: ClassVar[str] = "local"
     liking_width: ClassVar[float] = WIDTH

@@ -35,6 +35,11 @@ def told(obs: dict[str, jax.Array], added: int) -> jax.Array:
 
     Central critics observe the same `added` numbers, before the words.
     """
-    last = obs["global"].shape[-1] - len(WORDS)
     own, words = jnp.split(obs["robot"], (obs["robot"].shape[-1] - len(WORDS),), axis=-1)
-    return jnp.concatenate([own, obs["global"][:, last - added : last], words], axis=-1)
+    return jnp.concatenate([own, before_words(obs["global"], added), words], axis=-1)
+
+
+def before_words(obs: jax.Array, count: int) -> jax.Array:
+    """Return the last numbers [..., count] of observations [..., O] before the words."""
+    last = obs.shape[-1] - len(WORDS)
+    return obs[..., last - count : last]

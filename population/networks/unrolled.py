@@ -35,9 +35,21 @@ def unroll_policy(
         raise ValueError("a policy with a latent is unrolled with its actions: `unroll_memory`")
     if policy.spec.torso == "mlp":
         return policy.step(params, carry, obs, first)
+    states, gaussian = unroll_states(policy, params, carry, obs, first)
+    return states[-1], gaussian
+
+
+def unroll_states(
+    policy: Policy,
+    params: Params,
+    carry: Carry,
+    obs: Float[Array, " T *batch O"],
+    first: Bool[Array, " T *batch"],
+) -> tuple[Float[Array, " T *batch H"], Gaussian]:
+    """Return a gru's states in a chunk, and the distributions over actions [T, ..., A]."""
     products = _products_of_policy(policy, params, obs)
     states = gru.remember(*_recurrent(params["GRUCell_0"]), carry, products, first)
-    return states[-1], _gaussian(policy.spec, params, states)
+    return states, _gaussian(policy.spec, params, states)
 
 
 def unroll_both(

@@ -2,7 +2,8 @@
 
 The robot acts, and the teacher says at each step of its rollouts what it would have done. The robot
 sees no wish, so what it learns is the mean of the teacher's actions over the wishes that fit what
-it saw and heard. It explores nothing by itself, and no reward is read.
+it saw and heard. It explores nothing by itself, and no reward is read. A gru's memory also learns
+to read what the teacher is told: a word changes little of what is to be done, and that much later.
 """
 
 import dataclasses
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from assistax_envs.tasks.speech import before_words
 from population.config import Member
 from population.environment import TEACHER, Environment, WithTeacher
 from population.hyperparameters import DAggerConfig
@@ -21,7 +23,7 @@ from population.networks.policy import Policy
 from population.networks.seat import Carry, Params
 from population.networks.spec import Role
 from population.networks.stack import PolicyStack
-from population.networks.unrolled import unroll_policy
+from population.networks.unrolled import unroll_policy, unroll_states
 from population.trainers import experience, normaliser
 from population.trainers.experience import Batch, Sampler
 from population.trainers.frozen_partners import FrozenPartners
@@ -35,14 +37,16 @@ from population.trainers.trainer import (
     optimiser,
 )
 
+STILLEST = 1e-3  # variance below which a number counts as constant
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Learner:
     """Network of the robot with its optimiser state, and the teacher's memory."""
 
-    networks: dict[str, Params]  # "actor"
-    optimisers: dict[str, Any]  # by the same name
+    networks: dict[str, Params]  # "actor", and "reader" of a gru's memory
+    optimisers: dict[str, Any]  # by the same names
     teacher_carry: Carry  # [N, ...]
 
 
@@ -85,6 +89,7 @@ class DAgger(Trainer):
                 "that it did not take: give a teacher without, such as a gru"
             )
         self.teacher, self._taught = Policy(teacher.spec), teacher.params
+        self._added = teacher.spec.observation_size - env.observation_size["robot"]
         super().__init__(config, WithTeacher(env, teacher.spec.observation_size), updates, partners)
 
     def hyper(self, members: Sequence[Member]) -> Hyper:
@@ -114,8 +119,15 @@ class DAgger(Trainer):
         actor = self.policies[roles[0]].init(key, self.config.initial_log_std)
         actor.pop("normaliser", None)
         start = optimiser(self.config.adam_eps, 1.0)
+        networks = {"actor": actor}
+        if self.config.torso == "gru":
+            networks["reader"] = {
+                "kernel": jnp.zeros((self.config.hidden[-1], self._added)),
+                "bias": jnp.zeros(self._added),
+            }
         carry = self.teacher.initial_carry((self.config.num_envs,))
-        return Learner({"actor": actor}, {"actor": start.init(actor)}, carry)
+        started = {part: start.init(params) for part, params in networks.items()}
+        return Learner(networks, started, carry)
 
     def _learn(
         self, member: MemberState, batch: Batch, hyper: Hyper, key: jax.Array
@@ -123,7 +135,8 @@ class DAgger(Trainer):
         """Return a member after a step for each minibatch of each epoch, and metrics.
 
         A minibatch is a random set of whole simulations. "imitation_error" is the mean squared
-        distance from the teacher's action, as a share of how much the teacher's actions vary.
+        distance from the teacher's action, as a share of how much the teacher's actions vary, and
+        "reading_error" the same of what the teacher is told.
         """
         [(name, [role])] = self.learners.items()
         learner, config = member.learners[name], self.config
@@ -131,32 +144,56 @@ class DAgger(Trainer):
         carry, told = unroll_policy(
             self.teacher, taught, learner.teacher_carry, batch.obs[TEACHER], batch.first
         )
-        samples, carries = (batch.obs[role], batch.first, told.mode()), batch.carry[role]
-        clipped = optimiser(config.adam_eps, hyper["max_grad_norm"])
-
-        def loss(actor: Params, samples: Any, carry: Carry) -> jax.Array:
-            obs, first, action = samples
-            params = self.actor(role, member, {"actor": actor})
-            _, acted = unroll_policy(self.policies[role], params, carry, obs, first)
-            return jnp.square(acted.mean - action).mean()
+        secret = before_words(batch.obs[TEACHER], self._added)
+        samples = batch.obs[role], batch.first, told.mode(), secret
+        carries, clipped = batch.carry[role], optimiser(config.adam_eps, hyper["max_grad_norm"])
 
         def step(learner: Learner, rows: jax.Array) -> tuple[Learner, Metrics]:
             part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
             start = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
-            error, gradient = jax.value_and_grad(loss)(learner.networks["actor"], part, start)
-            learner = descended(learner, "actor", gradient, clipped, hyper["learning_rate"])
-            norm = {f"actor_grad_norm_{name}": optax.tree.norm(gradient)}
-            return learner, {"imitation_error": error, **norm}
+            gradients, logged = jax.grad(self._loss, has_aux=True)(
+                learner.networks, role, member, part, start, hyper
+            )
+            for network, gradient in gradients.items():
+                learner = descended(learner, network, gradient, clipped, hyper["learning_rate"])
+            logged[f"actor_grad_norm_{name}"] = optax.tree.norm(gradients["actor"])
+            return learner, logged
 
         keys = jax.random.split(key, config.epochs)
         rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
         size = config.num_envs // config.minibatches
         learner, metrics = jax.lax.scan(step, learner, rows.reshape(-1, size))
         metrics = jax.tree.map(jnp.mean, metrics)
-        metrics["imitation_error"] /= jnp.maximum(told.mode().var((0, 1)).mean(), 1e-6)
+        metrics["imitation_error"] /= jnp.maximum(told.mode().var((0, 1)).mean(), STILLEST)
         statistics = {
             name: normaliser.update(old, batch.obs[name]) for name, old in member.statistics.items()
         }
         learner = dataclasses.replace(learner, teacher_carry=carry)
         statistics = statistics if config.normalise else member.statistics
         return MemberState({name: learner}, statistics, member.key), metrics
+
+    def _loss(
+        self,
+        networks: dict[str, Params],
+        role: str,
+        member: MemberState,
+        samples: tuple[jax.Array, ...],
+        carry: Carry,
+        hyper: Hyper,
+    ) -> tuple[jax.Array, Metrics]:
+        """Return the loss of a minibatch, and the errors of acting and of reading."""
+        obs, first, action, secret = samples
+        params, policy = self.actor(role, member, networks), self.policies[role]
+        if "reader" not in networks:
+            _, acted = unroll_policy(policy, params, carry, obs, first)
+            error = jnp.square(acted.mean - action).mean()
+            return error, {"imitation_error": error}
+        states, acted = unroll_states(policy, params, carry, obs, first)
+        error = jnp.square(acted.mean - action).mean()
+        read = states @ networks["reader"]["kernel"] + networks["reader"]["bias"][None, None]
+        missed = jnp.square(read - secret).mean((0, 1)) / jnp.maximum(secret.var((0, 1)), STILLEST)
+        reading = missed.mean()
+        return error + hyper["aux_coef"] * reading, {
+            "imitation_error": error,
+            "reading_error": reading,
+        }
