@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from assistax_envs import make
 from assistax_envs.persons.rows import INNER, ROWS, family, index, side
 from assistax_workshop.gates.persons import play, reading, robots, scripts, stages
 from assistax_workshop.gates.persons.play import (
@@ -22,6 +23,8 @@ from assistax_workshop.gates.persons.search import ranges
 from assistax_workshop.gates.persons.stages import run_stages
 from assistax_workshop.gates.persons.swapped import swapped
 from assistax_workshop.gates.persons.table import gates_of_persons, read_stages
+from population.networks.tensors import flatten, row_sha256
+from population.runs.trained import read_trained_run
 
 TASK = "gentle_scratch"
 
@@ -55,6 +58,26 @@ def test_stages_write_returns_by_robot_and_person(
     before = json.loads((tmp_path / "masked.json").read_text())
     run_stages(plan, ("masked",), lines.append)  # trained already: only played again
     assert json.loads((tmp_path / "masked.json").read_text()) == before
+
+
+@pytest.mark.slow
+def test_robots_imitate_the_better_half_of_the_told_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(play, "SIDE", 4)
+    monkeypatch.setattr(robots, "SINGLE_EPISODES", 1)
+    changes = {"num_envs": 4, "minibatches": 1}
+    plan = Plan(TASK, tmp_path, (0, 1), 600, 2, changes=changes, horizon=30)
+    with pytest.raises(ValueError, match="has no told-gru to imitate; train that kind first"):
+        run_stages(plan, ("dagger",), lambda line: None)
+    run_stages(plan, ("told-gru", "dagger"), lambda line: None)
+    taught = read_trained_run(tmp_path / "dagger")
+    env = make(TASK)
+    assert taught.policies["robot"].spec.observation_size == env.observation_size["robot"]
+    sides = json.loads((tmp_path / "told-gru.json").read_text())["sides"]
+    best = int(np.argmax(np.mean(sides["validation"]["return"], axis=(1, 2))))
+    told = read_trained_run(tmp_path / "told-gru").policies["robot"].take([best, best])
+    assert taught.config.key["teacher"] == row_sha256(flatten(told.params))
 
 
 def test_each_stage_is_told_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from evaluation.figures.metrics.caring import failed
 Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
 
 SCRIPT, READ, SWAPPED, STEALS = "script", "read", "swapped", "steals"
-UNTOLD = ("gru", "rma", "osi", "ppo")  # kinds of which the best is the best robot
+UNTOLD = ("gru", "rma", "osi", "dagger", "ppo")  # kinds of which the best is the best robot
 PLAIN = "ppo"  # the kind without a memory
 BOUNDS = (CAREFUL, "told-gru", "best")  # kinds whose best bounds what a person can be worth
 SIDE, TESTED = "validation", ("corners", "unseen")

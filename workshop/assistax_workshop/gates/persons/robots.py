@@ -162,8 +162,14 @@ def _teacher(plan: Plan, kind: str, count: int) -> PolicyStack:
 
     Better is the return with persons of the validation side. The robots of a teacher that has not
     learned the task cannot learn it either.
+
+    Raises:
+        ValueError: The folder has no such robots yet.
     """
-    found = json.loads((plan.folder / f"{kind}.json").read_text())
+    results = plan.folder / f"{kind}.json"
+    if not results.exists():
+        raise ValueError(f"{plan.folder} has no {kind} to imitate; train that kind first")
+    found = json.loads(results.read_text())
     means = np.mean(found["sides"]["validation"]["return"], axis=(1, 2))
     best = np.argsort(-means, kind="stable")[: -(-len(means) // 2)]
     robots = read_trained_run(plan.folder / kind).policies["robot"]
