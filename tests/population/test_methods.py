@@ -218,7 +218,7 @@ def test_old_specs_are_unchanged_and_latents_stored():
 @pytest.mark.parametrize(
     ("algorithm", "changes", "message"),
     [
-        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, gru, asymmetric, asymm"),
+        ("sarsa", {}, "algorithm is 'sarsa'; allowed are ppo, sac, dagger, gru, asymm"),
         ("ppo", {"method": "sarsa"}, "method is 'sarsa'; allowed are gru, asymmetric"),
         ("ppo", {"latent": 3}, "only a method trains a latent"),
         ("liam", {"torso": "gru"}, "only a method trains a latent"),
