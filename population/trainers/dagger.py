@@ -34,7 +34,9 @@ from population.trainers.trainer import (
     Trainer,
     TrainState,
     descended,
+    minibatches,
     optimiser,
+    taken,
 )
 
 STILLEST = 1e-3  # variance below which a number counts as constant
@@ -134,9 +136,8 @@ class DAgger(Trainer):
     ) -> tuple[MemberState, Metrics]:
         """Return a member after a step for each minibatch of each epoch, and metrics.
 
-        A minibatch is a random set of whole simulations. "imitation_error" is the mean squared
-        distance from the teacher's action, as a share of how much the teacher's actions vary, and
-        "reading_error" the same of what the teacher is told.
+        "imitation_error" is the mean squared distance from the teacher's action, as a share of how
+        much the teacher's actions vary, and "reading_error" the same of what the teacher is told.
         """
         [(name, [role])] = self.learners.items()
         learner, config = member.learners[name], self.config
@@ -149,8 +150,7 @@ class DAgger(Trainer):
         carries, clipped = batch.carry[role], optimiser(config.adam_eps, hyper["max_grad_norm"])
 
         def step(learner: Learner, rows: jax.Array) -> tuple[Learner, Metrics]:
-            part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
-            start = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
+            part, start = taken(samples, rows, 1), taken(carries, rows, 0)
             gradients, logged = jax.grad(self._loss, has_aux=True)(
                 learner.networks, role, member, part, start, hyper
             )
@@ -159,10 +159,7 @@ class DAgger(Trainer):
             logged[f"actor_grad_norm_{name}"] = optax.tree.norm(gradients["actor"])
             return learner, logged
 
-        keys = jax.random.split(key, config.epochs)
-        rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
-        size = config.num_envs // config.minibatches
-        learner, metrics = jax.lax.scan(step, learner, rows.reshape(-1, size))
+        learner, metrics = jax.lax.scan(step, learner, minibatches(key, config))
         metrics = jax.tree.map(jnp.mean, metrics)
         metrics["imitation_error"] /= jnp.maximum(told.mode().var((0, 1)).mean(), STILLEST)
         statistics = {

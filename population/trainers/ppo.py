@@ -36,8 +36,10 @@ from population.trainers.trainer import (
     Trainer,
     TrainState,
     descended,
+    minibatches,
     optimiser,
     role_keys,
+    taken,
 )
 
 _METHOD = 1  # folded into a learner's key for the networks that a method adds
@@ -251,16 +253,12 @@ class PPO(Trainer):
         hyper: Hyper,
         key: jax.Array,
     ) -> tuple[Learner, Metrics]:
-        """Return a learner after a step for each minibatch of each epoch, and mean losses.
-
-        A minibatch is a random set of whole simulations.
-        """
+        """Return a learner after a step for each minibatch of each epoch, and mean losses."""
         config = self.config
         clipped = optimiser(config.adam_eps, hyper["max_grad_norm"])
 
         def step(learner: Learner, rows: jax.Array) -> tuple[Learner, Metrics]:
-            part = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=1, mode="clip"), samples)
-            starts = jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=0, mode="clip"), carries)
+            part, starts = taken(samples, rows, 1), taken(carries, rows, 0)
             gradients, losses = jax.grad(self._loss, has_aux=True)(
                 learner.networks, member, part, starts, hyper
             )
@@ -271,12 +269,7 @@ class PPO(Trainer):
                 learner = descended(learner, network, gradient, clipped, rate)
             return learner, losses
 
-        keys = jax.random.split(key, config.epochs)
-        rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
-        rows = rows.reshape(
-            config.epochs * config.minibatches, config.num_envs // config.minibatches
-        )
-        learner, losses = jax.lax.scan(step, member.learners[name], rows)
+        learner, losses = jax.lax.scan(step, member.learners[name], minibatches(key, config))
         return learner, jax.tree.map(jnp.mean, losses)
 
     def _loss(

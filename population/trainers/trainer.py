@@ -262,6 +262,21 @@ def optimiser(
     return optax.chain(optax.clip_by_global_norm(max_grad_norm), adam)
 
 
+def minibatches(key: jax.Array, config: Any) -> jax.Array:
+    """Return the simulations [epochs x minibatches, N / minibatches] of each minibatch, shuffled.
+
+    A minibatch is a random set of whole simulations; `config` has epochs, minibatches, num_envs.
+    """
+    keys = jax.random.split(key, config.epochs)
+    rows = jax.vmap(lambda key: jax.random.permutation(key, config.num_envs))(keys)
+    return rows.reshape(config.epochs * config.minibatches, config.num_envs // config.minibatches)
+
+
+def taken(tree: Any, rows: jax.Array, axis: int) -> Any:
+    """Return the simulations `rows` of leaves whose axis `axis` is N."""
+    return jax.tree.map(lambda leaf: jnp.take(leaf, rows, axis=axis, mode="clip"), tree)
+
+
 def descended(
     learner: L, name: str, gradient: Any, optimiser: optax.GradientTransformation, rate: jax.Array
 ) -> L:
