@@ -161,6 +161,7 @@ def _found(files: dict[str, Any]) -> dict[str, Any]:
 
 def _good() -> dict[str, Any]:
     means = {"ppo": 90.0, "gru": 120.0, "told-gru": 130.0, "masked": 100.0, "learned": 150.0}
+    means["dagger"] = 110.0
     files = {name: _stage(mean, 8, seed, 0.6) for seed, (name, mean) in enumerate(means.items())}
     files["ppo"] = _stage(90.0, 8, 0, 0.1)
     files |= {"idle": _stage(60.0, 8, 6), "script": _stage(60.0, 1, 7), "best": _stage(130.0, 1, 8)}
@@ -179,7 +180,7 @@ def test_gates_are_read_from_what_was_earned() -> None:
     for name in (
         "told, beside no signs, corners: more",
         "told, beside no signs, unseen: more",
-        "signs win back, of that, corners",
+        "signs win back, of that, gru, corners",
         "adaptation slope, corners",
         "adaptation slope, unseen",
         "its slope without a memory (ppo), corners",
@@ -194,7 +195,8 @@ def test_gates_are_read_from_what_was_earned() -> None:
     ):
         assert found[name].holds, (name, found[name])
     assert found["adaptation slope, corners"].value == pytest.approx(0.6)
-    assert found["signs win back, of that, corners"].value == pytest.approx(2 / 3, abs=0.3)
+    assert found["signs win back, of that, gru, corners"].value == pytest.approx(2 / 3, abs=0.3)
+    assert found["signs win back, of that, dagger, corners"].holds is False
     assert found["third of speed found"].holds is False
     # Of 25 + 25 + 100 what pairs bring, by the variances that were drawn.
     assert found["who meets whom, share of variance"].value == pytest.approx(2 / 3, abs=0.12)

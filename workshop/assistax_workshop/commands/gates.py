@@ -73,16 +73,17 @@ def persons(
 ) -> None:
     """Train robots with persons, play them with strangers, and print the gates of persons.
 
-    Robots are ppo, gru, rma, osi, told-gru, masked (persons show nothing), learned
-    (with the test side), idle and best (one a person). Others are script, told-script, search and
-    search-told, read, swapped (one wish changes) and steals. The table covers all files in FOLDER.
+    Robots are ppo, gru, rma, osi, told-gru, masked (persons show nothing), dagger (imitates
+    told-gru), learned (dagger with the test side), idle and best (one a person). Others are script,
+    told-script, search and search-told, read, swapped (one wish changes) and steals. The table
+    covers all files in FOLDER.
 
     Args:
         task: Gentle task.
         folder: Folder of runs and results.
         only: Stages, comma-separated, or "table" for none; all if not given.
         seeds: Robots of each kind.
-        steps: Environment steps of each robot; if not given, 50M, of best responses 20M.
+        steps: Environment steps of each robot; if not given, 50M, of dagger and best responses 20M.
         single: Persons with a best response.
         tries: Tries of each search.
         models: Persons of each try.

@@ -100,8 +100,8 @@ ROBOTS: Mapping[str, Robots] = {
     "masked": Robots(masked=True),
     "rma": Robots("rma"),
     "osi": Robots("osi"),
-    "learned": Robots(met=_test_side),
     "dagger": Robots("dagger", teacher="told-gru", steps=20_000_000),
+    "learned": Robots("dagger", teacher="told-gru", steps=20_000_000, met=_test_side),
     "idle": Robots("gru", partners=IdlePersons),
     "best": Robots(
         "gru", told=BOTH, changes=FEW, partners=OnePersonEach, met=_sample, steps=20_000_000

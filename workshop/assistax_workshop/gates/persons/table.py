@@ -24,6 +24,7 @@ from evaluation.figures.planning import measure_spread
 
 SIDE = "validation"  # side of the strangers of gates that name no side
 TESTED = ("corners", "unseen")  # sides of gates of care
+SIGNED = ("gru", "dagger")  # kinds that are not told, and see the signs
 CARING, OFTEN = 0.8, 0.9  # caring success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
 PLAYED = {"return": "return", "success": "caring success"}  # columns of stages, and words
@@ -43,9 +44,9 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
     return [
         *(_worth(f"told, beside no signs, {side}: more", files, ("masked", "told-gru"), side, MORE)
           for side in TESTED),
-        *(_won_back(files, side) for side in TESTED),
+        *(_won_back(files, kind, side) for kind in SIGNED for side in TESTED),
         *gates_of_care(task, files),
-        *(_worth(f"learned with the test side, {side}: more", files, ("gru", "learned"), side, MORE)
+        *(_worth(f"learned with the test side, {side}: more", files, ("dagger", "learned"), side, MORE)
           for side in TESTED),
         *_with_one(files),
         _as_searched("script", files, SEARCH),
@@ -126,10 +127,10 @@ def _worth(
     return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
-def _won_back(files: Files, side: str) -> Gate:
-    """Return the gate of the share of telling's worth that signs win back."""
-    name, bar = f"signs win back, of that, {side}", f">= {BACK:.0%}"
-    kinds = ("masked", "told-gru", "gru")
+def _won_back(files: Files, kind: str, side: str) -> Gate:
+    """Return the gate of the share of telling's worth that signs win back for a kind of robot."""
+    name, bar = f"signs win back, of that, {kind}, {side}", f">= {BACK:.0%}"
+    kinds = ("masked", "told-gru", kind)
     if absent := [kind for kind in kinds if kind not in files]:
         return missing(name, bar, *absent)
     masked, told, _ = (scores(files[kind], side, "return").mean() for kind in kinds)
