@@ -158,10 +158,10 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
 
 
 def _teacher(plan: Plan, kind: str, count: int) -> PolicyStack:
-    """Return a teacher for each of so many robots: the better half of a kind's, in turns.
+    """Return a teacher for each of so many robots: the best quarter of a kind's, in turns.
 
-    Better is the return with persons of the validation side. The robots of a teacher that has not
-    learned the task cannot learn it either.
+    Best is the return with persons of the validation side. The robots of a teacher that has not
+    learned the task cannot learn it either, and half of a kind may not have learned it.
 
     Raises:
         ValueError: The folder has no such robots yet.
@@ -171,6 +171,6 @@ def _teacher(plan: Plan, kind: str, count: int) -> PolicyStack:
         raise ValueError(f"{plan.folder} has no {kind} to imitate; train that kind first")
     found = json.loads(results.read_text())
     means = np.mean(found["sides"]["validation"]["return"], axis=(1, 2))
-    best = np.argsort(-means, kind="stable")[: -(-len(means) // 2)]
+    best = np.argsort(-means, kind="stable")[: -(-len(means) // 4)]
     robots = read_trained_run(plan.folder / kind).policies["robot"]
     return robots.take([int(best[place % len(best)]) for place in range(count)])
