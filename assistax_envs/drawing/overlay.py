@@ -8,12 +8,13 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from assistax_envs.preferences import WORDS
+from assistax_envs.tasks.gentle_rules import HARD
 
 INK, PAPER, TRACK = (25, 30, 38), (250, 250, 251), (222, 226, 231)
 EARNS, COSTS = (70, 82, 100), (128, 90, 190)
-# N, and the colour from there on: below a gentle touch, above it, more than a frail person bears.
+# N, and the colour from there on: below a gentle touch, above it, more than a frail face bears.
 # They differ in grey too, from targets as well.
-LEVELS = ((0.0, (60, 190, 140)), (10.0, (245, 205, 60)), (65.0, (140, 20, 10)))
+LEVELS = ((0.0, (60, 190, 140)), (10.0, (245, 205, 60)), (HARD, (140, 20, 10)))
 MEANINGS = {
     "ends": "ends of the stroke",
     "next": "next to wipe",
@@ -106,7 +107,7 @@ def _lines(
 
 def _facts(font: Any, figures: Figures) -> list[_Item]:
     """Return clock, touch, distance and the legend of colours; equally long in all frames."""
-    ends = [f"{level:.0f}" for level, _ in LEVELS[1:]]
+    ends = [f"{level:g}" for level, _ in LEVELS[1:]]
     words = (f"< {ends[0]} N", f"{ends[0]}-{ends[1]} N", f"> {ends[1]} N")
     colours = [colour for _, colour in LEVELS]
     targets = {MEANINGS.get(name, name): _bytes(c) for name, c in figures.targets.items()}

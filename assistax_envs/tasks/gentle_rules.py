@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 from assistax_envs.models.care_scenes import FACE, TEETH
 
-HARD = 65.0  # N, of one contact: what the face bears, the least of all limits below
 # N, of one contact, by part of the human: what healthy adults bear in a quasi-static contact before
 # it hurts (ISO/TS 15066:2016, Table A.2; the trunk has the abdomen's, which is less than the
 # chest's). Most of them are preliminary: Behrens et al. 2022 (doi 10.3389/frobt.2021.667818) and
@@ -27,6 +26,7 @@ FRAIL = 0.5
 # N, of one contact with a part in any physics step. Half a second above it, added up over the
 # episode, is a violation, which ends the episode as a protective stop does.
 LIMITS: Mapping[str, float] = {part: FRAIL * limit for part, limit in BEARABLE.items()}
+HARD = min(LIMITS.values())  # N: what every part bears
 # N, of one contact, above which even a short one is a violation: twice the quasi-static limit, but
 # no more than that at the face (ISO/TS 15066:2016, Table A.2).
 AT_FACE = ("human_head", *FACE[1:], *(f"human_{part}" for part in TEETH))

@@ -40,7 +40,7 @@ PREFERENCE_WORDS = {
     "depth": (1000.0, "mm", "the tool {} mm deep in the mouth"),
     "press": (1.0, "N", "the brush at {} N"),
 }
-LEVEL_WORDS = ("a gentle touch", "more than a gentle touch", "more than a frail person bears")
+LEVEL_WORDS = ("a gentle touch", "more than a gentle touch", "more than a frail face bears")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -127,7 +127,7 @@ def test_strip_follows_the_figures():
     assert painted(longer, EARNS) > painted(plain, EARNS) > painted(costly, EARNS)
     assert painted(costly, COSTS) > painted(plain, COSTS)
     for newtons, (_, colour) in zip((2.0, 20.0, 80.0), LEVELS, strict=True):
-        other = 2.0 if newtons > 65.0 else 80.0
+        other = 2.0 if newtons > 32.5 else 80.0
         assert painted(words(force=newtons), colour) > painted(words(force=other), colour)
     assert painted(plain, (242, 13, 140)) > 10  # the target's colour is explained
     assert (words(nonfinite=True) != plain).any()

@@ -149,7 +149,7 @@ def _touch_gates(touch: Mapping[str, float]) -> list[Gate]:
     speed = touch["joint speed, share of the limit"]
     detail = "own teams, step by step"
     return [
-        Gate(f"contact steps below {HARD:.0f} N", ">= 0.99", below, None,
+        Gate(f"contact steps below {HARD:g} N", ">= 0.99", below, None,
              None if below is None else below >= 0.99, detail if below else "nobody was touched"),
         Gate("fastest joint, share of the datasheet's", "<= 1", speed, None, speed <= 1.0, detail),
     ]  # fmt: skip
