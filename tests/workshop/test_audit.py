@@ -63,7 +63,7 @@ def test_gates_by_hand() -> None:
     assert by_name["script with a passive human"].holds
     assert by_name["teams reach the goal"].value == 1.0 and by_name["teams hurt nobody"].holds
     assert by_name["cross-play between seeds"].value == pytest.approx(0.5)
-    assert by_name["contact steps below 65 N"].holds
+    assert by_name["contact steps below 32.5 N"].holds
     assert by_name["fastest joint, share of the datasheet's"].holds
     missing = [name for name, gate in by_name.items() if gate.holds is None]
     assert [by_name[name].told.rpartition("needs ")[2] for name in missing] == [
