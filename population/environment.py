@@ -106,6 +106,9 @@ class WithTeacher(ShowingMore):
         env: The environment of a gentle task, whose robot is told nothing.
         width: Of that observation.
 
+    Attributes:
+        added: How many numbers a robot that is told the wishes observes beside the others.
+
     Raises:
         ValueError: No robot of the task that is told the wishes observes so many numbers.
     """
@@ -113,8 +116,8 @@ class WithTeacher(ShowingMore):
     def __init__(self, env: Environment, width: int) -> None:
         super().__init__(env)
         own = env.observation_size["robot"]
-        self._added = width - own
-        if not 0 < self._added <= env.observation_size["global"] - len(WORDS):
+        self.added = width - own
+        if not 0 < self.added <= env.observation_size["global"] - len(WORDS):
             raise ValueError(
                 f"the teacher observes {width} numbers and a robot of {env.task} {own}; give a "
                 "robot of this task that is told the preference"
@@ -122,4 +125,4 @@ class WithTeacher(ShowingMore):
         self.observation_size[TEACHER] = width
 
     def _shown(self, state: EnvState) -> EnvState:
-        return dataclasses.replace(state, obs={**state.obs, TEACHER: told(state.obs, self._added)})
+        return dataclasses.replace(state, obs={**state.obs, TEACHER: told(state.obs, self.added)})

@@ -91,8 +91,9 @@ class DAgger(Trainer):
                 "that it did not take: give a teacher without, such as a gru"
             )
         self.teacher, self._taught = Policy(teacher.spec), teacher.params
-        self._added = teacher.spec.observation_size - env.observation_size["robot"]
-        super().__init__(config, WithTeacher(env, teacher.spec.observation_size), updates, partners)
+        shown = WithTeacher(env, teacher.spec.observation_size)
+        self._added = shown.added
+        super().__init__(config, shown, updates, partners)
 
     def hyper(self, members: Sequence[Member]) -> Hyper:
         """Return the traced hyperparameters [M], and the parameters of the teachers."""
