@@ -30,7 +30,7 @@ help:
 	@echo 'make clean      remove the virtual environment, the demo and caches'
 
 demo: $(STAMP)
-	$(BIN)/assistax-zoo evaluate gentle_scratch/asymmetric_gru-ego-s0 --episodes 2 --out demo/persons
+	$(BIN)/assistax-zoo evaluate gentle_scratch/dagger-ego-s0 --episodes 2 --out demo/persons
 	$(BIN)/assistax-zoo report demo/persons --out demo/persons.html
 	$(BIN)/assistax-zoo crossplay --robots 'gentle_scratch/*' --humans persons --persons 20 --episodes 2 --out demo/crossplay
 	$(BIN)/assistax-zoo plot crossplay demo/crossplay --out demo/crossplay.png

@@ -26,7 +26,7 @@ _BLOCK = re.compile(
     r"^((?![|\s]|[-*] |\d+\. ).+\n)(\|.*\n\|[-:| ]+\|$|(?:[-*]|1\.) )", re.MULTILINE
 )
 _PAGES = "<!-- pages -->"  # where links to the pages of tasks stand, on the front page a film too
-_FILMED = "gentle_scratch/asymmetric_gru-ego-s0", "gentle_scratch/person-20042"
+_FILMED = "gentle_scratch/dagger-ego-s0", "gentle_scratch/person-20042"
 _FILM = """<iframe src="film.html" title="A film of an episode" class="film"></iframe>
 
 *A robot of the zoo with a person that it never met. Turn it with the pointer.* """

@@ -21,7 +21,7 @@ from evaluation.cast.roster import HostEgo, Member, Roster, registry_roster
 from evaluation.record.manifest import file_sha256, identity_digest
 from population.networks.seat import Seat
 from population.networks.stack import stack_policies
-from population.networks.tensors import flatten, row_sha256
+from population.networks.tensors import flatten, published_hashes
 from population.views import View
 from zoo.met.claims import claimed_met, claimed_version, declared_met
 from zoo.met.published import NOT_KNOWN, Met, met_in_training
@@ -198,9 +198,9 @@ def _from_files(
         # Hashed before it is read, so that a later change of the file is detected.
         sha256 = _file_hash(name)
         spec, params, metadata = read_policy_file(name)
-        digest = row_sha256(flatten(params))
+        digests = published_hashes(flatten(params))
         robots = [entry for entry in registry.policies if entry.role == "robot"]
-        same = [robot for robot in robots if robot.sha256 == digest]
+        same = [robot for robot in robots if robot.sha256 in digests]
         # Parameters equal to a published robot's are that robot; their file's claims are ignored.
         member = _of_file(name, ((Path(name), sha256),), registry, {} if same else metadata)
         if same:

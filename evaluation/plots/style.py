@@ -53,7 +53,7 @@ ALGORITHMS = {
 ROWS = {
     **{"asymmetric": "#33bbaa", "asymmetric_gru": "#ff0088", "gru": "#0000dd", "liam": "#aabb66"},
     **{"palm": "#6699aa", "rl2": "#aa44ff", "rma": "#0055bb", "mirror": "#aa1177"},
-    "osi": "#cc9988",
+    **{"osi": "#cc9988", "dagger": "#404858"},
     **{"told-preference": "#996677", "told-gru": "#550066", View.NUMBERS.condition: "#aa8855"},
 }
 OTHERS = ("#dd1111", "#cc99dd", "#005544", "#447744")  # of methods that are not ours

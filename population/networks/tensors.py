@@ -57,6 +57,18 @@ def row_sha256(leaves: Mapping[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
+def published_hashes(leaves: Mapping[str, np.ndarray]) -> set[str]:
+    """Return `row_sha256` of a policy's leaves in each precision in which zoos publish them.
+
+    A policy that is published in half precision is read, and exported, as float32.
+    """
+    with np.errstate(over="ignore"):
+        return {
+            row_sha256({name: np.asarray(value, dtype) for name, value in leaves.items()})
+            for dtype in DTYPES.values()
+        }
+
+
 def encode(leaves: Leaves, metadata: Mapping[str, Any]) -> bytes:
     """Return safetensors bytes of leaves and JSON metadata; equal input gives equal bytes."""
     _check_leaves(leaves, "parameters")

@@ -42,7 +42,7 @@ def test_roots_of_trees_are_those_that_were_published(count: int, root: str) -> 
 
 def test_the_releases_of_the_project_have_their_roots() -> None:
     data = load_registry(ROOT / "registry.json").data
-    root = "7977df617029a5b5bfca1dfba31ca43641a6113f94dd993487b443f6d407b83e"
+    root = "909ab9706202d269eb524469191efcdbf95edd452794938151bcec4fba81c6cc"
     assert release_root(data, "v1") == root
 
 

@@ -159,7 +159,7 @@ def test_data_packages_do_the_three_jobs_without_network(
     zoo = functools.partial(call, place / "assistax-zoo")
     native = ("--backend", "native", "--episodes", "1")
     zoo("export", f"{TEAM}/human", "--format", "safetensors", "--out", "partner.safetensors")
-    robot = "gentle_scratch/asymmetric_gru-ego-s0"
+    robot = "gentle_scratch/dagger-ego-s0"
     assert "M_test" in zoo("evaluate", robot, *native, "--persons", "2", "--no-references")
     teams = ("--robots", "scratch/ippo-d1-s[01]", "--humans", "scratch/ippo-d1-s[01]")
     assert "cross-play" in zoo("crossplay", *teams, *native, "--out", "xp")

@@ -32,7 +32,7 @@ OURS = style.algorithm_colours(["ippo", "isac", "mappo", "masac", "mep"])
 OTHERS = style.algorithm_colours(["e", "f", "g", "h"])
 # Rows whose learning curves usually stand in one figure.
 KNOWN = KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR
-ROWS = style.algorithm_colours(["ppo", "sac", *METHODS, *KNOWN])
+ROWS = style.algorithm_colours(["ppo", "sac", "dagger", *METHODS, *KNOWN])
 MAP = matplotlib.colormaps[style.COLOUR_MAP](np.linspace(0, 1, 64))[:, :3]
 CLEAR, SEEN = 15.0, 8.0  # CIEDE2000: of two colours for full vision, and for any vision
 APART = 6.5  # of two strips, which their places tell apart too

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import polars as pl
 import pytest
@@ -166,6 +167,24 @@ def test_exported_ego_claims_split(registry: Registry, tmp_path: Path) -> None:
     claim = read_policy_file(of_kind(registry, EGO, "safetensors", tmp_path)).metadata["met"]
     registered = met_in_training(registry, registry.policy(EGO))
     assert Met.model_validate({"source": "registry", **claim}) == registered
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float16])
+def test_a_published_robot_keeps_its_record_in_a_file(dtype: type, tmp_path: Path) -> None:
+    """Claims of the file are ignored; parameters in half precision are known again too."""
+    path = published(teams_of(4), tmp_path)
+    half = load_registry(path).split(TASK)
+    ego = trained_ego(0, {"split": half.id, "sha256": half.sha256})
+    params = {"robot": jax.tree.map(lambda leaf: leaf.astype(dtype), ego.params["robot"])}
+    publish([dataclasses.replace(ego, params=params)], path, "v0", date="2026-01-01")
+    registry = load_registry(path)
+    [stack] = registry.stacks([registry.policy(EGO)])
+    forged = tmp_path / "mine.safetensors"
+    write_policy_file(forged, ROBOT, stack.row(0), {"task": TASK, "met": {"partners": {}}})
+    assert left_out(registry, [forged], "half")[1].sources == ("registry",)
+    other = jax.tree.map(lambda leaf: leaf * np.float32(1.01), stack.row(0))
+    write_policy_file(forged, ROBOT, other, {"task": TASK, "met": {"partners": {}}})
+    assert left_out(registry, [forged], "half")[1].sources == ("file",)
 
 
 def claimed(folder: Path, metadata: dict[str, Any]) -> Path:

@@ -27,7 +27,7 @@ from evaluation.play.baselines import script_roster
 from evaluation.seat.modules import read_manifest
 from zoo.registry import Registry
 
-ROBOT = "{task}/asymmetric_gru-ego-s{seed}-v1/robot"
+ROBOT = "{task}/dagger-ego-s{seed}-v1/robot"
 
 
 def mouse_path(seed: int, width: int) -> Iterator[tuple[np.ndarray, int]]:

@@ -88,7 +88,7 @@ def _changed_hashes() -> Iterator[tuple[str, Change]]:
     yield "hash and start", _put(lambda log: log["start"] + 1, "start")
     yield "robot's sha256", _put(lambda log: "1" * 64, "robot.sha256")
     yield "robot without sha256", _put(lambda log: None, "robot.sha256")
-    other = "gentle_scratch/asymmetric_gru-ego-s1-v1/robot"
+    other = "gentle_scratch/dagger-ego-s1-v1/robot"
     for number, name in enumerate(
         (other, "script", "gentle_scratch/*/robot", "nobody", "", "x" * 300, "../../etc/passwd")
     ):

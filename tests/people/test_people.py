@@ -27,7 +27,7 @@ from zoo.registry import Registry
 
 ROOT = Path(__file__).parents[2]
 TASK = "gentle_scratch"
-GRU = "asymmetric_gru-ego-s0-v1"
+STUDENT = "dagger-ego-s0-v1"
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_every_file_is_listed_with_its_fate(logs: Path, tmp_path: Path, registry
     assert found.logs == 5
     assert "same episode as" in found.left_out[str(logs / "p02" / "copy.json")]
     assert "its result says return" in found.refused[str(logs / "p01" / "better.json")]
-    table = az.load_result(out / TASK / GRU).episodes
+    table = az.load_result(out / TASK / STUDENT).episodes
     [row] = table.iter_rows(named=True)
     assert (row["partner"], row["partner_algorithm"], row["side"]) == (
         "people/p01",
@@ -91,7 +91,7 @@ def test_a_folder_without_a_true_log_writes_nothing(tmp_path: Path, registry: Re
 
 def test_results_of_others_are_not_replaced(logs: Path, tmp_path: Path, registry: Registry) -> None:
     out = tmp_path / "out"
-    place = out / TASK / GRU
+    place = out / TASK / STUDENT
     place.mkdir(parents=True)
     (place / "episodes.parquet").write_bytes(b"somebody's")
     with pytest.raises(ValueError, match="not of people"):
@@ -137,14 +137,14 @@ def test_everything_that_reads_results_reads_people(
     found = read_people(study, tmp_path, registry)
     [task] = found.tasks
     assert (task.people, task.episodes, len(found.accepted)) == (4, 16, 16)
-    gru, script = (str(tmp_path / TASK / name) for name in (GRU, "script"))
-    assert main.run(["compare", gru, script]) == 0
+    student, script = (str(tmp_path / TASK / name) for name in (STUDENT, "script"))
+    assert main.run(["compare", student, script]) == 0
     assert "4 partners" in capsys.readouterr().out
     for words in (
-        ["report", gru, "--out", str(tmp_path / "page.html")],
-        ["plot", "adaptation", gru, "--out", str(tmp_path / "a.png")],
-        ["plot", "zsc", gru, script, "--out", str(tmp_path / "z.png")],
-        ["verify", gru],
+        ["report", student, "--out", str(tmp_path / "page.html")],
+        ["plot", "adaptation", student, "--out", str(tmp_path / "a.png")],
+        ["plot", "zsc", student, script, "--out", str(tmp_path / "z.png")],
+        ["verify", student],
     ):
         assert main.run(words) == 0, words
     assert "no log proves" in (tmp_path / "page.html").read_text()
@@ -156,12 +156,12 @@ def test_every_step_is_written_as_trajectories_are(
 ) -> None:
     out = tmp_path / "out"
     assert main.run(["people", str(logs), "--out", str(out), "--steps", "parquet"]) == 0
-    table = pl.read_parquet(out / "steps" / f"{TASK}-{GRU}.parquet")
+    table = pl.read_parquet(out / "steps" / f"{TASK}-{STUDENT}.parquet")
     assert table.height == with_robot["steps"] + 1
-    [row] = az.load_result(out / TASK / GRU).episodes.iter_rows(named=True)
+    [row] = az.load_result(out / TASK / STUDENT).episodes.iter_rows(named=True)
     assert table["reward"].sum() == pytest.approx(row["return"], abs=1e-3)
     about = json.loads(
-        pl.read_parquet_metadata(out / "steps" / f"{TASK}-{GRU}.parquet")["assistax"]
+        pl.read_parquet_metadata(out / "steps" / f"{TASK}-{STUDENT}.parquet")["assistax"]
     )
     assert about["episodes"] == [
         {"partner": "people/p01", "log": with_robot["sha256"], "start": with_robot["start"]}

@@ -12,7 +12,7 @@ from zoo.registry import load_registry
 
 MODULES = Path(__file__).parents[2] / "evaluation" / "seat" / "modules"
 TASKS = TRACKS[CARE]
-ROBOT = "{task}/asymmetric_gru-ego-s0"  # robots of its shape can be played
+ROBOT = "{task}/dagger-ego-s0"  # robots of its shape can be played
 
 
 def main() -> None:

@@ -50,7 +50,7 @@ def people(
         json: Print JSON.
 
     Example:
-        assistax-zoo people logs --out results/people --beside results/gru --beside results/ppo
+        assistax-zoo people logs --out results/people --beside results/s0 --beside results/s1
     """
     with stdout_is_data():
         from assistax_envs.interrupts import interruptible

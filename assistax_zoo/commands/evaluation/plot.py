@@ -106,7 +106,7 @@ def adaptation(folder: Path, /, *, out: Path, page: Page = Page()) -> None:
         page: Its width, and whether title and caption are left out.
 
     Example:
-        assistax-zoo plot adaptation results/gru --out adaptation.png
+        assistax-zoo plot adaptation results/ego --out adaptation.png
     """
     from evaluation.plots.figures import adaptation_figure
 
