@@ -17,9 +17,9 @@ from assistax_board.pages.crossplays import CrossPlay, CrossPlays
 from assistax_board.pages.methods import Played, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
 from assistax_board.places.caring import mean_care
-from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import PartnerScore, Score, Submission
+from assistax_envs.persons.rows import groups_of
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
 

@@ -10,9 +10,9 @@ from assistax_board.pages.behind import Behind
 from assistax_board.pages.boards import Played, bounds_of, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
 from assistax_board.places.caring import care_of, mean_care
-from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
+from assistax_envs.persons.rows import groups_of
 from evaluation.figures.metrics import SEED_SDS
 
 PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submissions' episodes
