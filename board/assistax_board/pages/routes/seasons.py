@@ -92,7 +92,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "season": season,
         "plays": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,
-        "met": site.met_by_file(submission.task).get(submission.artefact or ""),
+        "met": site.met_by(submission),
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda score: (-score.created_at, score.panel)),
