@@ -313,11 +313,21 @@ def test_season_page_shows_places_and_references(service: Service, tmp_path: Pat
     season = open_season(service)
     service.add_references()
     for lab, strength in (("ada", 2.0), ("bob", 600.0)):
-        declared(service, new_submitter(service, lab), strength, strength + 0.1, season=season)
+        submitter = new_submitter(service, lab)
+        ids = declared(service, submitter, strength, strength + 0.1, season=season)
         work_off(service)
+        service.enter(season, submitter, ids)
     scored(service, new_submitter(service, "cy"), 700.0, season=season)
+    reader = TestClient(create_app(service))
+    revealed = f"/api/seasons/{season}/revealed", f"/api/seasons/{season}/release"
+    assert not any(f'href="{link}"' in reader.get(f"/seasons/{season}").text for link in revealed)
     close_spring(service)
     page = TestClient(create_app(service)).get(f"/seasons/{season}").text
+    for link in revealed:
+        assert f'href="{link}"' in page
+        assert reader.get(link).status_code == 200
+    chosen = page[page.index("Entered for panel B") :]
+    assert chosen.count(">mine</a>") == 3, "an entry of two robots stands there once"
     table = page[page.index("<h2>Panel B</h2>") : page.index("<h2>Rules</h2>")]
     for word in ("bob", "ada", "zero-action", "self-play", "Normalised", "Success", "95% interval"):
         assert word in table

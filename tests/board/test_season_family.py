@@ -13,10 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import sqlalchemy as sa
+from starlette.testclient import TestClient
 
 from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_base.extensions import FAMILIES as GROUP
 from assistax_base.extensions import ExtensionError, files_sha256
+from assistax_board.app import create_app
 from assistax_board.problems import Problem
 from assistax_board.rules import release_pack, seasons
 from assistax_board.rules.release_pack import add_persons, hidden_partners, own_families, pack
@@ -88,6 +90,8 @@ def test_a_season_commits_to_the_family_and_reveals_it(
     assert (own["name"], own["sha256"], own["count"]) == (FAMILY, program, 3)
     assert merkle_root(map(leaf_sha256, leaves)) == root
     service.close_season("spring")
+    page = TestClient(create_app(service)).get(f"/seasons/{season.id}").text
+    assert "which holds the files of the organiser's family" in page
     statement = seasons.revealed(service.database, "spring")
     packed = seasons.revealed_release(service.database, service.artefacts, "spring")
     with zipfile.ZipFile(BytesIO(packed)) as archive:
