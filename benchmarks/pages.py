@@ -169,7 +169,9 @@ def storm(
     files: int = 100,
     bodies: int = 64,
     readers: int = 200,
+    crowd: int = 2000,
     seconds: float = 60.0,
+    database: str | None = None,
 ) -> None:
     """Attack a new server in many ways at once, and print its answers and losses as JSON.
 
@@ -177,7 +179,9 @@ def storm(
         files: Hostile ONNX files.
         bodies: Bodies of requests that come a byte a second.
         readers: Number of simultaneous readers.
+        crowd: Connections that stay open and say nothing more.
         seconds: Measuring time.
+        database: Address of an empty PostgreSQL database; default SQLite.
 
     Example:
         python -m benchmarks storm
@@ -185,7 +189,7 @@ def storm(
     from benchmarks.storm import measure_storm
 
     check_seconds(seconds)
-    print_json(dataclasses.asdict(measure_storm(files, bodies, readers, seconds)))
+    print_json(dataclasses.asdict(measure_storm(files, bodies, readers, crowd, seconds, database)))
 
 
 def _print_pages(rows: Sequence[dict[str, Any]]) -> None:

@@ -14,17 +14,19 @@ import tempfile
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx2
 
 from assistax_board.client import Client
+from assistax_board.robots.limited import resident_bytes
 from benchmarks.pages import PageSpeed, read_pages
 
 TASK, ROBOT = "scratch", "scratch/ippo-d1-s0-v1/robot"
 LOST_SECONDS = 600.0  # for which a lab retries
+LAST_SECONDS = 90.0  # for memory to fall again
 FIRST = 5  # submissions on the board before the load begins
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -82,10 +84,11 @@ def measure_service(readers: int, submitters: int, seconds: float) -> ServiceSpe
 
 
 @contextmanager
-def serving(folder: Path) -> Generator[tuple[Any, str]]:
-    """Run the server of a folder; yield its process and its address."""
+def serving(folder: Path, database: str | None = None) -> Generator[tuple[Any, str]]:
+    """Run the server of a folder, or of another database; yield its process and its address."""
     log = folder / ".log"  # `serve` takes no folder with other files, but for hidden ones
     words = ["serve", "--data", str(folder), "--port", "0", "--workers", "0", "--no-references"]
+    words += ["--database", database] if database else []
     with log.open("w") as file:
         process = subprocess.Popen([sys.executable, "-m", "assistax_zoo", *words], stderr=file)
     try:
@@ -130,6 +133,38 @@ def work_made_up(address: str, token: str) -> None:
             }
         )
         client.result(work, encode_table(table), 0.1)
+
+
+class Peak:
+    """Peak memory of a process and its children, watched by a thread."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid, self._over = pid, threading.Event()
+        self.most = self.last = memory_of(pid)
+        threading.Thread(target=self._look, daemon=True).start()
+
+    def _look(self) -> None:
+        while not self._over.wait(0.5):
+            self.last = memory_of(self._pid)
+            self.most = max(self.most, self.last)
+
+    def wait_for(self, bytes_: float) -> float:
+        """Return the seconds until at most `bytes_` are in use; stops the watch."""
+        began = time.monotonic()
+        while self.last > bytes_ and time.monotonic() - began < LAST_SECONDS:
+            time.sleep(0.5)
+        self._over.set()
+        return time.monotonic() - began
+
+
+def memory_of(pid: int) -> float:
+    """Return the bytes of a process and its children."""
+    children = Path(f"/proc/{pid}/task/{pid}/children")
+    total = float(resident_bytes(pid))
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            total += sum(memory_of(int(child)) for child in task.read_text().split())
+    return total if children.exists() else 0.0
 
 
 def _submit_all(

@@ -1,9 +1,10 @@
-"""A server under attack: hostile files, slow bodies and readers at once; counts lost submitters.
+"""A server under attack by files, slow bodies, readers and a crowd; counts lost submitters.
 
 The server is the real one, in a process of its own, with a worker beside it that brings made-up
 returns. Labs that hand in as they should are there all the while.
 """
 
+import asyncio
 import contextlib
 import dataclasses
 import http.client
@@ -21,17 +22,16 @@ from typing import Any
 import numpy as np
 
 from assistax_board.client import Client
-from assistax_board.robots.limited import resident_bytes
 from benchmarks.pages import PageSpeed, read_pages
-from benchmarks.service import ROBOT, SPAWN, TASK, serving, work_made_up
+from benchmarks.service import ROBOT, SPAWN, TASK, Peak, memory_of, serving, work_made_up
 
 LABS = 20  # attacking labs, each with its own token
 HONEST = 5  # honest labs
 CALM_SECONDS = 10.0  # before memory is first measured
-LAST_SECONDS = 90.0  # for memory to fall again
 WIDE = 65_536
 ELSEWHERE_NICE = 5  # niceness of clients and workers, which elsewhere run on other machines
 ELSEWHERE = "127.0.0.2"  # address of slow bodies, since rates are by address
+CROWD = "127.0.0.3"  # address of the crowd
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,20 +43,23 @@ class Storm:
     pages: PageSpeed
     files: dict[str, int]  # how hostile files ended
     bodies: dict[str, int]  # how slow bodies ended
+    crowd: dict[str, int]  # connections that were open at once, and how all of them ended
     honest: dict[str, int]  # final states of honest labs' submissions
     memory: tuple[float, float, float]  # MB of the server and its children: before, most, after
     calm_after: float  # seconds until memory was within a fifth of what it had been
     load: tuple[float, float]
 
 
-def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Storm:
+def measure_storm(
+    files: int, bodies: int, readers: int, crowd: int, seconds: float, database: str | None = None
+) -> Storm:
     """Return the figures of a new server that all attacks strike for a while."""
     from assistax_board.serve import open_service
     from assistax_board.submitting import read_file
 
     before, robot = os.getloadavg()[0], read_file(Path(ROBOT))
     with tempfile.TemporaryDirectory(prefix="assistax-zoo-") as folder:
-        with serving(Path(folder)) as (process, address):
+        with serving(Path(folder), database) as (process, address):
             os.nice(ELSEWHERE_NICE)
             service = open_service(Path(folder))
             tokens = {
@@ -76,6 +79,7 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
                         for attack, *args in (
                             (hand_in_hostile, address, bad, files, end),
                             (send_slowly, address, bad, bodies, end),
+                            (stand_about, address, crowd, end),
                             (be_honest, address, [tokens[n] for n in names("honest", HONEST)], end),
                             (probe, address, end),
                         )
@@ -89,48 +93,16 @@ def measure_storm(files: int, bodies: int, readers: int, seconds: float) -> Stor
             if submission.submitter.startswith("honest")
         )
         service.database.close()
-    refused, slow, handed_in, health = ended
+    refused, slow, stood, handed_in, health = ended
     lost = {"handed in": handed_in["handed in"] + 1, **states}
     memory = (calm / 1e6, tree.most / 1e6, tree.last / 1e6)
     load = (before, os.getloadavg()[0])
-    return Storm(seconds, health, pages, refused, slow, lost, memory, calm_after, load)
+    return Storm(seconds, health, pages, refused, slow, stood, lost, memory, calm_after, load)
 
 
 def names(kind: str, count: int) -> list[str]:
     """Return the names of `count` labs of a kind."""
     return [f"{kind} {number}" for number in range(count)]
-
-
-class Peak:
-    """Peak memory of a process and its children, watched by a thread."""
-
-    def __init__(self, pid: int) -> None:
-        self._pid, self._over = pid, threading.Event()
-        self.most = self.last = memory_of(pid)
-        threading.Thread(target=self._look, daemon=True).start()
-
-    def _look(self) -> None:
-        while not self._over.wait(0.5):
-            self.last = memory_of(self._pid)
-            self.most = max(self.most, self.last)
-
-    def wait_for(self, bytes_: float) -> float:
-        """Return the seconds until at most `bytes_` are in use; stops the watch."""
-        began = time.monotonic()
-        while self.last > bytes_ and time.monotonic() - began < LAST_SECONDS:
-            time.sleep(0.5)
-        self._over.set()
-        return time.monotonic() - began
-
-
-def memory_of(pid: int) -> float:
-    """Return the bytes of a process and its children."""
-    children = Path(f"/proc/{pid}/task/{pid}/children")
-    total = float(resident_bytes(pid))
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            total += sum(memory_of(int(child)) for child in task.read_text().split())
-    return total if children.exists() else 0.0
 
 
 @contextlib.contextmanager
@@ -252,6 +224,42 @@ def _drip(line: socket.socket, end: float) -> str:
             answer = line.recv(100).split()
             return f"answered {answer[1].decode()}" if len(answer) > 1 else "hung up on"
     return "still sending"
+
+
+def stand_about(address: str, count: int, end: float) -> dict[str, int]:
+    """Keep connections open that say nothing more, and return counts of outcomes.
+
+    Half of them have asked for the health check, the others have sent half a request. Each is made
+    anew when the server hangs up.
+    """
+    ended: Counter[str] = Counter()
+    host, port = address.rpartition("/")[2].split(":")
+    head = f"GET /api/health HTTP/1.1\r\nHost: {host}\r\n".encode()
+
+    async def stand(number: int) -> None:
+        while time.time() < end:
+            try:
+                reader, writer = await asyncio.open_connection(host, port, local_addr=(CROWD, 0))
+            except OSError:
+                ended["not taken in"] += 1
+                await asyncio.sleep(1.0)
+                continue
+            ended["open now"] += 1
+            ended["open at most"] = max(ended["open at most"], ended["open now"])
+            writer.write(head + b"\r\n" * (number % 2))
+            answer = b""
+            with contextlib.suppress(OSError, TimeoutError):  # until the server hangs up
+                answer = await asyncio.wait_for(reader.read(), max(0.0, end - time.time()))
+            ended[f"answered {answer.split()[1].decode()}" if answer else "not answered"] += 1
+            ended["open now"] -= 1
+            writer.close()
+
+    async def stand_all() -> None:
+        await asyncio.gather(*(stand(number) for number in range(count)))
+
+    asyncio.run(stand_all())
+    del ended["open now"]
+    return dict(ended)
 
 
 def be_honest(address: str, tokens: list[str], end: float) -> dict[str, int]:

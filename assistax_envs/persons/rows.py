@@ -31,6 +31,7 @@ UNSEEN = "stepper"  # the family that no robot trains with
 # Groups of the test side, which count the same in M_test.
 KNOWN_FAMILIES, UNSEEN_FAMILY = "known families", "unseen family"
 OWN_FAMILY = "organiser's family"  # of a season whose organiser brought one
+TEAMS = "teams"  # trained policies, where persons play too
 OWN_PREFIX = "own-"  # of a family's name that an installed package adds, see `installed_family`
 
 
@@ -126,11 +127,20 @@ def family_place(family: str) -> int:
     return FAMILIES.index(family) if family in FAMILIES else 0
 
 
-def family_group(family: str) -> str:
-    """Return the group of a family's persons on the test side."""
-    if family.startswith(OWN_PREFIX):
+def group_of(algorithm: str) -> str:
+    """Return a partner's group on the test side, by its family or by how its team was trained."""
+    if algorithm.startswith(OWN_PREFIX):
         return OWN_FAMILY
-    return UNSEEN_FAMILY if family == UNSEEN else KNOWN_FAMILIES
+    if algorithm not in FAMILIES:
+        return TEAMS
+    return UNSEEN_FAMILY if algorithm == UNSEEN else KNOWN_FAMILIES
+
+
+def groups_of(algorithms: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the group of each partner [P], see `group_of`; None unless persons play."""
+    if not set(algorithms) & set(FAMILIES):
+        return None
+    return tuple(map(group_of, algorithms))
 
 
 def installed_family(name: str) -> Extension:

@@ -36,7 +36,7 @@ def create_app(service: Service, **pages: Any) -> FastAPI:
     )
     app.state.service, app.state.desk = service, Desk()
     app.state.limiter = Limiter()
-    app.state.metrics = operations.Metrics()
+    app.state.metrics, app.state.pulse = operations.Metrics(), operations.Pulse()
     for router in ROUTERS:
         app.include_router(router)
     add_error_handlers(app)

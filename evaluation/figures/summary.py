@@ -10,7 +10,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from assistax_base.validated import first_problem
-from assistax_envs.persons.rows import FAMILIES, family_group
+from assistax_envs.persons.rows import groups_of
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
@@ -195,6 +195,7 @@ def summarise_evaluation(
     """
     returns, side = record.returns, record.returns.evaluated_side
     sides = returns.partners["side"].to_list()
+    groups = groups_of(returns.partners["partner_algorithm"].to_list())
     starts = {"common_starts": returns.common_starts}
     by_algorithm, by_disability = (
         group_draws(side.values, side.partners[f"partner_{trait}"].to_list(), **starts)
@@ -203,7 +204,7 @@ def summarise_evaluation(
     by_preference = _preference_draws(side)
     several = side.values.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(returns.values, sides, _groups(returns.partners), **starts)),
+        **vars(zero_shot(returns.values, sides, groups, **starts)),
         **_common(returns, context),
         side=side.partners["side"][0],
         variance=variance_components(side.values),
@@ -261,14 +262,6 @@ def _common(returns: Returns, context: Context) -> dict:
         "common_starts": returns.common_starts,
         "nonfinite": int(returns.nonfinite.sum()),
     }
-
-
-def _groups(partners: pl.DataFrame) -> list[str] | None:
-    """Return the group of each partner; None unless persons play."""
-    families = partners["partner_algorithm"].to_list()
-    if not set(families) & set(FAMILIES):
-        return None
-    return [family_group(family) for family in families]
 
 
 def _preference_draws(returns: Returns) -> dict[str, Draws]:

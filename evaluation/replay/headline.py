@@ -6,7 +6,7 @@ from typing import Literal
 
 import polars as pl
 
-from assistax_envs.persons.rows import FAMILIES, OWN_FAMILY, OWN_PREFIX, family_group
+from assistax_envs.persons.rows import FAMILIES, OWN_FAMILY, OWN_PREFIX, TEAMS, group_of
 from evaluation.figures.summary import CrossPlaySummary, EvaluationSummary
 
 # same: every episode of the figure was replayed with the same bits.
@@ -72,10 +72,11 @@ def headline_of(summary: EvaluationSummary | CrossPlaySummary) -> Headline:
         left_out = list(summary.met.left_out) if summary.met else []
         rows = (pl.col("side") == summary.side) & ~pl.col("partner").is_in(left_out)
         family, groups = pl.col("partner_algorithm").cast(pl.String), []
+        own = family.str.starts_with(OWN_PREFIX)
+        others = {OWN_FAMILY: own, TEAMS: ~(own | family.is_in(FAMILIES))}
         for group in summary.by_group:
-            members = [name for name in FAMILIES if family_group(name) == group]
-            own = family.str.starts_with(OWN_PREFIX)
-            groups.append(rows & (own if group == OWN_FAMILY else family.is_in(members)))
+            members = [name for name in FAMILIES if group_of(name) == group]
+            groups.append(rows & others.get(group, family.is_in(members)))
         if figure is None:  # a group did not play
             values = [found.mean for found in summary.by_group.values()]
             return Headline("mean of groups", sum(values) / len(values), rows, tuple(groups))

@@ -3,6 +3,8 @@ import queue
 import socket
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 
 from benchmarks import __main__ as bench
 from benchmarks.__main__ import run
-from benchmarks.storm import answer_of, probe, put_answer
+from benchmarks.storm import answer_of, probe, put_answer, stand_about
 
 
 @pytest.mark.slow
@@ -180,6 +182,28 @@ def test_storm_ends_where_no_probe_is_answered():
         put_answer(answers, probe, (address, 0.0))  # the storm is over before it asks
     health = answer_of(answers)
     assert (health["asked"], health["failed"]) == (1, 1)
+
+
+def test_a_crowd_stays_and_comes_again():
+    """One connection asks and one sends half a request; the server hangs up on both."""
+    heads: list[bytes] = []
+
+    def serve(listener: socket.socket) -> None:
+        lines = [listener.accept()[0] for _ in range(2)]
+        heads.extend(line.recv(1000) for line in lines)
+        for line, head in zip(lines, heads, strict=True):
+            line.sendall(b"HTTP/1.1 200 OK\r\n\r\n" if head.endswith(b"\r\n\r\n") else b"")
+            line.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        server = threading.Thread(target=serve, args=(listener,))
+        server.start()
+        address = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        ended = stand_about(address, 2, time.time() + 1.0)
+        server.join()
+    assert ended["open at most"] == 2
+    assert ended["answered 200"] == 1
+    assert ended["not answered"] == 3, "half a request, and two that came again and were left"
 
 
 def test_storm_hears_of_a_process_that_broke():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import polars as pl
 
 from assistax_base.digest import sha256
 from assistax_board.cards import Card
+from assistax_board.pages.methods import ZooFiles
 from assistax_board.problems import Refusal
 from assistax_board.rules import entries, jobs
 from assistax_board.rules.catalogue import ZooEntry, version_id
@@ -46,6 +48,16 @@ class FakeCatalogue:
 
     def identity(self, task: str) -> dict[str, Any]:
         return {"task": task, "engine": {"name": "fake", "version": str(self._version)}}
+
+
+class FakeFiles(ZooFiles):
+    """Robots of the zoo by their names, one file each."""
+
+    def __init__(self, files: Mapping[str, bytes] | None = None) -> None:
+        self._files = files or {}
+
+    def names(self, task: str) -> dict[str, str]:
+        return {sha256(data): name for name, data in self._files.items()}
 
 
 class FakeScorer:

@@ -15,6 +15,7 @@ from assistax_board.app import create_app
 from assistax_board.cards import Card
 from assistax_board.pages.boards import Board, Boards
 from assistax_board.pages.crossplays import CrossPlays
+from assistax_board.pages.methods import ZooFiles
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.places import boards
 from assistax_board.problems import Problem
@@ -24,6 +25,7 @@ from assistax_board.store.database import Database, alembic_config
 from assistax_board.store.notices import list_notices
 from tests.board.fakes import (
     TASK,
+    FakeFiles,
     advance,
     close_spring,
     declaration,
@@ -41,8 +43,8 @@ from tests.board.running import served
 from tests.board.test_season import open_season
 
 
-def board_of(service: Service) -> Board:
-    board = Boards(service.queries, CrossPlays(Path("none"))).of(TASK)
+def board_of(service: Service, files: ZooFiles | None = None) -> Board:
+    board = Boards(service.queries, CrossPlays(Path("none")), files or FakeFiles()).of(TASK)
     assert board is not None
     return board
 
@@ -194,7 +196,9 @@ def test_a_season_takes_an_entry_whole(service: Service) -> None:
     service.enter(season, lab, wide[:1])
     close_spring(service)
     assert {score.submission for score in service.queries.scores(panel="B")} == set(wide)
-    [(row, entry)] = SeasonBoards(service.queries, service.panel_b).of(season_row(service))
+    [(row, entry)] = SeasonBoards(service.queries, service.panel_b, FakeFiles()).of(
+        season_row(service)
+    )
     assert (row.place, entry.seeds_in_words) == (1, "3 of 3 declared")
     assert not shown(service, deep[0]).entered
 

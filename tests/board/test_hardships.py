@@ -1,5 +1,6 @@
 """Clients that are slow or silent, a disk that is full, a server that is away for a while."""
 
+import asyncio
 import contextlib
 import gc
 import logging
@@ -7,6 +8,7 @@ import math
 import socket
 import threading
 import time
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,10 @@ from sqlalchemy import event
 from starlette.requests import Request
 
 from assistax_board import serve
-from assistax_board.api import guards
+from assistax_board.api import guards, operations
 from assistax_board.rules import jobs
 from assistax_board.service import Service
+from assistax_board.store.notices import list_notices
 from assistax_board.work.worker import Worker
 from tests.board.fakes import TASK, FakeScorer, draft, new_service, new_submitter, work_off
 from tests.board.running import Served, served, soon
@@ -107,6 +110,55 @@ def test_crowd_is_accepted_in_small_groups(
         over.set()
     gc.unfreeze()
     assert 1 < max(taken) <= serve.LISTENERS * serve.TAKEN
+
+
+def test_a_body_that_is_cut_off_is_no_error_of_the_service(
+    service: Service, caplog: pytest.LogCaptureFixture
+) -> None:
+    token = service.create_token(("submit",), submitter="lab")
+    with served(service) as server, caplog.at_level(logging.INFO):
+        connected(server, SLOW % token.encode() + b"half of it").close()
+        assert soon(lambda: "/api/submissions" in repr([vars(r) for r in caplog.records]))
+        [seen] = [vars(r)["fields"] for r in caplog.records if "fields" in vars(r)]
+        assert (seen["route"], seen["status"]) == ("/api/submissions", 408)
+        assert not [r for r in caplog.records if r.levelno >= logging.ERROR]
+    assert list_notices(service.database) == [], "the organiser hears nothing of it"
+
+
+class Counted:
+    """A database that counts questions, and has an error if it is given one."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.error, self.asked = error, 0
+
+    @contextlib.contextmanager
+    def read(self) -> Generator[Any]:
+        self.asked += 1
+        time.sleep(0.05)
+        if self.error is not None:
+            raise self.error
+        yield self
+
+    def execute(self, query: Any) -> None:
+        pass
+
+
+def test_a_crowd_that_asks_for_health_is_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def crowd(pulse: operations.Pulse, database: Any) -> list[Any]:
+        asked = [pulse.feel(database) for _ in range(1000)]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    async def twice() -> None:
+        pulse, database = operations.Pulse(), Counted()
+        for fresh, asked in ((100.0, 1), (100.0, 1), (0.0, 2)):
+            monkeypatch.setattr(operations, "FRESH", fresh)
+            assert await crowd(pulse, database) == [None] * 1000
+            assert database.asked == asked
+        away = Counted(OSError("away"))
+        assert set(map(type, await crowd(pulse, away))) == {OSError}, "everybody hears of it"
+        assert await crowd(pulse, database) == [None] * 1000, "and that it is back"
+
+    asyncio.run(twice())
 
 
 @pytest.mark.slow

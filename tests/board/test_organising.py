@@ -22,6 +22,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.notices import list_notices
 from assistax_zoo.shell.main import run
 from tests.board.fakes import (
+    FakeFiles,
     advance,
     close_spring,
     draft,
@@ -106,7 +107,10 @@ def test_disqualified_lab_leaves_boards_and_cannot_submit(service: Service) -> N
 
 
 def test_disqualification_after_close_removes_panel_b(service: Service) -> None:
-    season, boards = open_season(service), SeasonBoards(service.queries, service.panel_b)
+    season, boards = (
+        open_season(service),
+        SeasonBoards(service.queries, service.panel_b, FakeFiles()),
+    )
     for name in ("bad", "good"):
         scored(service, new_submitter(service, name), 2.0, season=season)
     close_spring(service)

@@ -36,7 +36,7 @@ from assistax_board.store.database import Database
 from assistax_board.store.schema import SCORE, SUBMISSION
 from assistax_envs.persons.rows import described_numbers, person
 from tests.board.board_data import HOSTILE, Robot, make_app
-from tests.board.fakes import TASK, declared, new_submitter, scored, work_off
+from tests.board.fakes import TASK, FakeFiles, declared, new_submitter, scored, work_off
 from tests.untrained import published, teams_of
 from zoo.exports.policies import Format, policy_file
 from zoo.registry import load_registry
@@ -470,7 +470,7 @@ def test_a_new_score_costs_its_own_methods_figures(
     monkeypatch.setattr(
         boards, "unplaced", lambda method, panel: made.append(method.name) or real(method, panel)
     )
-    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path), FakeFiles())
     for turn, lab in enumerate(("ada", "bob", "eve")):
         declared(service, new_submitter(service, lab), 1e3 * turn, 1e3 * turn + 1)
         work_off(service)
@@ -483,7 +483,7 @@ def test_a_new_score_costs_its_own_methods_figures(
 def test_older_board_is_shown_during_computation(
     service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = boards.Boards(service.queries, CrossPlays(tmp_path))
+    kept = boards.Boards(service.queries, CrossPlays(tmp_path), FakeFiles())
 
     def rows() -> int:
         board = kept.of(TASK)

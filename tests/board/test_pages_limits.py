@@ -14,7 +14,7 @@ from assistax_board.problems import Problem
 from assistax_board.service import Service
 from assistax_board.store.queries import Queries
 from tests.board.board_data import make_app
-from tests.board.fakes import TASK, declared, new_submitter, scored, work_off
+from tests.board.fakes import TASK, FakeFiles, declared, new_submitter, scored, work_off
 
 
 def test_few_limited_pages_are_made_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,7 +51,7 @@ def test_an_unchanged_board_reads_no_submissions(
     lab = new_submitter(service)
     declared(service, lab, 1.0, 2.0)
     work_off(service)
-    kept = boards.Boards(service.queries, CrossPlays(Path("none")))
+    kept = boards.Boards(service.queries, CrossPlays(Path("none")), FakeFiles())
     first = kept.of(TASK)
     read: list[str] = []
     real = Queries.submissions

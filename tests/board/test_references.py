@@ -10,16 +10,20 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from assistax_base.digest import sha256
 from assistax_board import pages
 from assistax_board.app import create_app
 from assistax_board.cards import Card
 from assistax_board.pages import videos
+from assistax_board.pages.methods import ZooFiles
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.rules.catalogue import ZooCatalogue, ZooEntry
 from assistax_board.service import Service
+from assistax_board.submitting import read_file
 from tests.board.fakes import (
     TASK,
     FakeCatalogue,
+    FakeFiles,
     close_spring,
     declared,
     draft,
@@ -88,7 +92,10 @@ def test_no_rank_depends_on_the_zoo(service: Service, tmp_path: Path) -> None:
         work_off(one)
         close_spring(one)
     assert {lab: place for lab, place in places(service).items() if place} == places(alone)
-    rows = [SeasonBoards(one.queries, one.panel_b).of(season_row(one)) for one in (service, alone)]
+    rows = [
+        SeasonBoards(one.queries, one.panel_b, FakeFiles()).of(season_row(one))
+        for one in (service, alone)
+    ]
     of_season = [
         {e.newest.submitter: (row.place, row.lowest) for row, e in found if not e.is_reference}
         for found in rows
@@ -100,6 +107,26 @@ def test_no_rank_depends_on_the_zoo(service: Service, tmp_path: Path) -> None:
         for row in service.queries.submissions(season=season_row(service).id)
         if row.kind == "file"
     }
+
+
+def test_the_zoos_robot_in_a_labs_hands_is_a_copy(service: Service) -> None:
+    """By its bytes, and by its returns; the lab may come before the zoo's row is played."""
+    files = FakeFiles({ROBOT: b"robot 5.0"})
+    season = open_season(service, budget=9)
+    for lab, strengths in (("bytes", (5.0, 6.0)), ("returns", (7.0, 9.0)), ("own", (1.0, 2.0))):
+        declared(service, new_submitter(service, lab), *strengths, season=season)
+    work_off(service)
+    close_spring(service)
+    of_season = SeasonBoards(service.queries, service.panel_b, files).of(season_row(service))
+    for rows in (board_of(service, files).rows, of_season):
+        by_lab = {played.newest.submitter: (row.place, played.copy_of) for row, played in rows}
+        assert by_lab["own"] == (1, None)
+        for lab in ("bytes", "returns"):
+            place, earlier = by_lab[lab]
+            assert place is None
+            assert earlier is not None and earlier.reference in ENTRY.seeds
+    [unmarked] = [p for _, p in board_of(service).rows if p.newest.submitter == "bytes"]
+    assert unmarked.copy_of is None, "its returns are its own"
 
 
 def test_a_robot_that_the_registry_lost_leaves_the_board(service: Service) -> None:
@@ -142,6 +169,16 @@ def test_the_care_track_has_its_robots_on_the_board() -> None:
             assert {methods[name] for name in entry.seeds} == {entry.method}
             assert entry.card.partners.startswith(f"training side of {task}/persons-")
             assert entry.card.steps > 10**6
+
+
+def test_the_zoos_robots_are_known_by_their_files() -> None:
+    registry, task = load_registry(), "gentle_scratch"
+    names = ZooFiles(registry).names(task)
+    [entry] = ZooCatalogue(registry, "native").published(task)
+    for name in entry.seeds:
+        robot = read_file(Path(f"{task}/{name}"))  # as `submit` sends it
+        assert names[sha256(robot)] == name
+        assert sha256(robot + b" ") not in names
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from assistax_board.store import schema
 from assistax_board.store.schema import SEASON
 from tests.board.fakes import (
     TASK,
+    FakeFiles,
     FakeScorer,
     advance,
     close_spring,
@@ -302,7 +303,7 @@ def test_two_entries_average_their_seeds(service: Service) -> None:
     close_spring(service)
     on_b = {score.submission for score in service.queries.scores(panel="B")}
     assert on_b == set(ids[:3])
-    rows = SeasonBoards(service.queries, service.panel_b).of(season_row(service))
+    rows = SeasonBoards(service.queries, service.panel_b, FakeFiles()).of(season_row(service))
     played = [(entry.newest.method, len(entry.submissions)) for _, entry in rows]
     assert played == [("deep", 1), ("wide", 2)]
     assert rows[1][0].m_test.mean == pytest.approx(2.5, abs=0.2)  # of 1.5 and 3.5
@@ -312,17 +313,27 @@ def test_season_page_shows_places_and_references(service: Service, tmp_path: Pat
     season = open_season(service)
     service.add_references()
     for lab, strength in (("ada", 2.0), ("bob", 600.0)):
-        declared(service, new_submitter(service, lab), strength, strength + 0.1, season=season)
+        submitter = new_submitter(service, lab)
+        ids = declared(service, submitter, strength, strength + 0.1, season=season)
         work_off(service)
+        service.enter(season, submitter, ids)
     scored(service, new_submitter(service, "cy"), 700.0, season=season)
+    reader = TestClient(create_app(service))
+    revealed = f"/api/seasons/{season}/revealed", f"/api/seasons/{season}/release"
+    assert not any(f'href="{link}"' in reader.get(f"/seasons/{season}").text for link in revealed)
     close_spring(service)
     page = TestClient(create_app(service)).get(f"/seasons/{season}").text
+    for link in revealed:
+        assert f'href="{link}"' in page
+        assert reader.get(link).status_code == 200
+    chosen = page[page.index("Entered for panel B") :]
+    assert chosen.count(">mine</a>") == 3, "an entry of two robots stands there once"
     table = page[page.index("<h2>Panel B</h2>") : page.index("<h2>Rules</h2>")]
     for word in ("bob", "ada", "zero-action", "self-play", "Normalised", "Success", "95% interval"):
         assert word in table
     assert "2 of 2 declared" in table and "single robot" in table
     assert table.index("bob") < table.index("ada") < table.index("zero-action")
-    rows = SeasonBoards(service.queries, service.panel_b).of(season_row(service))
+    rows = SeasonBoards(service.queries, service.panel_b, FakeFiles()).of(season_row(service))
     places = [(entry.newest.submitter, row.place) for row, entry in rows]
     assert places == [
         *(("cy", None), ("bob", 1), ("reference", None), ("ada", 2), ("reference", None))
@@ -331,7 +342,7 @@ def test_season_page_shows_places_and_references(service: Service, tmp_path: Pat
     # The season's references stay off the public board, and are not played anew.
     assert len(service.queries.submissions(season=season)) == 5 + 2
     assert new_service(tmp_path, version=2).adopt_version() == 5 + 2
-    board = Boards(service.queries, CrossPlays(tmp_path)).of(TASK)
+    board = Boards(service.queries, CrossPlays(tmp_path), FakeFiles()).of(TASK)
     assert board is not None
     assert [len(played.submissions) for _, played in board.rows] == [1, 2, 1, 2, 1]
 

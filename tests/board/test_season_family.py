@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import sqlalchemy as sa
+from starlette.testclient import TestClient
 
 from assistax_base.digest import leaf_sha256, merkle_root
 from assistax_base.extensions import FAMILIES as GROUP
 from assistax_base.extensions import ExtensionError, files_sha256
-from assistax_board.places.groups import groups_of
+from assistax_board.app import create_app
 from assistax_board.problems import Problem
 from assistax_board.rules import release_pack, seasons
 from assistax_board.rules.release_pack import add_persons, hidden_partners, own_families, pack
@@ -28,7 +29,8 @@ from assistax_envs.persons import player
 from assistax_envs.persons.player import PersonPlayer
 from assistax_envs.persons.rows import (
     OWN_FAMILY,
-    family_group,
+    group_of,
+    groups_of,
     installed_family,
     marked,
     persons,
@@ -88,6 +90,8 @@ def test_a_season_commits_to_the_family_and_reveals_it(
     assert (own["name"], own["sha256"], own["count"]) == (FAMILY, program, 3)
     assert merkle_root(map(leaf_sha256, leaves)) == root
     service.close_season("spring")
+    page = TestClient(create_app(service)).get(f"/seasons/{season.id}").text
+    assert "which holds the files of the organiser's family" in page
     statement = seasons.revealed(service.database, "spring")
     packed = seasons.revealed_release(service.database, service.artefacts, "spring")
     with zipfile.ZipFile(BytesIO(packed)) as archive:
@@ -165,7 +169,7 @@ def test_a_family_acts_otherwise_and_is_a_group_of_its_own(package: Path) -> Non
         actions.append(np.asarray(action))
         assert np.asarray(playing.word(carry)).shape == (3,)
     assert np.isfinite(actions).all() and not np.array_equal(*actions)
-    assert family_group("own-weary") == OWN_FAMILY
+    assert group_of("own-weary") == OWN_FAMILY
     assert groups_of(["spring", "stepper", "own-weary", "ippo"]) == (
         *("known families", "unseen family", OWN_FAMILY, "teams"),
     )

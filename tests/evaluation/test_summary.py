@@ -11,6 +11,7 @@ from evaluation.figures import summary
 from evaluation.figures.comparable import summarise_comparison
 from evaluation.record import tables
 from evaluation.record.record import Record
+from evaluation.replay.headline import headline_of
 from tests.evaluation.episode_tables import (
     CONTEXT,
     clustered_matrix,
@@ -67,6 +68,36 @@ def test_groups_use_test_partners():
     assert figures["fairness"]["gap"]["value"] == pytest.approx(
         abs(figures["by_disability"]["d1"]["mean"] - figures["by_disability"]["d9"]["mean"])
     )
+
+
+def test_teams_beside_persons_are_a_group_of_their_own():
+    partners = [("spring", "d1", 0), ("stepper", "d1", 1), *teams(2, ("ippo",))]
+    returns = np.random.default_rng(0).normal(500, 50, (3, 4, 2))
+    table = episode_table(returns, teams(3), partners, ["test"] * 4)
+    found = summary.summarise_evaluation(recorded(table), CONTEXT)
+    means = dict(zip(partners, returns.mean(axis=(0, 2)), strict=True))
+    expected = {
+        "known families": means[partners[0]],
+        "unseen family": means[partners[1]],
+        "teams": (means[partners[2]] + means[partners[3]]) / 2,
+    }
+    assert {name: figure.mean for name, figure in found.by_group.items()} == pytest.approx(expected)
+    assert found.m_test is not None
+    assert found.m_test.mean == pytest.approx(sum(expected.values()) / 3)
+    groups = dict(zip(found.by_group, headline_of(found).groups, strict=True))
+    played = {name: set(table.filter(rows)["partner_algorithm"]) for name, rows in groups.items()}
+    assert played == {
+        "known families": {"spring"},
+        "unseen family": {"stepper"},
+        "teams": {"ippo"},
+    }
+
+
+def test_teams_do_not_stand_for_known_families():
+    partners = [("stepper", "d1", 1), *teams(2, ("ippo",))]
+    table = episode_table(np.ones((3, 3, 2)), teams(3), partners, ["test"] * 3)
+    found = summary.summarise_evaluation(recorded(table), CONTEXT)
+    assert (found.m_test, set(found.by_group)) == (None, {"unseen family", "teams"})
 
 
 def test_single_ego_and_episode_are_noted():

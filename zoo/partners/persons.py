@@ -77,10 +77,10 @@ class Persons(PartnerSource):
 
     def group(self, team: str) -> str:
         """Return "known families" or "unseen family"; see `PartnerSource.group`."""
-        from assistax_envs.persons.rows import family_group
+        from assistax_envs.persons.rows import group_of
         from zoo.partners.person_tables import family_of
 
-        return family_group(family_of(self.registry.data, team))
+        return group_of(family_of(self.registry.data, team))
 
     def identities(self, split: Split) -> dict[str, str | None]:
         """Return the sha256 of the training side's persons, as the installed program makes them."""

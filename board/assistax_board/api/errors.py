@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel
 from sqlalchemy.exc import InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from assistax_board.api.guards import count_read
 from assistax_board.problems import CODES, Problem
@@ -75,6 +76,12 @@ def add_error_handlers(app: FastAPI) -> None:
         code = _STATUS_CODES.get(error.status_code, "invalid")
         headers = dict(error.headers or {})
         return _answer(request, error.status_code, code, str(error.detail), headers)
+
+    @app.exception_handler(ClientDisconnect)
+    def cut_off(request: Request, error: ClientDisconnect) -> Response:
+        # No error of the service: without this each would tell the organiser and fill the log.
+        message = "the body did not arrive whole, or not in time; send it again"
+        return _answer(request, 408, "invalid", message, {"Connection": "close"})
 
     @app.exception_handler(OperationalError)
     @app.exception_handler(InterfaceError)

@@ -1,7 +1,9 @@
 """Health, metrics and logs, without secrets and without values of hidden partners."""
 
+import asyncio
 import json
 import logging
+import math
 import time
 from typing import Any
 
@@ -11,9 +13,11 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 
 from assistax_board.api.guards import TheService, count_read
 from assistax_board.store import schema
+from assistax_board.store.database import Database
 
 router = APIRouter(tags=["operate"])
 log = logging.getLogger("assistax_board")
+FRESH = 0.5  # seconds that an answer of the database is good for
 METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT")
 
 
@@ -53,11 +57,33 @@ class Metrics:
                 gauge.labels(name).set(count)
 
 
-@router.get("/api/health")
-def health(service: TheService) -> dict[str, str]:
-    """Answer while the process and its database do."""
-    with service.database.read() as connection:
+class Pulse:
+    """Asks the database whether it answers, at most once in `FRESH` for all who want to know.
+
+    A crowd of a thousand that asks at once would else hold all threads and connections.
+    """
+
+    def __init__(self) -> None:
+        self._asked: asyncio.Future[None] | None = None
+        self._at = -math.inf
+
+    async def feel(self, database: Database) -> None:
+        """Return if the database answers, or did a moment ago; raise its error if it does not."""
+        now = time.monotonic()
+        if self._asked is None or (self._asked.done() and now - self._at > FRESH):
+            self._asked, self._at = asyncio.ensure_future(asyncio.to_thread(_ask, database)), now
+        await asyncio.shield(self._asked)  # whoever leaves leaves the answer to the others
+
+
+def _ask(database: Database) -> None:
+    with database.read() as connection:
         connection.execute(sa.select(1))
+
+
+@router.get("/api/health")
+async def health(request: Request) -> dict[str, str]:
+    """Answer while the process and its database do."""
+    await request.app.state.pulse.feel(request.app.state.service.database)
     return {"status": "ok"}
 
 

@@ -16,6 +16,7 @@ from assistax_board.api.guards import count_page
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.cache import PageCache, respond
 from assistax_board.pages.crossplays import PUBLISHED, CrossPlays
+from assistax_board.pages.methods import ZooFiles
 from assistax_board.pages.rendering import static_files
 from assistax_board.pages.routes.boards import board_router
 from assistax_board.pages.routes.films import film_router
@@ -98,18 +99,20 @@ def add_pages(
     played = CrossPlays(crossplays or (PUBLISHED if registry is None else folder / "none"))
     loaded = load_registry(registry)
     videos = Videos(folder, functools.partial(run_command, registry=registry))
+    zoo_files = ZooFiles(loaded)
     site = Site(
         tasks=service.catalogue.tasks,
         queries=service.queries,
         registry=loaded,
         crossplays=played,
-        boards=Boards(service.queries, played),
-        season_boards=SeasonBoards(service.queries, service.panel_b),
+        boards=Boards(service.queries, played, zoo_files),
+        season_boards=SeasonBoards(service.queries, service.panel_b, zoo_files),
         videos=videos,
         published=PublishedFilms(loaded, videos),
         cache=PageCache(),
         tokens=FormTokens(form_key),
         read=service.artefacts.get,
+        zoo_files=zoo_files,
     )
     for router in ROUTERS:
         app.include_router(router(site), dependencies=[Depends(count_page)])

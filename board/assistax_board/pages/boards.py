@@ -14,12 +14,12 @@ import numpy as np
 from assistax_base.digest import json_sha256
 from assistax_board.pages.behind import Behind
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
-from assistax_board.pages.methods import Played, digest_of, find_copies, group_methods
+from assistax_board.pages.methods import Played, ZooFiles, digest_of, find_copies, group_methods
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows, unplaced
 from assistax_board.places.caring import mean_care
-from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import PartnerScore, Score, Submission
+from assistax_envs.persons.rows import groups_of
 from evaluation.figures.metrics import SEED_SDS, Bounds
 from evaluation.figures.normalised import RANDOM, SELF_PLAY, ZERO
 
@@ -76,8 +76,8 @@ class Board:
 class Boards:
     """The boards of all tasks, each kept until a submission to it is scored or taken back."""
 
-    def __init__(self, queries: Queries, crossplays: CrossPlays) -> None:
-        self._queries, self._crossplays = queries, crossplays
+    def __init__(self, queries: Queries, crossplays: CrossPlays, zoo_files: ZooFiles) -> None:
+        self._queries, self._crossplays, self._zoo_files = queries, crossplays, zoo_files
         self._boards: Behind[Board | None] = Behind()
         self._caches: dict[str, _ReturnsCache] = {}
 
@@ -118,7 +118,7 @@ class Boards:
         # What other boards read is not kept: they hardly change.
         cache = self._caches.setdefault(task, _ReturnsCache()) if is_served else _ReturnsCache()
         cache.update(self._queries, scored)
-        methods = cache.methods(scored.submissions)
+        methods = cache.methods(scored.submissions, self._zoo_files)
         if not methods:
             return None
         partners = cache.panel()
@@ -214,7 +214,7 @@ class _ReturnsCache:
         """Return one score of each partner that any submission met, in order of names."""
         return tuple(self._partners[name] for name in sorted(self._partners))
 
-    def methods(self, submissions: Sequence[Submission]) -> list[Played]:
+    def methods(self, submissions: Sequence[Submission], zoo_files: ZooFiles) -> list[Played]:
         """Put the seeds of each entry together, and the single robots of one lab and name.
 
         A submission without a score from the whole panel is left out: it has yet to be scored under
@@ -226,7 +226,7 @@ class _ReturnsCache:
             for seed in submissions
             if partners and self._returns.get(seed.id, ((),))[0] == partners
         )
-        copies = find_copies(groups, self._digests)
+        copies = find_copies(groups, self._digests, zoo_files)
         return [
             Played(
                 tuple(group),

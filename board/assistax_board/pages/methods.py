@@ -1,14 +1,19 @@
 """Methods: submissions that are seeds of one, with their returns, and copies of earlier robots."""
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from assistax_base.digest import sha256
+from assistax_base.errors import ZooError
 from assistax_board.cards import LINK
 from assistax_board.store.shown import Submission
 from assistax_board.vocabulary import REFERENCE
+from zoo.exports.policies import policy_file
+from zoo.registry import Registry
+from zoo.schema import PolicyEntry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,22 +96,58 @@ def digest_of(returns: np.ndarray) -> str:
     return sha256(np.ascontiguousarray(returns).tobytes())
 
 
+class ZooFiles:
+    """The published egos of each task by the sha256 of their exported files.
+
+    Claims inside a file are thus never asked. The result is kept: some egos met thousands.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._of: dict[str, dict[str, PolicyEntry]] = {}
+
+    def of(self, task: str) -> Mapping[str, PolicyEntry]:
+        """Return a task's egos by the sha256 of each file that `export` writes of a robot."""
+        if task not in self._of:
+            found = {}
+            for ego in self._registry.policies:
+                if ego.task == task and ego.trained_against:
+                    with contextlib.suppress(ZooError):  # its parameters are not on this machine
+                        for form in ("safetensors", "onnx"):
+                            data = policy_file(ego.id, form, lambda: self._registry)
+                            found[sha256(data)] = ego
+            self._of[task] = found
+        return self._of[task]
+
+    def names(self, task: str) -> dict[str, str]:
+        """Return the name of each ego within its task by the sha256 of its files."""
+        return {digest: ego.team.partition("/")[2] for digest, ego in self.of(task).items()}
+
+
 def find_copies(
-    groups: Sequence[Sequence[Submission]], digests: Mapping[str, str]
+    groups: Sequence[Sequence[Submission]],
+    digests: Mapping[str, str],
+    zoo_files: ZooFiles,
 ) -> dict[str, Submission]:
     """Return the methods that share a robot with an earlier one: the first one has the place.
 
     Robots are the same if their files are, or if they earned the same in every episode, as a file
-    does whose bytes alone were changed.
+    does whose bytes alone were changed. The zoo's robots are earlier than all: everybody has them.
 
     Args:
         groups: Submissions of each method.
         digests: Of the returns of each submission, see `digest_of`.
+        zoo_files: Of the zoo's robots.
 
     Returns:
         The earlier robot, by the newest submission of the later method.
     """
-    first: dict[str, Submission] = {}
+    every = [seed for group in groups for seed in group]
+    zoo = {seed.reference: seed for seed in every if seed.reference and seed.entry}
+    first = {digests[seed.id]: seed for seed in zoo.values()}
+    if zoo:
+        named = zoo_files.names(every[0].task).items()
+        first |= {digest: zoo[name] for digest, name in named if name in zoo}
     copies: dict[str, Submission] = {}
     for group in sorted(groups, key=lambda group: (group[0].created_at, group[0].id)):
         if group[0].submitter == REFERENCE:

@@ -7,12 +7,19 @@ import numpy as np
 import polars as pl
 
 from assistax_board.pages.behind import Behind
-from assistax_board.pages.boards import Played, bounds_of, digest_of, find_copies, group_methods
+from assistax_board.pages.boards import bounds_of
+from assistax_board.pages.methods import (
+    Played,
+    ZooFiles,
+    digest_of,
+    find_copies,
+    group_methods,
+)
 from assistax_board.places.boards import BoardRow, Method, Panel, board_rows
 from assistax_board.places.caring import care_of, mean_care
-from assistax_board.places.groups import groups_of
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Season, Submission
+from assistax_envs.persons.rows import groups_of
 from evaluation.figures.metrics import SEED_SDS
 
 PanelB = Callable[[str], Sequence[tuple[str, pl.DataFrame]]]  # season -> submissions' episodes
@@ -29,8 +36,8 @@ class Entry(Played):
 class SeasonBoards:
     """The boards of closed seasons; each is computed once, behind its readers."""
 
-    def __init__(self, queries: Queries, panel_b: PanelB) -> None:
-        self._queries, self._panel_b = queries, panel_b
+    def __init__(self, queries: Queries, panel_b: PanelB, zoo_files: ZooFiles) -> None:
+        self._queries, self._panel_b, self._zoo_files = queries, panel_b, zoo_files
         self._boards: Behind[tuple[tuple[BoardRow, Entry], ...]] = Behind()
 
     def of(self, season: Season) -> tuple[tuple[BoardRow, Entry], ...]:
@@ -69,7 +76,8 @@ class SeasonBoards:
         found = map(self._queries.submission, tables)
         groups = group_methods(seed for seed in found if seed is not None)
         returns = {seed.id: _returns(tables[seed.id]) for group in groups for seed in group}
-        copies = find_copies(groups, {id: digest_of(played) for id, played in returns.items()})
+        digests = {id: digest_of(played) for id, played in returns.items()}
+        copies = find_copies(groups, digests, self._zoo_files)
         return [_entry(group, tables, returns, copies.get(group[-1].id)) for group in groups]
 
 

@@ -1,6 +1,5 @@
 """Base of all pages: their sources, their cache and their responses."""
 
-import contextlib
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -8,12 +7,11 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import Response
 
-from assistax_base.digest import sha256
-from assistax_base.errors import ZooError
 from assistax_board.api.guards import MADE, client_of
 from assistax_board.pages.boards import Boards
 from assistax_board.pages.cache import HTML, Page, PageCache, pack, respond
 from assistax_board.pages.crossplays import CrossPlay, CrossPlays
+from assistax_board.pages.methods import ZooFiles
 from assistax_board.pages.rendering import render
 from assistax_board.pages.season_boards import SeasonBoards
 from assistax_board.pages.security import FIELD, FormTokens
@@ -22,7 +20,6 @@ from assistax_board.rules.catalogue import public_entries
 from assistax_board.store.played import describe_partners, partners_in_words
 from assistax_board.store.queries import Queries
 from assistax_board.store.shown import Submission
-from zoo.exports.policies import policy_file
 from zoo.registry import Registry
 
 LIVE = 1.0  # seconds that a page of the database may be old
@@ -48,25 +45,13 @@ class Site:
     cache: PageCache
     tokens: FormTokens
     read: Callable[[str], bytes]  # a file that was handed in, by its sha256
-    met: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)  # see `met_by_file`
+    zoo_files: ZooFiles
 
-    def met_by_file(self, task: str) -> dict[str, str]:
-        """Return the training side of each published ego, by the sha256 of its exported files.
-
-        Claims inside a file are thus never asked. The result is kept: some egos met thousands.
-        """
-        if task not in self.met:
-            met = {}
-            for ego in self.registry.policies:
-                if ego.task == task and ego.trained_against:
-                    with contextlib.suppress(ZooError):  # its parameters are not on this machine
-                        side = f"the training side of {ego.trained_against.split}"
-                        met |= {
-                            sha256(policy_file(ego.id, form, lambda: self.registry)): side
-                            for form in ("safetensors", "onnx")
-                        }
-            self.met[task] = met
-        return self.met[task]
+    def met_by(self, submission: Submission) -> str | None:
+        """Return the training side that a published ego met; None of another robot."""
+        ego = self.zoo_files.of(submission.task).get(submission.artefact or "")
+        met = ego.trained_against if ego else None
+        return f"the training side of {met.split}" if met else None
 
     def task(self, task: str) -> str:
         """Return the task if there is one of this name."""

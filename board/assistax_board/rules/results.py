@@ -9,7 +9,6 @@ import polars as pl
 import sqlalchemy as sa
 
 from assistax_board.places.caring import care_of
-from assistax_board.places.groups import groups_of
 from assistax_board.problems import Problem
 from assistax_board.rules import closing, jobs, submissions
 from assistax_board.rules.scoring import decode_table, table_bytes
@@ -18,6 +17,7 @@ from assistax_board.store.artefacts import Artefacts, record_artefact
 from assistax_board.store.database import Database, Reader, Transaction
 from assistax_board.store.schema import JOB, RESULT, SCORE, SEASON, SUBMISSION
 from assistax_board.vocabulary import FINAL_STATES
+from assistax_envs.persons.rows import groups_of
 
 if TYPE_CHECKING:
     from assistax_board.service import Service

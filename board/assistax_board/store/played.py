@@ -18,6 +18,7 @@ NOT_PEOPLE = (
     "benefit for a person."
 )
 TRAINED = "trained policies"
+OF_OWN_FAMILY = "of a family of the organiser's"  # which one is secret until it closes
 MADE = "persons made of numbers, who were trained with no robot"
 
 
@@ -26,8 +27,7 @@ def describe_partners(registry: "Registry", entries: Sequence["PolicyEntry"]) ->
 
     def count(own_preferences: bool) -> dict[str, int]:
         kinds = Counter(
-            # Which family it is stays secret until the season closes.
-            "of a family of the organiser's" if e.algorithm.startswith(OWN_PREFIX) else e.algorithm
+            OF_OWN_FAMILY if e.algorithm.startswith(OWN_PREFIX) else e.algorithm
             for e in entries
             if e.spec.own_preferences is own_preferences
         )

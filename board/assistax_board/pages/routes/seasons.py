@@ -9,11 +9,12 @@ from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from assistax_board.pages.charts import axis_over
+from assistax_board.pages.methods import group_methods
 from assistax_board.pages.rendering import table_rows
 from assistax_board.pages.routes.films import film_values
 from assistax_board.pages.routes.rows import being_computed, columns_of
 from assistax_board.pages.site import LIVE, NotFoundError, Site
-from assistax_board.store.played import partners_in_words, statement_of
+from assistax_board.store.played import OF_OWN_FAMILY, partners_in_words, statement_of
 from assistax_board.store.shown import Score, Season, Submission
 
 _ENTRIES = 200  # of the ledger on one page
@@ -92,7 +93,7 @@ def submission_values(site: Site, submission: Submission) -> dict[str, Any]:
         "season": season,
         "plays": played_rows(site, submission.task, season),
         "row": board.of(submission.id) if board else None,
-        "met": site.met_by_file(submission.task).get(submission.artefact or ""),
+        "met": site.met_by(submission),
         "own": _own_figures(scores, versions),
         "comparable": board is not None and len(board.rows) > 1,
         "scores": sorted(scores, key=lambda score: (-score.created_at, score.panel)),
@@ -130,6 +131,7 @@ def season_values(site: Site, id: str) -> dict[str, Any]:
         "unplayed": [site.submission(id) for id in sorted(site.queries.unplayed(season.id))],
         "panel_a": best_of_each(site.queries.scores(season=season.id), "A"),
         "rows": rows,
+        "has_own_family": OF_OWN_FAMILY in (season.hidden or {}).get("persons", {}),
         "groups": list(rows[0][0].by_group) if rows else [],
         "is_behind": site.season_boards.is_behind(season),
         "axis": axis_over(end for row in drawn for end in row.m_test.mean_ci or (row.m_test.mean,)),
@@ -144,11 +146,11 @@ def played_rows(site: Site, task: str, season: Season | None) -> list[tuple[str,
 
 
 def _entered(site: Site, season: str) -> dict[str, list[Submission]]:
-    """Return each lab's choice for panel B."""
+    """Return a robot of each method that a lab chose for panel B, by lab."""
+    chosen = site.queries.submissions(season=season, limit=100_000)
     entered: dict[str, list[Submission]] = {}
-    for submission in site.queries.submissions(season=season, limit=100_000):
-        if submission.entered:
-            entered.setdefault(submission.submitter, []).append(submission)
+    for group in group_methods(seed for seed in chosen if seed.entered):
+        entered.setdefault(group[-1].submitter, []).append(group[-1])
     return entered
 
 
