@@ -27,6 +27,7 @@ TESTED = ("corners", "unseen")  # sides of gates of care
 SIGNED = ("gru", "dagger")  # kinds that are not told, and see the signs
 CARING, OFTEN = 0.8, 0.9  # caring success with one person, and the share of persons that have it
 LESS, MORE, BACK, WHO = 0.2, 0.15, 0.5, 0.2
+SEEN_BEFORE = ("dagger", "learned")  # the second kind has met the test side
 PLAYED = {"return": "return", "success": "caring success"}  # columns of stages, and words
 CONVERGED = 0.5  # share of the best robot's return below which a robot has not learned
 TUNED = 0.9
@@ -46,7 +47,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
           for side in TESTED),
         *(_won_back(files, kind, side) for kind in SIGNED for side in TESTED),
         *gates_of_care(task, files),
-        *(_worth(f"learned with the test side, {side}: more", files, ("dagger", "learned"), side, MORE)
+        *(_worth(f"learned with the test side, {side}: more", files, SEEN_BEFORE, side, MORE)
           for side in TESTED),
         *_with_one(files),
         _as_searched("script", files, SEARCH),
