@@ -35,6 +35,7 @@ SETTLED_SECONDS = 120.0  # until references are queued
 STOP_SECONDS = 20  # for requests and jobs that are under way
 CONNECTIONS = 4000  # of all kinds; each may have a file beside it
 LISTENERS, TAKEN = 16, 4  # connections wait at so many, which take so many in one turn
+ARENA_MAX, ARENAS = -8, 2  # glibc's name of an option of malloc, and its value
 TRIM_TICKS = 300  # of a tenth of a second, after which free memory is given back
 SILENT_SECONDS = 10.0  # a connection may say nothing, or half a request
 TAKING_LOOKS = 30  # times that long, a client may take for an answer
@@ -123,10 +124,20 @@ def run_server(
     from assistax_board.app import create_app
 
     log_to_stderr()
+    limit_arenas()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     enough = 2 * CONNECTIONS if hard == resource.RLIM_INFINITY else min(2 * CONNECTIONS, hard)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, enough), hard))
     _Server(config_of(create_app(service, **pages), proxy), stop_workers).run(listeners)
+
+
+def limit_arenas() -> None:
+    """Let all threads share two arenas of memory.
+
+    Each of forty would else fill one of its own with what computed boards leave behind.
+    """
+    with contextlib.suppress(AttributeError):  # another system's library
+        ctypes.CDLL(None).mallopt(ARENA_MAX, ARENAS)
 
 
 def config_of(app: Any, proxy: str | None = None) -> uvicorn.Config:

@@ -3,6 +3,8 @@
 import contextlib
 import gc
 import socket
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -95,3 +97,37 @@ def test_a_folder_has_one_server(tmp_path: Path) -> None:
         command(data=data, port=0, workers=0, references=False)
     with serve.only_server(data):
         pass
+
+
+COUNT_ARENAS = """
+import ctypes, sys, threading
+from assistax_board.serve import limit_arenas
+if sys.argv[1] == "limited":
+    limit_arenas()
+c = ctypes.CDLL(None)
+c.malloc.restype = c.fopen.restype = ctypes.c_void_p
+def report(name):
+    file = ctypes.c_void_p(c.fopen(name.encode(), b"w"))
+    c.malloc_info(0, file)
+    c.fclose(file)
+report(sys.argv[2])  # libraries may have begun threads
+together = threading.Barrier(12)
+def fill():
+    together.wait()
+    c.malloc(5000)
+    together.wait()
+threads = [threading.Thread(target=fill) for _ in range(12)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+report(sys.argv[3])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc has arenas")
+@pytest.mark.parametrize("how", ["limited", "usual"])
+def test_threads_get_no_arenas_of_their_own(tmp_path: Path, how: str) -> None:
+    reports = tmp_path / "before.xml", tmp_path / "after.xml"
+    subprocess.run([sys.executable, "-c", COUNT_ARENAS, how, *reports], check=True)
+    before, after = (report.read_text().count("<heap nr=") for report in reports)
+    assert before > 0
+    assert (after <= max(before, serve.ARENAS)) == (how == "limited"), (before, after)
