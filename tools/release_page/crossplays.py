@@ -14,7 +14,7 @@ _HEADINGS = (
     "teams",
     "self-play IQM",
     "cross-play IQM",
-    "lost with another's human",
+    "lost with another's human, by means",
     "clusters",
     "silhouette",
 )
