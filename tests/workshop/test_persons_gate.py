@@ -61,7 +61,7 @@ def test_stages_write_returns_by_robot_and_person(
 
 
 @pytest.mark.slow
-def test_robots_imitate_the_better_half_of_the_told_ones(
+def test_robots_imitate_the_best_of_the_told_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(play, "SIDE", 4)

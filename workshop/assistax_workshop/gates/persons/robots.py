@@ -147,6 +147,7 @@ def _train(plan: Plan, name: str, kind: Robots, env: Env) -> Path:
         plan.steps or kind.steps,
         robot_preset(kind.method, **changes),
         self_play_episodes=0,
+        precision="float16",  # in which the care track's robots are published
         partners=partners.ids,
     )
     key = {"partners": row_sha256({"rows": np.asarray(partners.rows)})}
