@@ -144,16 +144,17 @@ def _made(task: str, word: str, registry: "Registry") -> "Partners":
 
     Raises:
         ValueError: The task has no such partners.
+        SplitError: It has no persons.
     """
     from assistax_envs.adapters.partners import Persons
     from evaluation.ego_training import load_partners
     from population.trainers.rotating_partners import RotatingPartners
 
     source = next(source for source in registry.sources if source.word == word)
-    if source.drawn:
-        return Persons(task)
     if (dealt := source.split(task, word)) is None:
         raise ValueError(f"task {task!r} has no {word}; choose other partners")
+    if source.drawn:
+        return Persons(task)
     return RotatingPartners(load_partners(registry, dealt))
 
 

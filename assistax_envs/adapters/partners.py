@@ -109,7 +109,7 @@ class Persons:
         if not len(numbers):
             raise ValueError("no person is named; give at least one number")
         rows, families = persons(task)[np.asarray(numbers) % ROWS], np.asarray(numbers) // ROWS
-        self._count, self._player = len(rows), PersonPlayer(task)
+        self._task, self._count, self._player = task, len(rows), PersonPlayer(task)
         # Numbers [P], rows [P, 31], and the persons' `EnvParams` [P].
         row = jnp.asarray(marked(rows, families))
         self.params = jnp.asarray(numbers), row, person_params(task, rows)
@@ -139,4 +139,4 @@ class Persons:
 
     def names(self, seated: Any, n: int) -> list[str]:
         del n
-        return [f"person-{number:05d}" for number in seated[0].tolist()]
+        return [f"{self._task}/person-{number:05d}" for number in seated[0].tolist()]

@@ -26,7 +26,8 @@ class Partner:
     Attributes:
         id: Such as "scratch/ippo-d1-s0-v1/human", or the path of its file.
         spec: Its network: role, sizes, layers.
-        setting: A human's disability setting, as values. None if its file names no setting.
+        setting: A human's disability setting, as values. None if its file names no setting. Of a
+            person it has the range alone: its program applies its strength and tremor itself.
         card: The registry's entry: training, self-play, hash. None if it is from a file.
 
     Examples:
@@ -48,7 +49,13 @@ class Partner:
         self.id, self.spec, self.setting, self.card = id, spec, setting, card
         self._params = jax.device_put(params)
         self._carry: Any = None
+        self._rows: tuple[int, ...] = ()  # of the episode's observations
         self._word = np.zeros((), np.int32)
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """Its parameters, as NumPy arrays by layer; of a person its numbers, as "row" [31]."""
+        return jax.device_get(self._params)
 
     @property
     def env_version(self) -> int | None:
@@ -80,7 +87,7 @@ class Partner:
             Actions [..., A] in [-1, 1], float32.
 
         Raises:
-            ValueError: O is not `spec.observation_size`.
+            ValueError: O is not `spec.observation_size`, or the leading axes change.
         """
         obs = np.asarray(obs, np.float32)
         if obs.shape[-1:] != (self.spec.observation_size,):
@@ -93,7 +100,12 @@ class Partner:
         batch = np.broadcast_to(obs, (2, *obs.shape)) if obs.ndim == 1 else obs
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
-            self._carry = self.spec.player().initial_carry(first.shape)
+            self._carry, self._rows = self.spec.player().initial_carry(first.shape), obs.shape[:-1]
+        if obs.shape[:-1] != self._rows:
+            raise ValueError(
+                f"{self.id} got observations {obs.shape} in an episode that began with "
+                f"{(*self._rows, obs.shape[-1])}; call reset() before another number of them"
+            )
         self._carry, action, word = _acting(self.spec)(self._params, self._carry, batch, first)
         self._word = np.array(word[0] if obs.ndim == 1 else word)
         return np.array(action[0] if obs.ndim == 1 else action)

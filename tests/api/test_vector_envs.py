@@ -108,7 +108,9 @@ def test_a_gentle_task_has_persons_by_default() -> None:
     for partners in (None, "gentle_scratch/person-0004*-v1"):
         env = az.vector_env("gentle_scratch", 2, partners=partners, backend="native")
         env.reset(seed=0)
-        seated[partners] = [int(name.removeprefix("person-")) for name in env.partner_names()]
+        seated[partners] = [
+            int(name.removeprefix("gentle_scratch/person-")) for name in env.partner_names()
+        ]
     assert {side(number) for numbers in seated.values() for number in numbers} == {"training"}
     assert {number // 10 for number in seated["gentle_scratch/person-0004*-v1"]} == {4}
     for partners in ("gentle_scratch/person-09000-v1", "gentle_scratch/person-20000-v1"):
@@ -132,3 +134,10 @@ def test_forms_and_wrong_arguments() -> None:
         az.vector_env(TASK, partners=())
     with pytest.raises(ValueError, match=re.escape("arrays is 'jax', but form 'sb3'")):
         az.vector_env(TASK, form="sb3", arrays="jax")
+
+
+def test_persons_are_of_gentle_tasks_alone() -> None:
+    with pytest.raises(SplitError, match="it has no persons"):
+        az.vector_env("scratch", 2, partners="persons", backend="native")
+    with pytest.raises(SplitError, match=r"expected one split \(persons\)"):
+        az.vector_env("gentle_scratch", 2, split="half", backend="native")

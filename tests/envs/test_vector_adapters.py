@@ -299,7 +299,7 @@ def test_every_episode_brings_new_persons():
         env.step(actions(4, step))
     second = env.partner_names()
     assert len({*first, *second}) == 8
-    assert all(person("gentle_scratch", int(name[7:])).side == "training" for name in first)
+    assert all(person("gentle_scratch", int(name[-5:])).side == "training" for name in first)
 
 
 @pytest.mark.slow

@@ -49,6 +49,7 @@ def test_zoo_partner_acts_as_its_network(registry: Registry):
     assert partner.id == "scratch/ippo-d9-s2-v0/human"
     assert partner.setting == DISABILITY_SETTINGS["d9"]
     policy, params = Policy(HUMAN), params_of(HUMAN, 2)
+    jax.tree.map(np.testing.assert_array_equal, partner.params, jax.device_get(params))
     carry = policy.initial_carry(())
     rng = np.random.default_rng(0)
     for step in range(3):
@@ -64,6 +65,8 @@ def test_reset_clears_memory_for_batches(registry: Registry):
     obs = np.full(5, 0.7, np.float32)
     first, second = partner(obs), partner(obs)
     assert not np.array_equal(first, second)
+    with pytest.raises(ValueError, match=r"in an episode that began with \(5,\); call reset"):
+        partner(np.stack([obs] * 3))
     partner.reset()
     np.testing.assert_array_equal(partner(obs), first)
     partner.reset(3)

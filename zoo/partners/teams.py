@@ -82,8 +82,10 @@ class Teams(PartnerSource):
         """
         registry = self.registry
         if most is not None:
-            raise ValueError(f"persons is {most}, but other partners are named; leave it out")
+            raise ValueError(f"persons is {most}, but teams of {task} are meant; leave it out")
         name, side = parse_split(split, registry.parts)
+        if name and not any(e.task == task and e.role == "human" for e in registry.policies):
+            raise ValueError(self._unknown(task, name))
         humans = registry.select(patterns, task=task, role="human")
         releases = {entry.release for entry in humans}
         release = releases.pop() if len(releases) == 1 else None
@@ -170,7 +172,10 @@ class Teams(PartnerSource):
             if len(few) == 1:
                 return few[0]
         ids = [split.id for split in known]
-        close = nearest(full, ids) or ids
+        release = registry.data.release
+        made = (source for source in registry.sources if source.word)
+        words = [source.word for source in made if source.split(task, None, release)]
+        close = nearest(full, ids) or ids or words
         raise SplitError(
             f"split {shorten(name)} of task {shorten(task)}",
             f"one split ({listing(close)})",

@@ -13,6 +13,8 @@ Figure = dict[str, Any] | None
 
 def print_headline(summary: dict[str, Any]) -> None:
     """Print the figures that a reader needs first, in five lines at most."""
+    from evaluation.cast.met_partners import UNKNOWN
+
     robots, split = counted(len(summary["egos"]), "robot"), summary["split"]["id"]
     side = summary["side"]
     partners = counted(summary["partners"][side], f"{side} partner")
@@ -31,7 +33,9 @@ def print_headline(summary: dict[str, Any]) -> None:
     if beside := _beside(summary["references"]):
         print(f"beside it: {beside}")
     notes = counted(len(summary["notes"]), "note")
-    print(f"--all prints every figure, and {notes}")
+    # Figures may then count partners that the robot met.
+    unknown = "" if summary["met"]["known"] else f"; {UNKNOWN} (--trained-with)"
+    print(f"--all prints every figure, and {notes}{unknown}")
 
 
 def _main(summary: dict[str, Any]) -> str:
