@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
 from starlette.testclient import TestClient
 
 from tests.board.board_data import ROBOTS, Robot, add_care, make_app
 from tests.board.browser import accessibility_faults, opened
 from tests.board.fakes import close_spring, declared, new_service, new_submitter, work_off
 from tests.board.running import serving
+from tests.board.test_pages_browser import tab_to
 from tests.board.test_pages_visitors import methods
 from tests.board.test_season import open_season
 from tests.system import CHROMIUM, needs
@@ -83,6 +84,32 @@ def test_rows_of_a_long_board_are_short(
 
 @pytest.mark.slow
 @needs("chromium", CHROMIUM)
+def test_keyboard_alone_sorts_turns_the_page_and_opens_a_method(
+    browser: Browser, large: str
+) -> None:
+    with opened(browser, 1400) as page:
+        page.goto(f"{large}{BOARD}")
+        page.keyboard.press("Tab")
+        expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+        page.keyboard.press("Enter")
+        tab_to(page, page.get_by_label("sort by"))
+        page.keyboard.type("name")
+        tab_to(page, page.get_by_role("button", name="Show"))
+        page.keyboard.press("Enter")
+        page.wait_for_url("**sort=method**")
+        page.locator("#main").focus()  # as after the link that skips
+        tab_to(page, page.get_by_role("link", name="Next").first)
+        page.keyboard.press("Enter")
+        page.wait_for_url("**page=2**")
+        row = page.locator(".board tbody th a").first
+        name = row.inner_text()
+        tab_to(page, row)
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("heading", level=1)).to_have_text(name)
+
+
+@pytest.mark.slow
+@needs("chromium", CHROMIUM)
 @pytest.mark.parametrize("width", [1400, 400])
 def test_places_of_a_closed_season_stand_at_its_top(
     browser: Browser, tmp_path: Path, width: int
@@ -101,7 +128,7 @@ def test_places_of_a_closed_season_stand_at_its_top(
     with serving(create_app(service)) as address, opened(browser, width) as page:
         page.goto(f"{address}/seasons/{season}")
         place = page.locator(".rank").first.bounding_box()
-        # Of a window 1,000 high; it was at 1,130. The words above it take more lines on a telephone.
+        # Of a window 1,000 high; it was at 1,130. On a telephone the words above take more lines.
         assert place is not None and place["y"] < (600 if width == 1400 else 900)
         for seen in ("td.mean", "th .copy"):
             box = page.locator(seen).first.bounding_box()
