@@ -253,8 +253,12 @@ def test_the_same_robot_of_three_labs_has_one_place(service: Service) -> None:
     notices = {notice.about: notice for notice in list_notices(service.database)}
     assert set(notices) == set(declaration(1.0, 2.0).files)
     assert {(notice.kind, notice.count) for notice in notices.values()} == {("same_bytes", 2)}
-    page = TestClient(create_app(service)).get(f"/tasks/{TASK}").text
-    assert page.count("same robot as") == 2
+    http, copy = TestClient(create_app(service)), service.queries.submissions()[0].id
+    marks = {path: http.get(path).text.count("same robot as") for path in ("/", f"/tasks/{TASK}")}
+    assert marks == {"/": 2, f"/tasks/{TASK}": 2}
+    page = http.get(f"/submissions/{copy}/method").text
+    assert page.count("same robot as") == 1
+    assert "Gap over" not in page, "its partners have one setting"
 
 
 def test_other_bytes_with_the_same_returns_are_the_same_robot(service: Service) -> None:

@@ -68,6 +68,9 @@ def test_teams_and_persons_are_counted_apart(tmp_path: Path) -> None:
     assert both in partners_in_words(told)
     assert "kinds not recorded" in partners_in_words(None)
     assert "not validated models of people" in statement_of(None)
+    # The public half of this task is persons: of it nothing is said that is true of teams alone.
+    assert "simulated; hidden ones are trained policies and persons made of" in statement_of(told)
+    assert "hidden ones are trained policies. They" in statement_of({**told, "persons": {}})
 
 
 class Row:

@@ -68,15 +68,11 @@ def in_version(versions: Sequence[int]) -> str:
 
 def statement_of(hidden: Mapping[str, Any] | None) -> str:
     """Return a statement about the nature of a season's partners."""
-    if not hidden:
-        who = "Partners are simulated."
-    elif hidden["teams"] and hidden["persons"]:
-        who = f"Public partners are {TRAINED} in simulation, hidden ones {TRAINED} and {MADE}."
-    elif hidden["persons"]:
-        who = f"All partners are simulated; hidden ones are {MADE}."
-    else:
-        who = f"The partners are {TRAINED} in simulation."
-    return f"{who} {NOT_PEOPLE}"
+    who = "All partners are simulated"
+    if hidden:
+        kinds = [words for kind, words in (("teams", TRAINED), ("persons", MADE)) if hidden[kind]]
+        who = f"{who}; hidden ones are {' and '.join(kinds)}"
+    return f"{who}. {NOT_PEOPLE}"
 
 
 def warning_of(said: int | None, public: int | None, season: Any | None) -> str | None:

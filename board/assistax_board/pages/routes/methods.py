@@ -9,7 +9,7 @@ from starlette.responses import Response
 from assistax_board.pages.boards import Board
 from assistax_board.pages.charts import axis_over
 from assistax_board.pages.routes.films import film_values
-from assistax_board.pages.routes.rows import board_of, columns_of
+from assistax_board.pages.routes.rows import board_of, columns_of, has_settings
 from assistax_board.pages.site import LIVE, Site
 from assistax_board.store.shown import Submission
 
@@ -55,6 +55,7 @@ def method_values(site: Site, submission: Submission) -> dict[str, Any]:
         "described": next(described, None),  # as the newest that says anything does
         "row": row,
         "fared": fared,
+        "has_settings": has_settings(board),
         "care": columns_of({"": fared}),
         "history": history,
         **film_values(site, submission),
