@@ -312,7 +312,7 @@ def test_a_person_acts_as_itself():
     )
     player = PersonPlayer(task)
     human = jax.jit(player.act)(
-        {"row": jnp.asarray(someone.row)},
+        {"row": jnp.asarray(marked(someone.row[None])[0])},
         player.initial_carry((2,)),
         state.env.obs["human"],
         jnp.ones(2, bool),
@@ -394,7 +394,8 @@ def test_persons_act_by_their_own_family() -> None:
     (number, row, _), _ = people.begin(people.params, jax.random.key(2), None, 2)
     np.testing.assert_array_equal(row[0, :-1], row[1, :-1])
     assert sorted(number.tolist()) == [42, 10_042]
-    assert sorted(people.names((number,), 2)) == ["person-00042", "person-10042"]
+    named = [f"{task}/person-00042", f"{task}/person-10042"]
+    assert sorted(people.names((number,), 2)) == named
     batch = Batch(task, people, 2, "native")
     _, state = jax.jit(batch.reset)(jax.random.key(2))
     obs = jnp.broadcast_to(state.env.obs["human"][:1], state.env.obs["human"].shape)
