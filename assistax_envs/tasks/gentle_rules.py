@@ -26,7 +26,7 @@ FRAIL = 0.5
 # N, of one contact with a part in any physics step. Half a second above it, added up over the
 # episode, is a violation, which ends the episode as a protective stop does.
 LIMITS: Mapping[str, float] = {part: FRAIL * limit for part, limit in BEARABLE.items()}
-HARD = min(LIMITS.values())  # N: what every part bears
+HARD = min(LIMITS.values())  # N, of one contact: the least of these limits
 # N, of one contact, above which even a short one is a violation: twice the quasi-static limit, but
 # no more than that at the face (ISO/TS 15066:2016, Table A.2).
 AT_FACE = ("human_head", *FACE[1:], *(f"human_{part}" for part in TEETH))

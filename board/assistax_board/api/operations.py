@@ -58,7 +58,7 @@ class Metrics:
 
 
 class Pulse:
-    """Asks the database whether it answers, at most once in `FRESH` for all who want to know.
+    """Asks the database whether it answers, at most once in `FRESH` for all clients.
 
     A crowd of a thousand that asks at once would else hold all threads and connections.
     """
@@ -72,7 +72,7 @@ class Pulse:
         now = time.monotonic()
         if self._asked is None or (self._asked.done() and now - self._at > FRESH):
             self._asked, self._at = asyncio.ensure_future(asyncio.to_thread(_ask, database)), now
-        await asyncio.shield(self._asked)  # whoever leaves leaves the answer to the others
+        await asyncio.shield(self._asked)  # a client that leaves does not end it for the others
 
 
 def _ask(database: Database) -> None:
