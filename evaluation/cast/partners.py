@@ -87,7 +87,8 @@ class Partner:
             Actions [..., A] in [-1, 1], float32.
 
         Raises:
-            ValueError: O is not `spec.observation_size`, or the leading axes change.
+            ValueError: O is not `spec.observation_size`, or the leading axes change within the
+                episode of one that remembers.
         """
         obs = np.asarray(obs, np.float32)
         if obs.shape[-1:] != (self.spec.observation_size,):
@@ -101,7 +102,7 @@ class Partner:
         first = np.full(batch.shape[:-1], self._carry is None)
         if self._carry is None:
             self._carry, self._rows = self.spec.player().initial_carry(first.shape), obs.shape[:-1]
-        if obs.shape[:-1] != self._rows:
+        if obs.shape[:-1] != self._rows and jax.tree.leaves(self._carry):
             raise ValueError(
                 f"{self.id} got observations {obs.shape} in an episode that began with "
                 f"{(*self._rows, obs.shape[-1])}; call reset() before another number of them"
