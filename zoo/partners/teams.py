@@ -174,7 +174,7 @@ class Teams(PartnerSource):
         ids = [split.id for split in known]
         release = registry.data.release
         made = (source for source in registry.sources if source.word)
-        words = [source.word for source in made if source.split(task, None, release)]
+        words = [source.word for source in made if source.offered(task, release)]
         close = nearest(full, ids) or ids or words
         raise SplitError(
             f"split {shorten(name)} of task {shorten(task)}",

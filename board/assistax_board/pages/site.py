@@ -48,7 +48,7 @@ class Site:
     zoo_files: ZooFiles
 
     def met_by(self, submission: Submission) -> str | None:
-        """Return the training side that a published ego met; None of another robot."""
+        """Return the words for a published ego's training side; None for another robot."""
         ego = self.zoo_files.of(submission.task).get(submission.artefact or "")
         met = ego.trained_against if ego else None
         return f"the training side of {met.split}" if met else None

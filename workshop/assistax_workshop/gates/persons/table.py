@@ -45,7 +45,7 @@ def gates_of_persons(task: str, files: Files) -> list[Gate]:
     return [
         *(_worth(f"told, beside no signs, {side}: more", files, ("masked", "told-gru"), side, MORE)
           for side in TESTED),
-        *(_won_back(files, kind, side) for kind in SIGNED for side in TESTED),
+        *(_won_back(files, untold, side) for untold in SIGNED for side in TESTED),
         *gates_of_care(task, files),
         *(_worth(f"learned with the test side, {side}: more", files, SEEN_BEFORE, side, MORE)
           for side in TESTED),
@@ -128,10 +128,10 @@ def _worth(
     return _compared(name, bar, files, kinds, lambda a, b: (b - a) / a, holds, side)
 
 
-def _won_back(files: Files, kind: str, side: str) -> Gate:
+def _won_back(files: Files, untold: str, side: str) -> Gate:
     """Return the gate of the share of telling's worth that signs win back for a kind of robot."""
-    name, bar = f"signs win back, of that, {kind}, {side}", f">= {BACK:.0%}"
-    kinds = ("masked", "told-gru", kind)
+    name, bar = f"signs win back, of that, {untold}, {side}", f">= {BACK:.0%}"
+    kinds = ("masked", "told-gru", untold)
     if absent := [kind for kind in kinds if kind not in files]:
         return missing(name, bar, *absent)
     masked, told, _ = (scores(files[kind], side, "return").mean() for kind in kinds)
