@@ -1,7 +1,10 @@
 """Runner of the notebooks in docs/, whose outputs it stores: `python -m tools.notebooks`."""
 
+import base64
 import importlib.util
+import io
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -9,10 +12,13 @@ from typing import Any
 
 import nbformat
 from nbclient import NotebookClient
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs"
 TIMEOUT = 600  # seconds of a cell
+COLOURS = 256  # of a stored picture, which takes a third of the bytes of one with all colours
+EMBEDDED = re.compile(r"(?<=data:image/png;base64,)[A-Za-z0-9+/=]+")
 
 
 def names() -> list[str]:
@@ -39,7 +45,10 @@ def run(name: str, folder: Path, preface: str = "") -> Any:
 
 
 def keep(content: Any) -> Any:
-    """Return a notebook without machine-specific data: messages, counters, times, versions."""
+    """Return a notebook without machine-specific data, and with small pictures.
+
+    Machine-specific are messages, counters, times and versions.
+    """
     for cell in content.cells:
         if cell.cell_type == "code":
             cell.execution_count = None
@@ -47,12 +56,29 @@ def keep(content: Any) -> Any:
             for output in cell.outputs:
                 if "execution_count" in output:
                     output["execution_count"] = None
+                _reduce_pictures(output.get("data", {}))
         cell.metadata.pop("execution", None)
     content.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
     }
     return content
+
+
+def _reduce_pictures(data: dict[str, str]) -> None:
+    """Reduce the pictures of an output in place: a PNG, or those that HTML embeds."""
+    if "image/png" in data:
+        data["image/png"] = reduced(data["image/png"])
+    if "text/html" in data:
+        data["text/html"] = EMBEDDED.sub(lambda found: reduced(found[0]), data["text/html"])
+
+
+def reduced(picture: str) -> str:
+    """Return a PNG in base64 with a palette of `COLOURS`, or the picture if that is smaller."""
+    content = io.BytesIO()
+    image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
+    image.quantize(COLOURS, dither=Image.Dither.NONE).save(content, "png", optimize=True)
+    return min(base64.b64encode(content.getvalue()).decode(), picture, key=len)
 
 
 def main(chosen: list[str]) -> None:

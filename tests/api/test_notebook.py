@@ -1,5 +1,7 @@
 """The notebooks under docs/ do what they say, in a kernel, and keep what they showed."""
 
+import base64
+import io
 import json
 import os
 import re
@@ -7,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import numpy as np
 import pytest
+from PIL import Image
 
 from tools import notebooks
 
@@ -50,6 +54,21 @@ def test_notebook_is_short_and_keeps_its_outputs(name: str) -> None:
     assert not MACHINE.search(shown(content))
     assert not any(cell.execution_count for cell in cells(content))
     assert len(json.dumps(content)) < 400_000
+
+
+def test_stored_pictures_are_reduced_wherever_they_stand() -> None:
+    drawn = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 255, (100, 100, 3), np.uint8)
+    Image.fromarray(pixels).save(drawn, "png")
+    picture = base64.b64encode(drawn.getvalue()).decode()
+    html = f'<img src="data:image/png;base64,{picture}">'
+    output = nbformat.v4.new_output("display_data", {"image/png": picture, "text/html": html})
+    cell = nbformat.v4.new_code_cell(outputs=[output])
+    kept = notebooks.keep(nbformat.v4.new_notebook(cells=[cell])).cells[0].outputs[0].data
+    smaller = kept["image/png"]
+    assert len(smaller) < len(picture) / 2 and notebooks.reduced(smaller) == smaller
+    assert kept["text/html"] == html.replace(picture, smaller)
+    assert Image.open(io.BytesIO(base64.b64decode(smaller))).size == (100, 100)
 
 
 @pytest.mark.slow
