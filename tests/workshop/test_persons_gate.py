@@ -53,8 +53,11 @@ def test_stages_write_returns_by_robot_and_person(
     single = files["best"]["sides"][SINGLE]
     assert single["persons"] == [0, 5000] and set(files["best"]["sides"]) == {SINGLE}
     assert np.shape(single["return"]) == np.shape(single["success"]) == (1, 2, 2)
-    assert set(files["swapped"]["slopes"]) == {"script", "told-script", "masked"}
-    assert "programs" in files["steals"]["earned"]
+    played = {"script", "told-script", "masked", "published dagger"}
+    assert set(files["swapped"]["slopes"]) == played
+    assert set(files["steals"]["earned"]) == {
+        "programs", "search, idle human", *(f"{name}, idle human" for name in played)
+    }  # fmt: skip
     before = json.loads((tmp_path / "masked.json").read_text())
     run_stages(plan, ("masked",), lines.append)  # trained already: only played again
     assert json.loads((tmp_path / "masked.json").read_text()) == before

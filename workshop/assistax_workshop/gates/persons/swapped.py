@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax_envs import make
+from assistax_envs import Env, make
 from assistax_envs.persons import persons
 from assistax_envs.persons.rows import index
 from assistax_envs.preferences import PREFERRED
@@ -25,8 +25,11 @@ from assistax_workshop.gates.persons.play import (
 )
 from assistax_workshop.gates.persons.robots import ROBOTS
 from assistax_workshop.gates.persons.scripts import CAREFUL, TriedScript, script_env
+from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.runs.trained import read_trained_run
+from zoo.ids import EGO
+from zoo.registry import load_registry
 
 SWAPPED = "corners"  # side whose persons have a wish swapped
 
@@ -42,7 +45,10 @@ def play_swapped(plan: Plan, progress: Callable[[str], None] = print) -> dict[st
 
 
 def players(plan: Plan, idle: bool = False) -> Iterator[tuple[str, Rollout, Any]]:
-    """Yield name, rollout with persons and parameters of scripts and of the folder's robots."""
+    """Yield name, rollout with persons and parameters of scripts and robots.
+
+    The robots are those of the folder by kind, then those of the registry, by method.
+    """
     for name in ("script", CAREFUL):
         env = script_env(plan, name == CAREFUL)
         policy = TriedScript(env, name == CAREFUL)
@@ -50,9 +56,20 @@ def players(plan: Plan, idle: bool = False) -> Iterator[tuple[str, Rollout, Any]
     for name, kind in ROBOTS.items():
         if name != "best" and (plan.folder / name / "teams.json").exists():
             env = make(plan.task, plan.backend, told=kind.told)
-            robots = read_trained_run(plan.folder / name).policies["robot"]
-            params = jax.tree.map(jnp.asarray, robots.params)
-            yield name, rollout_with_persons(plan, env, robots.spec.player(), idle), params
+            stack = read_trained_run(plan.folder / name).policies["robot"]
+            yield name, *_robots(plan, env, stack, idle)
+    registry = load_registry()
+    robots = [e for e in registry.policies if (e.task, e.disability) == (plan.task, EGO)]
+    methods = {entry.id: entry.algorithm for entry in robots}
+    for stack in registry.stacks(robots):
+        name = f"published {methods[stack.ids[0]]}"
+        yield name, *_robots(plan, make(plan.task, plan.backend), stack, idle)
+
+
+def _robots(plan: Plan, env: Env, stack: PolicyStack, idle: bool) -> tuple[Rollout, Any]:
+    """Return the rollout of robots with persons, and their parameters."""
+    rollout = rollout_with_persons(plan, env, stack.spec.player(), idle)
+    return rollout, jax.tree.map(jnp.asarray, stack.params)
 
 
 def swapped(task: str, rows: np.ndarray, wish: str) -> tuple[np.ndarray, np.ndarray]:
