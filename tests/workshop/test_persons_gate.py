@@ -9,6 +9,7 @@ import pytest
 
 from assistax_envs import make
 from assistax_envs.persons.rows import INNER, ROWS, family, index, side
+from assistax_envs.preferences import code
 from assistax_workshop.gates.persons import play, reading, robots, scripts, stages
 from assistax_workshop.gates.persons.play import (
     SIGNS,
@@ -23,6 +24,7 @@ from assistax_workshop.gates.persons.search import ranges
 from assistax_workshop.gates.persons.stages import run_stages
 from assistax_workshop.gates.persons.swapped import swapped
 from assistax_workshop.gates.persons.table import gates_of_persons, read_stages
+from assistax_workshop.gates.persons.words import AFTER, answers
 from population.networks.tensors import flatten, row_sha256
 from population.runs.trained import read_trained_run
 
@@ -41,7 +43,7 @@ def test_stages_write_returns_by_robot_and_person(
     monkeypatch.setattr(reading, "LEARNED", 3)
     changes = {"num_envs": 4, "minibatches": 1}
     plan = Plan(TASK, tmp_path, (0, 1), 600, 2, 25, 2, 8, changes, horizon=30)
-    names = ("masked", "best", "told-script", "search", "read", "swapped", "steals")
+    names = ("masked", "best", "told-script", "search", "read", "swapped", "words", "steals")
     run_stages(plan, names, lines.append)
     files = read_stages(tmp_path)
     assert set(files) == set(names)
@@ -54,7 +56,12 @@ def test_stages_write_returns_by_robot_and_person(
     assert single["persons"] == [0, 5000] and set(files["best"]["sides"]) == {SINGLE}
     assert np.shape(single["return"]) == np.shape(single["success"]) == (1, 2, 2)
     played = {"script", "told-script", "masked", "published dagger"}
-    assert set(files["swapped"]["slopes"]) == played
+    assert set(files["swapped"]["slopes"]) == set(files["words"]["robots"]) == played
+    heard = files["words"]["robots"]["published dagger"]
+    assert np.shape(heard["return"]["signs"]) == np.shape(heard["return"]["masked"]) == (3,)
+    assert set(heard["words"]) == {
+        "force, softer", "force, harder", "speed, slower", "speed, faster"
+    }  # fmt: skip
     assert set(files["steals"]["earned"]) == {
         "programs", "search, idle human", *(f"{name}, idle human" for name in played)
     }  # fmt: skip
@@ -127,6 +134,28 @@ def test_one_wish_alone_is_swapped_to_the_other_third() -> None:
     was, now = before[:, place], after[:, place]
     assert np.all(np.where(was < low, now > low, now < high))
     assert np.all(was != now)
+
+
+def test_answers_are_what_is_done_after_a_word_and_not_unasked() -> None:
+    steps, persons = np.arange(1000)[:, None, None], 60
+    rng = np.random.default_rng(0)
+    begun = rng.uniform(0.3, 0.7, (1, 1, persons))
+    said = np.zeros((1000, 1, persons), int)
+    said[100:120] = code("softer")  # one word, held
+    ratio = np.where(steps < 100, begun, begun * np.exp(-(steps - 100) / 50.0))
+    unasked = begun + np.zeros_like(ratio)
+    signs = {"ratio": np.stack([ratio, 0.0 * ratio], -1), "word": said}
+    masked = {"ratio": np.stack([unasked, 0.0 * unasked], -1), "word": 0 * said}
+    found = answers(TASK, signs, masked)
+    softer = found["force, softer"]
+    assert softer["words"] == (persons,) and found["force, harder"]["asked"] == (None,)
+    asked, alike = np.array(softer["asked"][0]), np.array(softer["unasked"][0])
+    np.testing.assert_allclose(asked / asked[0], np.exp(-np.array(AFTER)), rtol=0.02)
+    assert asked[0] == pytest.approx(alike[0], abs=0.1) and np.ptp(alike) == 0.0
+    files = {"words": {"about": {"after": AFTER}, "robots": {"gru": {"words": found}}}}
+    gates = [gate for gate in gates_of_persons(TASK, files) if gate.gate.startswith("gone 2 s")]
+    assert [gate.gate for gate in gates] == ["gone 2 s after force, softer"]
+    assert gates[0].holds and gates[0].value == pytest.approx(1 - np.exp(-2.0), abs=0.02)
 
 
 def _figures(returns: np.ndarray, met: list[int], slope: float = 0.0, success: float = 1.0) -> Any:

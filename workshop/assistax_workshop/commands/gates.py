@@ -75,8 +75,8 @@ def persons(
 
     Robots are ppo, gru, rma, osi, told-gru, masked (persons show nothing), dagger (imitates
     told-gru), learned (dagger with the test side), idle and best (one a person). Others are script,
-    told-script, search and search-told, read, swapped (one wish changes) and steals. The table
-    covers all files in FOLDER.
+    told-script, search and search-told, read, swapped (one wish changes), words (what robots do
+    after them) and steals. The table covers all files in FOLDER.
 
     Args:
         task: Gentle task.

@@ -20,7 +20,7 @@ from evaluation.figures.metrics.caring import failed
 
 Files = Mapping[str, Mapping[str, Any]]  # results of stages, by name
 
-SCRIPT, READ, SWAPPED, STEALS = "script", "read", "swapped", "steals"
+SCRIPT, READ, SWAPPED, WORDS, STEALS = "script", "read", "swapped", "words", "steals"
 UNTOLD = ("gru", "rma", "osi", "dagger", "ppo")  # kinds of which the best is the best robot
 PLAIN = "ppo"  # the kind without a memory
 BOUNDS = (CAREFUL, "told-gru", "best")  # kinds whose best bounds what a person can be worth
@@ -35,6 +35,7 @@ def gates_of_care(task: str, files: Files) -> list[Gate]:
     return [
         *_adapting(task, files),
         *_swapped(files),
+        *_answers(files),
         *_reading(files),
         *_falling(files),
         *_uneasy(files),
@@ -128,6 +129,27 @@ def _swapped(files: Files) -> Iterator[Gate]:
             yield Gate(
                 f"{wish} swapped, {kind}", "stated", value, ci, None, f"{len(slopes)} robots"
             )
+
+
+def _answers(files: Files) -> Iterator[Gate]:
+    """Yield the share of what is too much, or too little, that is gone 2 s after a word."""
+    bar = "above that of masked persons"
+    if WORDS not in files:
+        yield missing("gone 2 s after a word", bar, WORDS)
+        return
+    place = list(files[WORDS]["about"]["after"]).index(2.0)
+    for kind, found in files[WORDS]["robots"].items():
+        for name, answer in found["words"].items():
+            heard = [m for m, asked in enumerate(answer["asked"]) if asked]
+            if not heard:
+                continue
+            asked, unasked = (
+                1.0 - np.array([answer[how][m][place] / answer[how][m][0] for m in heard])
+                for how in ("asked", "unasked")
+            )
+            value, ci = of_means(lambda mean: mean, asked)
+            detail = f"masked {unasked.mean():.2f}; {sum(answer['words'])} words, {kind}"
+            yield Gate(f"gone 2 s after {name}", bar, value, ci, value > unasked.mean(), detail)
 
 
 def _reading(files: Files) -> Iterator[Gate]:

@@ -18,6 +18,7 @@ from assistax_workshop.gates.persons.scripts import CAREFUL, play_script, play_t
 from assistax_workshop.gates.persons.search import search_script
 from assistax_workshop.gates.persons.steals import play_steals
 from assistax_workshop.gates.persons.swapped import play_swapped
+from assistax_workshop.gates.persons.words import play_words
 
 Stage = Callable[[Plan, Callable[[str], None]], dict[str, Any]]
 # Stages beside the robots, by name.
@@ -28,6 +29,7 @@ OTHERS: Mapping[str, Stage] = {
     "search-told": lambda plan, progress: search_script(plan, progress, told=True),
     "read": read_wishes,
     "swapped": play_swapped,
+    "words": play_words,
     "steals": play_steals,
 }
 STAGES = (*ROBOTS, *OTHERS)

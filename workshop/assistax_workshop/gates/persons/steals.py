@@ -49,7 +49,8 @@ def play_steals(plan: Plan, progress: Callable[[str], None] = print) -> dict[str
     """Return what programs, robots with idle humans and a search with them earn."""
     env = make(plan.task, plan.backend)
     found = {"programs": _programs(plan, env)}
-    for name, rollout, params in players(plan, idle=True):
+    for name, its_env, policy, params in players(plan):
+        rollout = rollout_with_persons(plan, its_env, policy, idle=True)
         found[f"{name}, idle human"] = play_persons(
             rollout, plan.task, params, strangers(SIDE), EPISODES
         )

@@ -25,7 +25,6 @@ from assistax_workshop.gates.persons.play import (
 )
 from assistax_workshop.gates.persons.robots import ROBOTS
 from assistax_workshop.gates.persons.scripts import CAREFUL, TriedScript, script_env
-from population.networks.stack import PolicyStack
 from population.play.rollout import Rollout
 from population.runs.trained import read_trained_run
 from zoo.ids import EGO
@@ -37,39 +36,33 @@ SWAPPED = "corners"  # side whose persons have a wish swapped
 def play_swapped(plan: Plan, progress: Callable[[str], None] = print) -> dict[str, Any]:
     """Return the slopes of robots [M] for each wish that is swapped, by kind of robot."""
     slopes = {}
-    for name, rollout, params in players(plan):
+    for name, env, policy, params in players(plan):
+        rollout = rollout_with_persons(plan, env, policy)
         slopes[name] = {wish: _slopes(plan, rollout, params, wish) for wish in PREFERRED[plan.task]}
         shown = {wish: float(np.mean(found)) for wish, found in slopes[name].items()}
         progress(f"swapped, {name}: {', '.join(f'{w} {s:.2f}' for w, s in shown.items())}")
     return {"about": {"task": plan.task, "side": SWAPPED}, "slopes": slopes}
 
 
-def players(plan: Plan, idle: bool = False) -> Iterator[tuple[str, Rollout, Any]]:
-    """Yield name, rollout with persons and parameters of scripts and robots.
+def players(plan: Plan) -> Iterator[tuple[str, Env, Any, Any]]:
+    """Yield name, environment, policy and parameters of scripts and robots.
 
     The robots are those of the folder by kind, then those of the registry, by method.
     """
     for name in ("script", CAREFUL):
         env = script_env(plan, name == CAREFUL)
-        policy = TriedScript(env, name == CAREFUL)
-        yield name, rollout_with_persons(plan, env, policy, idle), {"factor": jnp.ones(1)}
+        yield name, env, TriedScript(env, name == CAREFUL), {"factor": jnp.ones(1)}
     for name, kind in ROBOTS.items():
         if name != "best" and (plan.folder / name / "teams.json").exists():
             env = make(plan.task, plan.backend, told=kind.told)
             stack = read_trained_run(plan.folder / name).policies["robot"]
-            yield name, *_robots(plan, env, stack, idle)
+            yield name, env, stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
     registry = load_registry()
     robots = [e for e in registry.policies if (e.task, e.disability) == (plan.task, EGO)]
     methods = {entry.id: entry.algorithm for entry in robots}
     for stack in registry.stacks(robots):
-        name = f"published {methods[stack.ids[0]]}"
-        yield name, *_robots(plan, make(plan.task, plan.backend), stack, idle)
-
-
-def _robots(plan: Plan, env: Env, stack: PolicyStack, idle: bool) -> tuple[Rollout, Any]:
-    """Return the rollout of robots with persons, and their parameters."""
-    rollout = rollout_with_persons(plan, env, stack.spec.player(), idle)
-    return rollout, jax.tree.map(jnp.asarray, stack.params)
+        name, env = f"published {methods[stack.ids[0]]}", make(plan.task, plan.backend)
+        yield name, env, stack.spec.player(), jax.tree.map(jnp.asarray, stack.params)
 
 
 def swapped(task: str, rows: np.ndarray, wish: str) -> tuple[np.ndarray, np.ndarray]:
