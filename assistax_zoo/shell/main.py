@@ -80,6 +80,7 @@ REMEDIES = {
     "name a remote": "--from names one",
     "new release": "--release v1, for example",
     "allow small": "--small does so",
+    "evaluate first": "`assistax-zoo evaluate NAME --out FOLDER` does so",
     "replace the file": "--force replaces it, --out names another",
 }
 # What `--help` shows together, by what somebody came for: first words of commands, ours and other

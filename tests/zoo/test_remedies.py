@@ -13,8 +13,8 @@ def test_shell_adds_option_to_error_advice() -> None:
 
 
 def test_every_remedy_has_its_words() -> None:
-    # Of single errors of `zoo.transport.fetch` and of the board's `rules.seasons`.
-    keys = {"fetch before", "name a remote", "allow small"}
+    # Of single errors of `zoo.transport.fetch`, the board's `rules.seasons`, and results.
+    keys = {"fetch before", "name a remote", "allow small", "evaluate first"}
     classes = [value for value in vars(assistax_base.errors).values() if isinstance(value, type)]
     keys |= {error.remedy for error in classes if issubclass(error, ZooError) and error.remedy}
     assert keys == set(REMEDIES)
