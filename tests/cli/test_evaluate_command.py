@@ -124,13 +124,15 @@ def test_robot_of_unknown_code_needs_replace(registry: Path, tmp_path: Path, cap
     out = ["--out", tmp_path / "out", "--json"]
     assert evaluate(registry, *out, policy=policy) == 0
     first = json.loads(capfd.readouterr().out)
-    assert "(reuse)" in failure(capfd, evaluate(registry, *out, policy=policy))
+    refused = failure(capfd, evaluate(registry, *out, policy=policy))
+    assert "reuse them, replace them, or choose another folder (--reuse, --replace and" in refused
     assert evaluate(registry, *out, "--reuse", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] == first["m_test"]
     code.write_text(text.format("ones"))
     for words in ([], ["--reuse"]):
         refused = failure(capfd, evaluate(registry, *out, *words, policy=policy))
-        assert "another job (other egos)" in refused and "(replace)" in refused
+        assert "another job (other egos)" in refused
+        assert "or replace it (--out names another, --replace removes what it holds)" in refused
     assert evaluate(registry, *out, "--replace", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] != first["m_test"]
     assert call("verify", tmp_path / "out") == 0
@@ -230,6 +232,8 @@ def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, 
         (["robot.py:make"], "did you mean python:robot.py:make?"),
         (["bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
         (["robot.onnx"], "there is no file robot.onnx"),
+        (["robot.py"], "'robot.py': there is no file robot.py"),
+        (["/"], "it is a folder: name a file in it"),
         (["python:never_imported:f", "--out", "/dev/null/x"], "choose another folder"),
     ],
 )
