@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -208,6 +209,8 @@ class Line:
         if last or time.monotonic() - self._shown >= pause:
             self._shown, self._open = time.monotonic(), self._live
             start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
+            if sys.stderr.isatty():  # a line that wraps could not be written over
+                text = text[-(shutil.get_terminal_size().columns - 1) :]
             print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
 
     def __enter__(self) -> Self:
@@ -245,7 +248,8 @@ class StudyLine(Line):
         # Of a twentieth on, since another program may compile between two of the first counts.
         if self._first and (played := progress.done - self._first[1]) >= progress.total / 20:
             left = (now - self._first[0]) * (progress.total - progress.done) / played
-            text += f", {_duration(left)} left"
+            of = " of this stage" if progress.stages > 1 else ""
+            text += f", {_duration(left)} left{of}" if left else ""
         self.show(text, last=progress.done >= progress.total)
 
 

@@ -97,7 +97,8 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     capfd.readouterr()
     options = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
     assert evaluate(registry, *options, "--json") == 0
-    result = json.loads(capfd.readouterr().out)
+    printed = capfd.readouterr()
+    result, shown = json.loads(printed.out), printed.err
     players = "zero_action uniform_random self_play best_response script passive_human"
     assert set(result["references"]) == {*players.split(), "script_with_passive_human"}
     assert [figure["n"] for figure in result["references"].values()] == [3] * 5 + [1] * 2
@@ -113,7 +114,9 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert evaluate(registry, "--all", *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
     printed = capfd.readouterr()
     assert "zero action" in printed.out
-    assert "reference robots" not in printed.err  # played once for all policies
+    for stage in ("reference robots", "partners with their own robots"):
+        assert stage in shown and stage not in printed.err  # played once for all policies
+    assert "evaluate scratch, 1 of 4, robots with humans: compiling, " in shown
 
 
 @pytest.mark.slow
