@@ -3,12 +3,15 @@
 import os
 import shutil
 import sys
+import time
 
 import pytest
 
 from assistax_zoo.shell import console
-from assistax_zoo.shell.console import StudyLine
+from assistax_zoo.shell.console import StudyLine, TrainingLine
 from evaluation.play.progress import Progress, staged
+
+SLOW = "still compiling; XLA may now warn of a very slow compile, which is no error"
 
 
 class Clock:
@@ -57,3 +60,31 @@ def test_a_line_that_changes_fits_the_terminal(
         line(Progress(0, 4000, 0.0))
     text = "evaluate scratch, robots with humans: compiling, 0 s"[-39:]
     assert capsys.readouterr().err == f"\r{text}\x1b[K\n"
+
+
+@pytest.mark.parametrize("kind", [StudyLine, TrainingLine])
+def test_a_slow_compilation_is_no_error(
+    kind: type, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(console, "SECONDS_OF_COMPILING", 0.01)
+    with kind("scratch") as line:
+        if kind is StudyLine:
+            line(Progress(0, 4000, 0.0))
+        until, printed = time.monotonic() + 10.0, ""
+        while SLOW not in printed and time.monotonic() < until:
+            time.sleep(0.01)
+            printed += capsys.readouterr().err
+    assert printed.count(f"{SLOW}\n") == 1
+
+
+def test_a_quick_compilation_is_not_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(console, "SECONDS_OF_COMPILING", 0.2)
+    with StudyLine("evaluate scratch") as line:
+        line(Progress(0, 4000, 0.0))
+        line(Progress(1000, 4000, 0.0))
+        time.sleep(0.4)
+        line(Progress(0, 4000, 0.0, stage=2))
+    time.sleep(0.4)  # nor after the work has ended
+    assert SLOW not in capsys.readouterr().err
