@@ -40,6 +40,14 @@ class ZooError(Exception):
         super().__init__(printable(f"{problem}: {text}"))
 
 
+class AdvisedError(ValueError):
+    """A ValueError with a `remedy`, by which a shell names its own option for the advice."""
+
+    def __init__(self, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
 class IdError(
     ZooError,
     done="nothing was looked up",

@@ -72,6 +72,7 @@ def compare(
     Raises:
         ValueError: They were not evaluated alike.
         TypeError: One is neither a result nor a folder.
+        FormatError: One is the name of a robot.
 
     Examples:
         >>> compare(result, result.folder).test.mean

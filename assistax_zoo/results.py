@@ -1,5 +1,6 @@
 """Results: figures as fields, the tables they come from, and a page or a figure of them."""
 
+import contextlib
 import dataclasses
 import shutil
 import tempfile
@@ -9,7 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import polars as pl
 
+from assistax_base.errors import FormatError, shorten
 from evaluation.cast.met_partners import UNKNOWN, MetSummary
+from evaluation.cast.robot_names import parse_reference
 from evaluation.figures.bootstrap import Estimate
 from evaluation.figures.metrics import CrossPlay, ZeroShot
 from evaluation.figures.normalised import References, Relative
@@ -295,17 +298,35 @@ def load_result(folder: Path | str) -> EvaluationResult | CrossPlayResult:
 
     Raises:
         FileNotFoundError: There is none, or it is not finished.
+        FormatError: It is the name of a robot.
         ValueError: A file of it is damaged, or it is neither an evaluation nor a cross-play.
 
     Examples:
         >>> load_result(result.folder).m_test == result.m_test
         True
     """
+    check_no_robot(folder)
     folder = Path(folder)
     summary = read_summary(folder)
     if isinstance(summary, EvaluationSummary):
         return EvaluationResult.of(summary, folder)
     return CrossPlayResult.of(summary, folder)
+
+
+def check_no_robot(folder: Path | str) -> None:
+    """Raise a FormatError if a robot's name stands where a folder of results belongs."""
+    if Path(folder).is_dir():
+        return
+    with contextlib.suppress(ValueError):
+        parse_reference(str(folder))
+        raise FormatError(
+            shorten(str(folder)),
+            "a folder of results",
+            "the name of a robot",
+            "evaluate the robot into a folder first, and give the folder",
+            "nothing was read",
+            remedy="evaluate first",
+        )
 
 
 def brief(figure: Estimate) -> str:

@@ -132,6 +132,7 @@ class Registry:
         found = self.known([policy_id, *(f"{policy_id}/{role}" for role in ROLES)])
         if len(found) == 1:
             return found[0]
+        self.source_of(policy_id).select([policy_id])  # its kind may say more of the id
         refuse_unknown(policy_id, list(self._by_id))
 
     def known(self, ids: Iterable[str]) -> list[PolicyEntry]:

@@ -4,7 +4,9 @@ import json
 import math
 import re
 import shlex
+import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from population.runs.train import Progress as TrainingProgress
 
 SECONDS_BETWEEN_LINES = 10.0
+SECONDS_OF_COMPILING = 110.0  # without a word; XLA warns of a slow compilation after 120
 MOST_LINES = 20  # of one kind, such as problems
 _COMMAND: list[str] = []
 
@@ -201,6 +204,25 @@ class Line:
         notebook = type(sys.stderr).__name__ == "OutStream"  # ipykernel's
         self._live, self._open = notebook or sys.stderr.isatty(), False
         self._shown = time.monotonic() if shown is None else shown
+        self._word: threading.Timer | None = None  # about a compilation
+
+    def compiles(self, *, now: bool) -> None:
+        """Say in good time, if a compilation takes so long that XLA warns, that this is no error.
+
+        Args:
+            now: Whether programs are compiled from now on, or no longer.
+        """
+        if self._word:
+            self._word.cancel()
+        self._word = threading.Timer(SECONDS_OF_COMPILING, self._explain) if now else None
+        if self._word:
+            self._word.daemon = True
+            self._word.start()
+
+    def _explain(self) -> None:
+        start, self._open = "\n" if self._open else "", False
+        text = "still compiling; XLA may now warn of a very slow compile, which is no error"
+        print(f"{start}{text}", file=sys.stderr, flush=True)
 
     def show(self, text: str, *, last: bool) -> None:
         """Show the text, unless another was shown just now and more will come."""
@@ -208,6 +230,8 @@ class Line:
         if last or time.monotonic() - self._shown >= pause:
             self._shown, self._open = time.monotonic(), self._live
             start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
+            if sys.stderr.isatty():  # a line that wraps could not be written over
+                text = text[-(shutil.get_terminal_size().columns - 1) :]
             print(f"{start}{text}", end=end, file=sys.stderr, flush=True)
 
     def __enter__(self) -> Self:
@@ -215,6 +239,7 @@ class Line:
 
     def __exit__(self, *error: object) -> None:
         """End the line, so that later output starts on a line of its own."""
+        self.compiles(now=False)
         if self._open:
             print(file=sys.stderr, flush=True)
 
@@ -234,6 +259,7 @@ class StudyLine(Line):
             return
         if (stage := (progress.stage, progress.what)) != self._stage:
             self._stage, self._first, self._shown = stage, None, -math.inf
+            self.compiles(now=True)
         work = self._description
         work += f", {progress.stage} of {progress.stages}" if progress.stages > 1 else ""
         work += f", {progress.what}" if progress.what else ""
@@ -241,11 +267,13 @@ class StudyLine(Line):
         if progress.done:
             steps = f"{_count(progress.done)} of {_count(progress.total)} steps"
             self._first = self._first or (now, progress.done)
+            self.compiles(now=False)
         text = f"{work}: {steps}, {now - self._began:.0f} s"
         # Of a twentieth on, since another program may compile between two of the first counts.
         if self._first and (played := progress.done - self._first[1]) >= progress.total / 20:
             left = (now - self._first[0]) * (progress.total - progress.done) / played
-            text += f", {_duration(left)} left"
+            of = " of this stage" if progress.stages > 1 else ""
+            text += f", {_duration(left)} left{of}" if left else ""
         self.show(text, last=progress.done >= progress.total)
 
 
@@ -256,7 +284,13 @@ class TrainingLine(Line):
         super().__init__(-math.inf)
         self._name, self._return = name, ""
 
+    def __enter__(self) -> Self:
+        """Begin: the first update compiles, and only then there is progress to tell."""
+        self.compiles(now=True)
+        return self
+
     def __call__(self, progress: "TrainingProgress") -> None:
+        self.compiles(now=False)
         mean = progress.rows["return"].mean()
         self._return = self._return if mean is None else f"return {mean:.1f}"
         reward = f"reward {progress.rows['reward'].mean():.2f} a step, no whole episode yet"

@@ -72,14 +72,17 @@ GROUPS = {  # words that are no command alone
     "config": "Settings of this machine.",
     "plot": "Figures from saved tables.",
 }
-# Which option does what an error advises, by its `remedy`, see `assistax_base.errors.ZooError`;
-# libraries name no options.
+# Which option does what an error advises, by the `remedy` of a `ZooError` or `AdvisedError` of
+# `assistax_base.errors`; libraries name no options.
 REMEDIES = {
     "accept changes": "--yes accepts them",
     "fetch before": "--fetch does so in the same command",
     "name a remote": "--from names one",
     "new release": "--release v1, for example",
     "allow small": "--small does so",
+    "evaluate first": "`assistax-zoo evaluate NAME --out FOLDER` does so",
+    "reuse or replace": "--reuse, --replace and --out do so",
+    "replace the job": "--out names another, --replace removes what it holds",
     "replace the file": "--force replaces it, --out names another",
 }
 # What `--help` shows together, by what somebody came for: first words of commands, ours and other

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from assistax_base.errors import ZooError
 from evaluation.cast.onnx_robots import admission
 from evaluation.cast.onnx_robots import ego as onnx_ego
 from evaluation.cast.onnx_robots.ego import UntrustedModelError
@@ -47,7 +48,7 @@ def read_egos(robots: Sequence[Any], registry: Registry, task: str) -> Roster:
         ValueError: A reference has an unknown form, or cannot play the robot.
         TypeError: An object has an unknown form.
         ZooError: An id or a file is missing, or its content is not as recorded.
-        EgoError: A robot from a Python module cannot be made.
+        EgoError: A robot from a Python module cannot be made, or declares unknown partners.
     """
     single: list[tuple[Member, Seat, Any]] = []
     host: list[tuple[Member, HostEgo]] = []
@@ -268,8 +269,13 @@ def _from_onnx(
 def _from_code(reference: PolicyReference, registry: Registry, task: str) -> tuple[Member, HostEgo]:
     """Start a robot of a Python module in its own process; return its member and ego."""
     robot = _started(reference, (reference.source, reference.factory, reference.arguments))
-    declared = robot.trained_with
-    met = NOT_KNOWN if declared is None else declared_met(registry, task, declared)
+    met = NOT_KNOWN
+    if (declared := robot.trained_with) is not None:
+        try:
+            met = declared_met(registry, task, declared)
+        except (ValueError, ZooError) as error:
+            place = f"policy {reference.text!r}: TRAINED_WITH of {reference.source}"
+            raise EgoError(f"{place}: {error}") from error
     ego = HostEgo(reference.text, robot, robot.loaded, _made_of(reference, robot))
     return _python_member(reference, robot, met), ego
 

@@ -128,6 +128,8 @@ def _load(header: dict[str, Any]) -> tuple[Any, dict[str, Any], "_OwnCode"]:
     forms = _import_ours("evaluation_mode", "robot_forms")
     sys.path[:] = header["path"]
     name, factory, code = header["module"], header["factory"], _OwnCode(header["foreign"])
+    if name.endswith(".py") and not os.path.exists(name):
+        raise LoadError(f"there is no file {name}")
     try:
         if name.endswith(".py"):
             module = _import(name, Path(name).stem)

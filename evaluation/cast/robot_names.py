@@ -4,6 +4,7 @@ import dataclasses
 import re
 import urllib.parse
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from assistax_envs.versions import TASKS
@@ -95,6 +96,8 @@ def parse_reference(text: str) -> PolicyReference:
         hint = f"; did you mean python:{text}?"
     elif text.endswith((".pt", ".pth", ".zip", ".msgpack", ".pkl", ".npz")):
         hint = f"; write a function that loads it: python:FILE.py:FACTORY?weights={text}"
+    elif Path(text).is_dir():
+        hint = "; it is a folder: name a file in it"
     raise ValueError(f"policy {text!r} has an unknown form; allowed are {FORMS}{hint}")
 
 

@@ -136,8 +136,9 @@ def play_references(
     played, files = [], []
     jobs = reference_jobs(env, job, own)
     for stage, reference in enumerate(jobs, start=2):  # the evaluation itself is the first
-        passive = reference.partners.ids == (PASSIVE,)
-        what = "robots with a passive human" if passive else "reference robots"
+        what = "partners with their own robots" if reference.paired else "reference robots"
+        if reference.partners.ids == (PASSIVE,):
+            what = "robots with a passive human"
         shown = staged(on_progress, stage, 1 + len(jobs), what)
         place = folder / reference.digest()[:20]
         played.append(run_job(env, reference, place, on_progress=shown, **options).table)

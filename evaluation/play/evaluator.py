@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import polars as pl
 
+from assistax_base.errors import AdvisedError
 from assistax_base.locks import locked
 from evaluation.cast.roster import check_seat
 from evaluation.play.jobs import Job
@@ -141,7 +142,8 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
     """Start or continue a folder's job; return its chunks, cut as when the folder was started.
 
     Raises:
-        ValueError: The folder holds another job, or tables without a manifest.
+        AdvisedError: The folder holds another job.
+        ValueError: It holds tables without a manifest.
     """
     manifest = provenance.read_manifest(folder)
     if manifest is None:
@@ -152,9 +154,9 @@ def open_folder(folder: Path, job: Job, max_envs: int) -> list[Chunk]:
             )
     elif manifest.get("job") != job.digest():
         difference = _difference(manifest.get("identity", {}), job.identity())
-        raise ValueError(
-            f"{folder} holds another job ({difference}); choose another folder, or replace it "
-            "(replace)"
+        raise AdvisedError(
+            f"{folder} holds another job ({difference}); choose another folder, or replace it",
+            "replace the job",
         )
     check_parts(folder, job.digest())
     if manifest and (is_finished(folder) or has_parts(folder)):
@@ -238,26 +240,28 @@ def _run_and_merge(
 
 
 def _check_reusable(folder: Path, job: Job, reuse: bool) -> None:
-    """Raise a ValueError if a folder's episodes are of a robot that may have changed since."""
+    """Raise an AdvisedError if a folder's episodes are of a robot that may have changed since."""
     began = (folder / tables.EPISODES_FILE).exists() or has_parts(folder)
     if reuse or not began:
         return
     if (provenance.read_manifest(folder) or {}).get("job") != job.digest():
         # Another job is refused later, with a message of its own.
         return
-    choices = "take them as they are (reuse), replace them (replace), or choose another folder"
+    advice, remedy = "reuse them, replace them, or choose another folder", "reuse or replace"
     if changed := changed_file(folder):
         robot, path = changed
-        raise ValueError(
+        raise AdvisedError(
             f"{folder} holds episodes of {robot}, which loaded {path} while it played, and that "
-            f"file is another one now; {choices}"
+            f"file is another one now; {advice}",
+            remedy,
         )
     if job.reusable:
         return
     unsure = next(name for name in job.egos.ids if not job.egos.members[name].reusable)
-    raise ValueError(
+    raise AdvisedError(
         f"{folder} holds episodes of {unsure}, and nothing says whether that is still the same "
-        f"robot; {choices}"
+        f"robot; {advice}",
+        remedy,
     )
 
 

@@ -109,7 +109,7 @@ def test_two_results_in_one_folder(zoo: az.Zoo, tmp_path: Path) -> None:
         return evaluate(lambda obs: np.ones((len(obs), 7)), zoo, **options, **more)
 
     for reuse in (False, True):
-        with pytest.raises(ValueError, match=r"episodes 2 there, 1 here.*\(replace\)"):
+        with pytest.raises(ValueError, match=r"episodes 2 there, 1 here.*or replace it"):
             again(reuse=reuse)
     with pytest.raises(ValueError, match="choose one"):
         again(reuse=True, replace=True)

@@ -97,7 +97,8 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     capfd.readouterr()
     options = ["--references", "--crossplay", tmp_path / "xp", "--out", tmp_path / "out"]
     assert evaluate(registry, *options, "--json") == 0
-    result = json.loads(capfd.readouterr().out)
+    printed = capfd.readouterr()
+    result, shown = json.loads(printed.out), printed.err
     players = "zero_action uniform_random self_play best_response script passive_human"
     assert set(result["references"]) == {*players.split(), "script_with_passive_human"}
     assert [figure["n"] for figure in result["references"].values()] == [3] * 5 + [1] * 2
@@ -113,7 +114,9 @@ def test_references_and_a_crossplay_put_returns_on_a_scale(
     assert evaluate(registry, "--all", *options[:3], policy="zoo:scratch/ippo-d9-s0-v0/robot") == 0
     printed = capfd.readouterr()
     assert "zero action" in printed.out
-    assert "reference robots" not in printed.err  # played once for all policies
+    for stage in ("reference robots", "partners with their own robots"):
+        assert stage in shown and stage not in printed.err  # played once for all policies
+    assert "evaluate scratch, 1 of 4, robots with humans: compiling, " in shown
 
 
 @pytest.mark.slow
@@ -124,13 +127,15 @@ def test_robot_of_unknown_code_needs_replace(registry: Path, tmp_path: Path, cap
     out = ["--out", tmp_path / "out", "--json"]
     assert evaluate(registry, *out, policy=policy) == 0
     first = json.loads(capfd.readouterr().out)
-    assert "(reuse)" in failure(capfd, evaluate(registry, *out, policy=policy))
+    refused = failure(capfd, evaluate(registry, *out, policy=policy))
+    assert "reuse them, replace them, or choose another folder (--reuse, --replace and" in refused
     assert evaluate(registry, *out, "--reuse", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] == first["m_test"]
     code.write_text(text.format("ones"))
     for words in ([], ["--reuse"]):
         refused = failure(capfd, evaluate(registry, *out, *words, policy=policy))
-        assert "another job (other egos)" in refused and "(replace)" in refused
+        assert "another job (other egos)" in refused
+        assert "or replace it (--out names another, --replace removes what it holds)" in refused
     assert evaluate(registry, *out, "--replace", policy=policy) == 0
     assert json.loads(capfd.readouterr().out)["m_test"] != first["m_test"]
     assert call("verify", tmp_path / "out") == 0
@@ -230,6 +235,8 @@ def test_policy_file_of_another_task_is_refused(registry: Path, tmp_path: Path, 
         (["robot.py:make"], "did you mean python:robot.py:make?"),
         (["bed_bath/ippo-d1-s0-v0/robot"], "is of task bed_bath, not of scratch"),
         (["robot.onnx"], "there is no file robot.onnx"),
+        (["robot.py"], "'robot.py': there is no file robot.py"),
+        (["/"], "it is a folder: name a file in it"),
         (["python:never_imported:f", "--out", "/dev/null/x"], "choose another folder"),
     ],
 )

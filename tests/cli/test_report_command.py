@@ -7,6 +7,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from assistax_base.errors import FormatError
+from assistax_zoo.comparing import compare
 from assistax_zoo.shell.main import run
 from evaluation.figures.saved_tables import save_crossplay, save_evaluation
 from evaluation.record import manifest as provenance
@@ -110,6 +112,28 @@ def test_methods_evaluated_unlike_are_not_compared(tmp_path: Path, crossplay: Pa
         error = capfd.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "robot", ["scratch/ppo-ego-s0", "zoo:scratch/ppo-ego-s0-v1/robot", "mine.py", "robots/a.onnx"]
+)
+def test_compare_says_to_evaluate_a_robot_first(tmp_path: Path, robot: str, capfd):
+    a = evaluated(tmp_path / "a")
+    for folders in ((a, robot), (robot, a)):
+        assert call("compare", *folders) == 1
+        error = capfd.readouterr().err
+        assert f"{robot!r}: expected a folder of results, found the name of a robot" in error
+        assert "`assistax-zoo evaluate NAME --out FOLDER` does so" in error
+        assert error.count("\n") == 1
+    with pytest.raises(FormatError, match="evaluate the robot into a folder first") as caught:
+        compare(a, robot)
+    assert "--" not in str(caught.value)
+
+
+def test_folder_named_as_a_robot_is_a_folder(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    evaluated(tmp_path / "zero")
+    assert call("compare", "zero", "zero") == 0
 
 
 def test_strategies_of_a_crossplay(crossplay: Path, capfd):

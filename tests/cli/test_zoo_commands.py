@@ -68,6 +68,24 @@ def test_list(zoo: Path, capsys) -> None:
     assert "scratch" in refusal(capsys, "list", "--task", "scrach")
 
 
+def test_self_play_is_of_teams_alone(capsys) -> None:
+    alone = "a robot alone has no self-play; `assistax-zoo evaluate NAME` measures its M_test"
+    assert run(["list", "gentle_scratch/dagger-ego-*"]) == 0
+    ids = [f"gentle_scratch/dagger-ego-s{seed}-v1/robot" for seed in range(3)]
+    assert capsys.readouterr().out.splitlines() == ["policy", *ids, f"3 policies; {alone}"]
+    assert run(["list", "gentle_scratch/person-0000[01]"]) == 0
+    persons = [f"gentle_scratch/person-0000{number}-v1/human" for number in range(2)]
+    assert capsys.readouterr().out.splitlines() == ["policy", *persons, "2 policies"]
+    assert run(["list", "scratch/*-s0-v1/robot"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    [robot] = [line.split() for line in lines if "-ego-" in line]
+    assert robot == ["scratch/ppo-ego-s0-v1/robot", "-"] and lines[-1].endswith(alone)
+    assert "self-play" in lines[0] and "not measured" not in "".join(lines)
+    assert run(["show", "gentle_scratch/dagger-ego-s0"]) == 0
+    assert f"self_play            {alone}" in capsys.readouterr().out
+    assert run(["show", "gentle_scratch/person-00004"]) == 0
+
+
 def test_show(zoo: Path, capsys) -> None:
     card = answer(capsys, "show", f"{FIRST}/human")
     assert card["spec"] == SPECS["human"].to_json() and card["training"]["steps"] == 1000

@@ -106,10 +106,10 @@ def test_references_are_played_once_for_all_policies(tmp_path: Path):
 
     together, files = play(0.3)
     assert counts(together) == {SELF_PLAY: 6, RANDOM: 6, ZERO: 6}
-    assert set(seen) == {"reference robots 48", "reference robots 24"}
+    assert set(seen) == {"reference robots 48", "partners with their own robots 24"}
     again, same = play(-0.9)
     assert again.equals(together) and same == files and all(path.is_file() for path in files)
-    assert set(seen) == {"reference robots 0"}
+    assert set(seen) == {"reference robots 0", "partners with their own robots 0"}
 
 
 @pytest.fixture

@@ -219,7 +219,7 @@ def test_undeclared_code_neither_answers_nor_replaces(tmp_path: Path):
     cached = run_job(MatrixGame(), job, cache, kept=True)
     weights = 0.5
     assert not run_job(MatrixGame(), job, cache, kept=True).table.equals(cached.table)
-    with pytest.raises(ValueError, match=r"python:mine:robot.*\(reuse\).*\(replace\)"):
+    with pytest.raises(ValueError, match=r"python:mine:robot.*reuse them, replace them"):
         run_job(MatrixGame(), job, tmp_path)
     assert run_job(MatrixGame(), job, tmp_path, reuse=True).table.equals(first.table)
     for reuse in (False, True):

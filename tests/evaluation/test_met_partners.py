@@ -294,6 +294,8 @@ def test_a_declaration_takes_nothing_away(registry: Registry) -> None:
         left_out(registry, [still], D1, ["nobody", "half"])
     with pytest.raises(ValueError, match=r"trained_with is 'nobdy'; .* did you mean 'nobody'"):
         left_out(registry, [still], D1, "nobdy")
+    with pytest.raises(ValueError, match="of task bed_bath, and scratch is played"):
+        left_out(registry, [still], D1, "bed_bath/half")
     with pytest.raises(SplitError):
         left_out(registry, [still], D1, "halves")
     with pytest.raises(UnknownIdError):
@@ -307,6 +309,15 @@ def test_a_python_module_declares_it(registry: Registry, tmp_path: Path) -> None
     left, met = left_out(registry, [f"python:{module}:make"], D1)
     assert left == humans(registry, registry.split(TASK).train, "d1")
     assert met.sources == ("declared",)
+    for said, problem in (
+        ("gentle_scratch/persons", "'gentle_scratch/persons', of task gentle_scratch, and scratch"),
+        ("lab:bed_bath/ippo-*", "'lab:bed_bath/ippo-[*]', of task bed_bath, and scratch is played"),
+        ("halves", "split 'halves' of task 'scratch': expected one split"),
+        ("scratch/isac-*", "unknown policy 'scratch/isac-[*]'"),
+    ):
+        module.write_text(f"TRAINED_WITH = {said!r}\n{code}")
+        with pytest.raises(EgoError, match=f"TRAINED_WITH of {module}: .*{problem}"):
+            left_out(registry, [f"python:{module}:make"], D1)
     module.write_text(f"TRAINED_WITH = make = object()\n{code}")
     with pytest.raises(EgoError, match=r"TRAINED_WITH of .* expected a text or a list of texts"):
         read_egos([f"python:{module}:make"], registry, TASK)

@@ -64,6 +64,38 @@ def changed(official: Registry, folder: Path, **fields: object) -> Registry:
     return dataclasses.replace(official, data=data, path=folder / "registry.json")
 
 
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("person-99999", "00000"),
+        ("person-30000", "00000"),
+        ("person-123", "00123"),
+        (f"person-{'9' * 5000}", "00000"),
+    ],
+)
+def test_an_unknown_number_gets_the_range(official: Registry, name: str, near: str) -> None:
+    ranges = "00000 to 29999 (00000 to 09999 spring, 10000 to 19999 muscle, 20000 to 29999 stepper)"
+    names = f"{TASK}/{name}", f"{TASK}/{name}/human", f"{TASK}/{name}-{NOW}"
+    for text in names:
+        for asking in (
+            lambda text=text: official.policy(text),
+            lambda text=text: official.select(text, role="human"),
+            lambda text=text: official.source_of(text).choose(TASK, None, text),
+            lambda text=text: find_cards(official, text),
+        ):
+            with pytest.raises(UnknownIdError) as caught:
+                asking()
+            assert f"a number of five digits from {ranges}, found" in str(caught.value)
+            assert f"such as {TASK}/person-{near}" in str(caught.value)
+
+
+def test_a_secret_has_its_own_numbers(official: Registry, tmp_path: Path) -> None:
+    table = described(TASK, "ab" * 32, 5)
+    hidden = changed(official, tmp_path, **table.model_dump())
+    with pytest.raises(UnknownIdError, match=r"from 30000 to 30004, found '00042'; .*person-30000"):
+        hidden.policy(f"{TASK}/person-00042")
+
+
 def test_a_release_has_thirty_thousand_persons_of_three_families(official: Registry) -> None:
     release = official.data.releases[NOW]
     assert {table.count for table in release.persons.values()} == {COUNT} == {30_000}

@@ -6,6 +6,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from assistax_base.errors import IdError, nearest, shorten
+from assistax_envs.versions import TASKS
 from zoo.ids import parse_team, task_and_release
 from zoo.met.published import (
     CLAIMED,
@@ -75,7 +76,8 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
             teams.
 
     Raises:
-        ValueError: It is no text and no list of texts, or "nobody" is one of several names.
+        ValueError: It is no text and no list of texts, "nobody" is one of several names, or a name
+            is of another task.
         ZooError: There is no such split, or no partner matches.
     """
     names = [trained_with] if isinstance(trained_with, str) else list(trained_with)
@@ -91,6 +93,12 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
     partners: Humans = {}
     sides = []
     for name in names:
+        other = name.rpartition(":")[2].partition("/")[0]
+        if other in TASKS and other != task:
+            raise ValueError(
+                f"trained_with is {shorten(name)}, of task {other}, and {task} is played; name "
+                f"partners or splits of {task}, or {NOBODY!r} if the robot met none of its partners"
+            )
         if _names_partners(registry, name):
             chosen = registry.select(name, task=task, role="human")
             partners |= {entry.team: entry.sha256 for entry in chosen}

@@ -17,12 +17,20 @@ from typing import Any
 import numpy as np
 
 from assistax_base.digest import sha256
-from assistax_base.errors import IntegrityError, RegistryVersionError, SplitError
+from assistax_base.errors import (
+    IntegrityError,
+    RegistryVersionError,
+    SplitError,
+    UnknownIdError,
+    shorten,
+)
 from assistax_envs.disability import Disability
 from assistax_envs.persons.rows import (
     COUNT,
+    FAMILIES,
     OWN_PREFIX,
     PROGRAM_VERSION,
+    ROWS,
     SIDES,
     Person,
     drawn,
@@ -149,6 +157,33 @@ def find_person(data: RegistryFile, policy: str) -> PolicyEntry | None:
         return None
     check_table(release, task, table)
     return _entry(data, release, _person(task, number, table))
+
+
+def check_number(data: RegistryFile, name: str) -> None:
+    """Raise an UnknownIdError if the number in a person's id is none of its release's persons."""
+    place, _, rest = name.removesuffix("/human").partition(f"/{PERSON}-")
+    digits, _, plain = rest.partition("-")
+    namespace, _, task = place.rpartition(":")
+    release = f"{namespace}:{plain}" if namespace else plain
+    table = data.releases[release].persons.get(task) if release in data.releases else None
+    if table is None or not digits.isdecimal():
+        return
+    numbers = _numbers(table)
+    number = int(digits) if len(digits) <= 5 else None
+    if len(digits) == 5 and number in numbers:
+        return
+    near = number if number in numbers else numbers.start
+    allowed = f"{numbers.start:05d} to {numbers.stop - 1:05d}"
+    if len(numbers) == COUNT:
+        first = {family: place * ROWS for place, family in enumerate(FAMILIES)}
+        of = (f"{n:05d} to {n + ROWS - 1:05d} {family}" for family, n in first.items())
+        allowed += f" ({', '.join(of)})"
+    raise UnknownIdError(
+        f"unknown person {shorten(name)}",
+        f"a number of five digits from {allowed}",
+        shorten(digits),
+        f"name another, such as {place}/{PERSON}-{near:05d}",
+    )
 
 
 def select_persons(data: RegistryFile, patterns: Sequence[str]) -> list[PolicyEntry]:

@@ -39,9 +39,15 @@ class Persons(PartnerSource):
         return PERSONS in text
 
     def select(self, patterns: Sequence[str]) -> list[PolicyEntry]:
-        """Return the entries of all persons that match one of the globs, in their order."""
-        from zoo.partners.person_tables import select_persons
+        """Return the entries of all persons that match one of the globs, in their order.
 
+        Raises:
+            UnknownIdError: An id has a number that no person has.
+        """
+        from zoo.partners.person_tables import check_number, select_persons
+
+        for name in patterns:
+            check_number(self.registry.data, name)
         return select_persons(self.registry.data, patterns)
 
     def known(self, ids: Iterable[str]) -> list[PolicyEntry]:

@@ -57,7 +57,12 @@ class PartnerSource:
         raise NotImplementedError
 
     def select(self, patterns: Sequence[str]) -> list[PolicyEntry]:
-        """Return the entries whose id or team matches one of the globs; empty if none does."""
+        """Return the entries whose id or team matches one of the globs; empty if none does.
+
+        Raises:
+            UnknownIdError: An id has what no partner of the kind can have; the error says what is
+                allowed.
+        """
         raise NotImplementedError
 
     def split(self, task: str, name: str | None, release: str | None = None) -> Split | None:

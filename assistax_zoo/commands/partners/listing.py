@@ -19,11 +19,13 @@ from zoo.ids import EGO
 from zoo.namespaces import split_namespace
 from zoo.partners.person_tables import person_tables
 from zoo.registry import Registry, load_registry
-from zoo.schema import Persons, PolicyEntry, SelfPlay
+from zoo.schema import Persons, PolicyEntry
 
 if TYPE_CHECKING:
     from evaluation.replay.self_play_check import SelfPlayReport, TeamReplay
     from zoo.verify import Report
+
+_ALONE = "a robot alone has no self-play; `assistax-zoo evaluate NAME` measures its M_test"
 
 
 def list_policies(
@@ -71,9 +73,7 @@ def list_policies(
         rows = _kind_rows(entries, persons, by_algorithm=task is not None)
         caption = f"{counted(len(entries), 'policy')}; a task or a glob of names lists more"
     else:
-        columns = ("policy", "self-play", "95% interval", "episodes")
-        rows = [(entry.id, *_figures(entry.self_play)) for entry in entries]
-        caption = counted(len(entries), "policy")
+        columns, rows, caption = _policy_rows(entries)
     lines = table_lines(columns, rows, caption)
     answer(json, [entry.brief() for entry in entries], *lines)
 
@@ -204,6 +204,24 @@ def _kind_rows(
     ]
 
 
+def _policy_rows(
+    entries: Sequence[PolicyEntry],
+) -> tuple[tuple[str, ...], list[tuple[str, ...]], str]:
+    """Return columns, a row for each policy, and a caption; self-play is of teams alone."""
+    caption = counted(len(entries), "policy")
+    if any(entry.disability == EGO for entry in entries):
+        caption += f"; {_ALONE}"
+    if not any(_is_of_team(entry) for entry in entries):
+        return ("policy",), [(entry.id,) for entry in entries], caption
+    columns = ("policy", "self-play", "95% interval", "episodes")
+    return columns, [(entry.id, *_figures(entry)) for entry in entries], caption
+
+
+def _is_of_team(entry: PolicyEntry) -> bool:
+    """Return whether a policy was trained beside its own human or robot."""
+    return bool(entry.shard) and entry.disability != EGO
+
+
 def _report_lines(report: "Report") -> list[str]:
     done = "verified" if report.ok else f"{counted(len(report.problems), 'problem')} in"
     return [
@@ -237,7 +255,8 @@ def _card_lines(card: dict[str, Any]) -> list[str]:
         if isinstance(value, dict):
             lines += [f"  {name}", *(f"    {key:18} {_text(value[key])}" for key in value)]
         elif name != "id":
-            lines.append(f"  {name:20} {'not measured' if value is None else value}")
+            absent = _ALONE if card.get("trained_against") else "not measured"
+            lines.append(f"  {name:20} {absent if value is None else value}")
     return [printable(line) for line in lines]
 
 
@@ -251,9 +270,9 @@ def _text(value: Any) -> str:
     return "-" if value is None else str(value)
 
 
-def _figures(self_play: SelfPlay | None) -> tuple[str, str, str]:
-    if self_play is None:
-        return "not measured", "", ""
+def _figures(entry: PolicyEntry) -> tuple[str, str, str]:
+    if (self_play := entry.self_play) is None:
+        return "not measured" if _is_of_team(entry) else "-", "", ""
     low, high = self_play.mean_ci
     return f"{self_play.mean:.1f}", f"{low:.1f} to {high:.1f}", str(self_play.n)
 
