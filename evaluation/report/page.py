@@ -37,6 +37,7 @@ from evaluation.record.record import Record
 from evaluation.record.verification import strange_tables_refused, unchecked
 from evaluation.report.matrix_data import matrix_data
 from zoo.partners.kinds import kind_of
+from zoo.partners.person_ids import OWN
 
 _HASHED = (
     *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
@@ -271,9 +272,12 @@ def film_of(folder: Path) -> dict[str, Any] | None:
 
 
 def first_preferences(folder: Path) -> dict[str, str]:
-    """Return the preference of each human of a gentle task in its first episode, by id."""
+    """Return the preference of each human of a gentle task in its first episode, by id.
+
+    Humans that bring their own are left out.
+    """
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    first = table.filter(pl.col("episode") == 0)
+    first = table.filter(pl.col("episode") == 0, pl.col("preference") != OWN)
     return dict(first.select("partner", "preference").unique().sort("partner").rows())
 
 

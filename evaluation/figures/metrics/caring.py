@@ -70,7 +70,11 @@ def failed(caring: np.ndarray) -> np.ndarray:
 
 
 def adaptations(returns: Returns) -> dict[str, Adaptation]:
-    """Return the adaptation to each wish for which it is defined, by the wish's name."""
+    """Return the adaptation to each wish for which it is defined, by the wish's name.
+
+    Where teams play beside persons it is that to the persons, whose wishes stay the same.
+    """
+    returns = returns.with_own_wishes
     found = {
         wish: adaptation(
             *(returns.column(f"{what}_{wish}") for what in ("liked", "done", "within"))
@@ -101,12 +105,13 @@ def persons_done(returns: Returns) -> pl.DataFrame:
     """Return what was done with each person, a row for each wish and person that was touched.
 
     Columns: `wish`, `partner`, `family`, `liked`, `done`, the geometric mean over robots and
-    episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked.
+    episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked. Teams
+    beside persons are left out.
 
     Raises:
         ValueError: Wishes are not measured, or no person was touched.
     """
-    names = returns.partners["partner"].to_list()
+    names = returns.with_own_wishes.partners["partner"].to_list()
     kept = returns.table.filter(pl.col("partner").is_in(names))
     tables = [
         kept.filter(pl.col(f"done_{wish}").is_not_null())
