@@ -35,7 +35,8 @@ def asked_source(
     named = {source for source in asked.values() if source}
     apart = [source for source in named if not source.with_teams]
     if len(named) > 1 or (others and apart):
-        first, kind = next((text, source) for text, source in asked.items() if source)
+        kinds = [(text, source) for text, source in asked.items() if source]
+        first, kind = min(kinds, key=lambda pair: pair[1].with_teams)
         beside = next(text for text, source in asked.items() if source is not kind)
         reason = "have their own preferences" if kind.own_preferences else "are of another kind"
         raise ValueError(

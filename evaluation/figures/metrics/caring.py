@@ -29,7 +29,8 @@ class CareFigures:
     # Share of episodes: the goal was reached as liked, without violation or much discomfort.
     caring_success: Estimate | None = None
     discomfort: Estimate | None = None  # share of felt steps, mean over episodes
-    # Share of pairs of robot and person with caring success in less than half of the episodes.
+    # Share of pairs of robot and person with caring success in less than half of the episodes,
+    # without teams beside persons.
     failed_persons: Estimate | None = None
     adaptation: dict[str, Adaptation] = dataclasses.field(default_factory=dict)  # by wish
 
@@ -51,7 +52,8 @@ def care_figures(returns: Returns) -> CareFigures:
     if returns.violated is None:
         return CareFigures()
     violations = estimate(returns.violated, **starts)
-    if returns.caring is None:
+    persons = returns.with_own_wishes.caring
+    if returns.caring is None or persons is None:
         return CareFigures(violations=violations)
     kinds = returns.table["violation"].to_numpy()[returns.rows]
     return CareFigures(
@@ -59,7 +61,7 @@ def care_figures(returns: Returns) -> CareFigures:
         violations_by_kind={kind: estimate(kinds == kind, **starts) for kind in VIOLATIONS[1:]},
         caring_success=estimate(returns.caring, **starts),
         discomfort=estimate(returns.column("discomfort_share"), **starts),
-        failed_persons=estimate(failed(returns.caring)),
+        failed_persons=estimate(failed(persons)),
         adaptation=adaptations(returns),
     )
 
