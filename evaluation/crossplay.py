@@ -36,7 +36,7 @@ def cast_population(
 
     They are of `release`, by default the task's, unless a glob names a release. Humans may also be
     "persons", at most `persons` of the test side. If `humans` is None, all humans are cast, or
-    persons if the task has no other humans.
+    persons if the release has no other humans of the task.
 
     Raises:
         ZooError: The registry lacks a policy, or policies do not fit together.
@@ -47,6 +47,7 @@ def cast_population(
     source = registry.source_asked(None, humans)
     if source is None and dealt is not None:
         source = registry.source_of_split(dealt)
+        source = None if source.teams_of(dealt) else source
     if source and source.word:  # others than teams
         split, partners = source.choose(task, None, humans or source.word, persons)
     else:

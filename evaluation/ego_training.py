@@ -233,7 +233,10 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
 def _chosen_split(
     registry: Registry, task: str, split: str | Split | None, partners: str | None
 ) -> Split:
-    """Return the split that gives the training partners; a split of persons for "persons"."""
+    """Return the split that gives the training partners; a split of persons for "persons".
+
+    Of a default split whose test side has teams beside persons, it is that of the persons alone.
+    """
     if isinstance(split, Split):
         return split
     words = [source.word for source in registry.sources if source.word]
@@ -246,7 +249,7 @@ def _chosen_split(
         raise ValueError(
             f"split {chosen.id} has no {partners}; leave out the split or the partners"
         )
-    return chosen
+    return registry.source_of_split(chosen).training_split(chosen)
 
 
 def older_version(registry: Registry, split: Split) -> int | None:
@@ -270,8 +273,8 @@ def load_partners(
         each: Give member i partner i alone.
 
     Raises:
-        ValueError: Preferences are given, and the partners have their own; or `each` is asked
-            for, and the partners are not drawn.
+        ValueError: Preferences are given, and the partners have their own; `each` is asked for,
+            and the partners are not drawn; or they are of several kinds.
     """
     from population.trainers.drawn_persons import DrawnPersons, OnePersonEach
     from population.trainers.frozen_partners import FrozenPartners, PartnersWithBodies
@@ -283,6 +286,11 @@ def load_partners(
             "preferences; leave preferences out"
         )
     humans = [f"{team}/human" for team in split.train]
+    if others := [team for team in split.train if registry.source_of(team) is not source]:
+        raise ValueError(
+            f"the training side of {split.id} has {others[0]} beside {source.word or 'teams'}; "
+            "robots train with partners of one kind, so choose a split of one"
+        )
     if source.drawn:
         drawn = OnePersonEach if each else DrawnPersons
         [stack] = source.stacks(source.known(humans))

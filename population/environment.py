@@ -87,7 +87,10 @@ class ToldNumbers(ShowingMore):
 
     def __init__(self, env: Environment, rows: np.ndarray | None) -> None:
         if rows is None:
-            raise ValueError("a robot is told its partner's numbers, and only persons have any")
+            raise ValueError(
+                "a robot is told its partner's numbers, and only persons have any; play it with "
+                "persons alone"
+            )
         super().__init__(env)
         self.engine = getattr(env, "engine", {})
         self._rows = np.asarray(rows)

@@ -167,11 +167,11 @@ def _check(registry: Registry, lock: Lock) -> None:
 def _pinnable(registry: Registry, lock: Lock) -> dict[str, object]:
     """Return all that a lock of its release can pin, by the names of `Lock.pins`."""
     part, name = registry.part_of(lock.release)
-    data = registry.data
+    data, as_locked = registry.data, _as_locked(registry, lock)
     splits = {split.id: split.sha256 for split in data.splits}
     for task, pinned in lock.splits.items():
         with contextlib.suppress(ZooError):  # of persons, which nothing stores
-            splits.setdefault(pinned.id, registry.split(task, pinned.id).sha256)
+            splits.setdefault(pinned.id, as_locked.split(task, pinned.id).sha256)
     return {
         **_named("environment version of", data.releases[lock.release].environments),
         **_named("split", splits),
@@ -192,6 +192,19 @@ def _with_own_splits(registry: Registry, lock: Lock) -> Registry:
     return dataclasses.replace(registry, data=data, parts=registry.parts or {"": registry})
 
 
+def _as_locked(registry: Registry, lock: Lock) -> Registry:
+    """Return the registry with the lock's teams and defaults, by which splits of persons are made.
+
+    A release may have more teams since.
+    """
+    data, release = registry.data, registry.data.releases[lock.release]
+    teams = {n: team for n, team in data.teams.items() if f"{n}/human" in lock.policies}
+    splits = {task: pinned.id for task, pinned in lock.splits.items()}
+    named = {lock.release: release.model_copy(update={"splits": {**release.splits, **splits}})}
+    fields = {"teams": teams, "releases": {**data.releases, **named}}
+    return dataclasses.replace(registry, data=data.model_copy(update=fields))
+
+
 def _differs(registry: Registry, expected: str, found: str) -> LockError:
     advice = "fetch what was locked (`assistax-zoo fetch`), or lock anew"
     return LockError(f"registry {registry.path}", f"{expected}, as locked", found, advice)
@@ -207,7 +220,7 @@ def _check_split(registry: Registry, lock: Lock, task: str, split: str | None) -
         return
     pinned, chosen = lock.splits.get(task), name
     with contextlib.suppress(ZooError):
-        chosen = registry.split(task, name).id
+        chosen = _as_locked(registry, lock).split(task, name).id
     if pinned is None or chosen != pinned.id:
         expected = f"the locked one ({pinned.id if pinned else 'none'})"
         advice = "name no split, or only a side: test, train or both"

@@ -23,7 +23,7 @@ def make_lock(
         registry: A loaded registry.
         entries: Policies of it.
         splits: Split id to pin for a task; if none is given, the release's default if all its
-            partners are pinned.
+            partners are pinned. A split of persons is pinned without its teams if one is not.
 
     Raises:
         LockError: The policies are of several releases, or lack teams of a split.
@@ -108,13 +108,14 @@ def _splits(
         if task not in {*chosen, *published.splits, *published.persons}:
             continue  # a release of one half has no default split
         split = registry.split(task, chosen.get(task), release=release)
-        stored = registry.source_of_split(split) is registry.teams
-        partners = split.sides.values() if stored else ()
-        absent = [t for side in partners for t in side if t not in teams]
+        source = registry.source_of_split(split)
+        absent = [team for team in source.teams_of(split) if team not in teams]
         if absent and task in chosen:
             expected = "every partner of the split in the selection"
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"
             raise LockError(f"lock of {split.id}", expected, found, advice)
+        if absent and source.training_split(split) != split:
+            split, absent = source.training_split(split), []
         if not absent:
             pinned[task] = split
     return pinned

@@ -11,15 +11,18 @@ team stands on two sides.
 """
 
 import itertools
+import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from assistax_base.digest import json_sha256
 from assistax_base.errors import LeakageError, SplitError, listing
 from assistax_envs.preferences import check_preferences
 from zoo.ids import task_and_release
-from zoo.schema import RULES, Split, Team
+from zoo.schema import RULES, RegistryFile, Split, Team
+
+LEAST = 0.25  # share of the median return; partners with whom robots earn less are left out
 
 
 def check_split(split: Split) -> None:
@@ -54,6 +57,35 @@ def check_split(split: Split) -> None:
         refuse_leak(split.id, [(team, team) for team in both])
     if split.preferences:
         _check_preferences(split)
+
+
+def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
+    """Return the teams of a task in a release that have a human, and so can be partners."""
+    return [
+        team
+        for team, entry in data.teams.items()
+        if "human" in entry.policies
+        and team.startswith(f"{task}/")
+        and team.endswith(f"-{release}")
+    ]
+
+
+def competent(data: RegistryFile, teams: Iterable[str], earned: Mapping[str, float]) -> list[str]:
+    """Return the teams whose human lets a robot earn `LEAST` of the median, or more.
+
+    Teams without a known return stay. If the median is not above 0, all teams stay.
+
+    Args:
+        data: The registry, with the teams' returns in self-play.
+        teams: Ids of the teams that are chosen among.
+        earned: Return of the best response to a team's human by team, which replaces self-play.
+    """
+    teams = list(teams)
+    own = {team: data.teams[team].self_play for team in teams}
+    known = {team: figure.mean for team, figure in own.items() if figure is not None}
+    known |= {team: earned[team] for team in teams if team in earned}
+    median = statistics.median(known.values()) if known else 0.0
+    return [team for team in teams if median <= 0 or known.get(team, median) >= LEAST * median]
 
 
 def leaks(split: Split, teams: Mapping[str, Team]) -> list[tuple[str, str]]:

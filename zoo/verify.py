@@ -144,7 +144,8 @@ def _notes(registry: Registry) -> Iterator[str]:
                     f"release {name} was trained on {task} version {version}; installed is {here}"
                 )
             teams = [team for team in registry.data.teams if parse_team(team).release == name]
-            if task not in release.splits and any(team.startswith(f"{task}/") for team in teams):
+            dealt = {*release.splits, *release.persons}
+            if task not in dealt and any(team.startswith(f"{task}/") for team in teams):
                 newer = release_number(name) > release_number(registry.release)
                 reason = "it is not whole yet" if newer else "one of its halves would be empty"
                 yield f"release {name} has no default split for {task}: {reason}"

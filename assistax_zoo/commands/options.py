@@ -63,7 +63,8 @@ class PartnerChoice:
             have validation too.
         partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
             partners of those sides play. If all of them are of one release, its default split is
-            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`.
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`; teams
+            may be named beside them.
         persons: Number of persons to draw. Default 200.
         include_own: Count partners that were trained with one of the robots. Without this they play
             and stand in the tables, and figures leave them out.

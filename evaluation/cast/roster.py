@@ -1,6 +1,7 @@
 """Rosters: the policies of one seat, as stacks and robots from outside, described by id."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,18 +96,15 @@ class Roster:
 
     @property
     def own_preferences(self) -> bool:
-        """Whether its humans bring preferences and bodies of their own.
-
-        Raises:
-            ValueError: Some do, and some do not.
-        """
+        """Whether all its humans bring preferences and bodies of their own."""
         bring = {stack.spec.own_preferences for stack in self.policies}
-        if len(bring) > 1:
-            raise ValueError(
-                "some partners are persons, which have their own preferences, and others are not; "
-                "play them in separate jobs"
-            )
-        return True in bring
+        return bring == {True}
+
+    @functools.cached_property
+    def with_own(self) -> frozenset[str]:
+        """The ids of its humans that bring preferences of their own."""
+        own = (stack.ids for stack in self.policies if stack.spec.own_preferences)
+        return frozenset(name for ids in own for name in ids)
 
     @property
     def policies(self) -> tuple[PolicyStack, ...]:

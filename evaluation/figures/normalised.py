@@ -10,12 +10,14 @@ import dataclasses
 import numpy as np
 import polars as pl
 
+from assistax_envs.persons.rows import TEAMS, groups_of
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.figures.metrics import (
     Bounds,
     Coverage,
     br_prox,
     coverage,
+    mean_of_groups,
     normalised_return,
     regret,
 )
@@ -126,12 +128,19 @@ def summarise_references(
     bounds = partners.join(bounds, on="partner", how="left", maintain_order="left")
     on_side = references.join(partners, on="partner", how="semi", maintain_order="left")
 
+    groups = groups_of(returns.partners["partner_algorithm"].to_list()) or ()
+
     def figure(means: pl.Series) -> Estimate | None:
+        if TEAMS in groups and means.len() == len(groups):  # as M_test
+            return mean_of_groups(means.to_numpy()[None], groups)[0]
         return estimate(means.to_numpy()[None]) if means.len() else None
 
     def returns_of(name: str) -> Estimate | None:
         played = on_side.filter(pl.col(COLUMN) == name).group_by("partner", maintain_order=True)
-        return figure(played.agg(pl.col("return").cast(pl.Float64).mean())["return"])
+        means = played.agg(pl.col("return").cast(pl.Float64).mean())
+        if means.height == len(groups):
+            means = partners.join(means, on="partner", maintain_order="left")
+        return figure(means["return"])
 
     def alone(egos: pl.Expr) -> Estimate | None:
         rows = references.filter((pl.col("partner") == PASSIVE) & egos).sort("ego", "episode")

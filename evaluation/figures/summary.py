@@ -10,7 +10,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from assistax_base.validated import first_problem
-from assistax_envs.persons.rows import groups_of
+from assistax_envs.persons.rows import TEAMS, group_of, groups_of
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
 from evaluation.figures.metrics import (
@@ -29,6 +29,7 @@ from evaluation.figures.metrics import (
     zero_shot,
 )
 from evaluation.figures.metrics.caring import CareFigures, care_figures
+from evaluation.figures.metrics.generalisation import GROUPS
 from evaluation.figures.metrics.installed import InstalledMetric, MetricFigure, metric_figures
 from evaluation.figures.metrics.variance import Variance, variance_components
 from evaluation.figures.normalised import References, Relative
@@ -45,6 +46,9 @@ from evaluation.record import tables
 from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import check_whole
+from zoo.partners.kinds import described_kind
+from zoo.partners.person_ids import OWN
+from zoo.schema import Split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +58,16 @@ class SplitName:
     id: str
     sha256: str
     preferences: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # by side
+    # Of the test side, if teams stand beside its persons: each has to play for M_test.
+    groups: tuple[str, ...] = dataclasses.field(default=(), metadata={tables.OPTIONAL: True})
+
+    @classmethod
+    def of(cls, split: Split) -> "SplitName":
+        """Return what a summary says of a split."""
+        kind = described_kind()
+        mixed = split.rule == kind.word and not all(map(kind.owns, split.test))
+        groups = (*GROUPS, TEAMS) if mixed else ()
+        return cls(split.id, split.sha256, dict(split.preferences), groups)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -195,7 +209,9 @@ def summarise_evaluation(
     """
     returns, side = record.returns, record.returns.evaluated_side
     sides = returns.partners["side"].to_list()
-    groups = groups_of(returns.partners["partner_algorithm"].to_list())
+    algorithms = returns.partners["partner_algorithm"].to_list()
+    expected = context.split.groups if context.split else ()
+    groups = tuple(map(group_of, algorithms)) if expected else groups_of(algorithms)
     starts = {"common_starts": returns.common_starts}
     by_algorithm, by_disability = (
         group_draws(side.values, side.partners[f"partner_{trait}"].to_list(), **starts)
@@ -204,7 +220,7 @@ def summarise_evaluation(
     by_preference = _preference_draws(side)
     several = side.values.shape[2] > 1
     return EvaluationSummary(
-        **vars(zero_shot(returns.values, sides, groups, **starts)),
+        **vars(zero_shot(returns.values, sides, groups, expected or GROUPS, **starts)),
         **_common(returns, context),
         side=side.partners["side"][0],
         variance=variance_components(side.values),
@@ -265,13 +281,16 @@ def _common(returns: Returns, context: Context) -> dict:
 
 
 def _preference_draws(returns: Returns) -> dict[str, Draws]:
-    """Return mean and IQM with replicates under each preference, over its partners, by name."""
+    """Return mean and IQM with replicates under each preference, over its partners, by name.
+
+    Partners that bring their own are left out.
+    """
     if returns.preferences is None:
         return {}
     scores, names = [], []
     for partner in range(returns.partners.height):
         played, values = returns.preferences[0, partner], returns.values[:, partner]
-        for name in sorted(set(played)):
+        for name in sorted({*played} - {OWN}):
             scores.append(values[:, played == name].mean(axis=1))
             names.append(name)
     return group_draws(np.stack(scores, axis=1), names)

@@ -15,6 +15,7 @@ from evaluation.play.how import check_numbers
 from evaluation.record.alike import COLUMNS
 from evaluation.record.manifest import identity_digest
 from population.views import View
+from zoo.partners.person_ids import OWN
 
 if TYPE_CHECKING:
     from population.play.tally import Column
@@ -45,8 +46,8 @@ class Job:
     engine: Mapping[str, str] = dataclasses.field(default_factory=dict)  # name and version
     view: View = View.PLAIN  # the robots' observations
     scene: str | None = None  # sha256 of the task's scene; None for an environment from outside
-    # Of the gentle tasks: what the partners like, in turns, see `preferences_of`; empty where it is
-    # drawn.
+    # Of the gentle tasks: what partners without their own preferences like, in turns, see
+    # `preferences_of`; empty where it is drawn.
     preferences: tuple[str, ...] = ()
     # Side -> preferences of its partners, if the sides differ.
     side_preferences: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
@@ -176,10 +177,13 @@ class Job:
         The preferences take turns over a partner's episodes, as in a Latin square. A partner's id
         decides its first one. So every start is played under several preferences, all preferences
         are about equally frequent, and a partner's do not depend on the other partners. Within a
-        series a partner keeps its preference.
+        series a partner keeps its preference. A partner that brings its own has `OWN`.
         """
         rows = []
         for name in partners:
+            if name in self.partners.with_own:
+                rows.append([OWN] * len(episodes))
+                continue
             names = self.side_preferences.get(self.sides.get(name, ""), self.preferences)
             turns = [_stable_hash(name) + episode // self.series for episode in episodes]
             rows.append([names[turn % len(names)] for turn in turns])

@@ -88,7 +88,7 @@ def context_of(
         backend=job.backend,
         engine=job.view.engine(job.engine),
         release=release,
-        split=SplitName(split.id, split.sha256, dict(split.preferences)) if split else None,
+        split=SplitName.of(split) if split else None,
         lock=lock,
         env_steps_per_second=result.env_steps_per_second,
     )

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from evaluation.cast.roster import Roster
@@ -145,13 +146,13 @@ def plan(job: Job, max_envs: int, most: int | None = None) -> list[Chunk]:
 def cut_tiles(job: Job, most: int) -> list[Tile]:
     """Return a job's tiles of at most `most` simulations, of one shape for each pair of stacks.
 
-    A small job is one tile of all its stacks.
+    A small job is one tile of all its stacks, or one of those that bring their preferences and one
+    of the others.
     """
     rounds = job.episodes // job.series
     egos, partners = _whole_stacks(job.egos), _whole_stacks(job.partners)
     if _is_small(job, most):
-        at_once = _at_once(rounds, job.rows // job.series, most)
-        return [Tile(tuple(egos), tuple(partners), range(job.episodes), at_once, job.paired)]
+        return [_small(job, egos, some, most) for some in _by_preferences(job, partners)]
     tiles: list[Tile] = []
     for ego, partner in itertools.product(egos, partners):
         if job.paired and ego.stack != partner.stack:
@@ -167,6 +168,25 @@ def cut_tiles(job: Job, most: int) -> list[Tile]:
             at_once = _at_once(k, e * p * k, most)
             tiles.append(Tile((robots,), (humans,), episodes, at_once, job.paired))
     return tiles
+
+
+def _by_preferences(job: Job, partners: Sequence[StackSlice]) -> list[list[StackSlice]]:
+    """Return the partners that draw preferences, and those that bring them, without empty lists."""
+    stacks = job.partners.stacks
+    own = [not job.partners.with_own.isdisjoint(stacks[cut.stack].ids) for cut in partners]
+    both = (
+        [cut for cut, its in zip(partners, own, strict=True) if its is of] for of in (False, True)
+    )
+    return [some for some in both if some]
+
+
+def _small(job: Job, egos: Sequence[StackSlice], partners: Sequence[StackSlice], most: int) -> Tile:
+    """Return the tile of all egos, or of the partners' own in pairs, with some partners."""
+    places = {cut.stack for cut in partners}
+    robots = [cut for cut in egos if cut.stack in places] if job.paired else egos
+    tile = Tile(tuple(robots), tuple(partners), range(job.episodes), 1, job.paired)
+    at_once = _at_once(job.episodes // job.series, tile.rows // job.series, most)
+    return dataclasses.replace(tile, at_once=at_once)
 
 
 def _whole_stacks(roster: Roster) -> list[StackSlice]:

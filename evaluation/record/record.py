@@ -20,6 +20,7 @@ from evaluation.record.columns import (
 )
 from evaluation.record.manifest import read_manifest
 from evaluation.record.tables import EPISODES_FILE, read_episodes
+from zoo.partners.person_ids import OWN
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -82,6 +83,14 @@ class Returns:
                 f"no partner is on a side ({', '.join(SIDES)}); evaluate against a split"
             )
         return self.select_partners((sides == side).fill_null(value=False).to_numpy())
+
+    @property
+    def with_own_wishes(self) -> "Returns":
+        """The returns with partners that bring their preferences, if such and others played."""
+        if self.preferences is None:
+            return self
+        own = (self.preferences == OWN).all(axis=(0, 2))
+        return self.select_partners(own) if own.any() else self
 
     def select_partners(self, mask: Bool[np.ndarray, " P"]) -> "Returns":
         """Return the returns with the partners whose `mask` is true."""

@@ -145,8 +145,8 @@ def _split_of(
         raise SplitError(
             f"split {summary.split.id!r}", f"sha256 {split.sha256}", summary.split.sha256
         )
-    defaults = {release.splits.get(task) for release in registry.data.releases.values()}
-    if isinstance(summary, CrossPlaySummary) and split.id not in defaults:
+    default = registry.split(task, release=split.release)
+    if isinstance(summary, CrossPlaySummary) and split != default:
         raise ValueError(f"split {split.id} is not a release's default, which a cross-play needs")
     return split
 

@@ -36,7 +36,8 @@ from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.record import Record
 from evaluation.record.verification import strange_tables_refused, unchecked
 from evaluation.report.matrix_data import matrix_data
-from zoo.partners.kinds import kind_of
+from zoo.partners.kinds import described_kind, kind_of
+from zoo.partners.person_ids import OWN
 
 _HASHED = (
     *(tables.EPISODES_FILE, tables.PAIRS_FILE, tables.REFERENCES_FILE),
@@ -176,15 +177,16 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     caption = f"Band: pointwise 95% bootstrap.\n{provenance(named)}"
     drawn = performance_profile({name: profile}, task=summary["task"], caption=caption)
     partners = tables.read_parquet(folder / tables.PARTNERS_FILE)
-    persons = kind_of(partners["partner"].to_list()).has_numbers
+    names = partners["partner"].to_list()
+    persons = kind_of(names).has_numbers
     shown_of = _NAMES | (_FAMILY if persons else _SETTING) | _MEASURED
     known = {key: column for key, column in shown_of.items() if column in partners.columns}
     headings, columns = [*known], [*known.values()]
     images = {"returns with training and test partners": zsc_dots(named)}
-    if persons:
-        images |= _effects_figure(folder)
-    else:
+    if not persons:
         images["returns by the partner's disability setting"] = trait_points(named)
+    if any(map(described_kind().owns, names)):
+        images |= _effects_figure(folder)
     images["performance profile"] = drawn
     if summary["by_preference"]:
         images["returns by the human's preference"] = trait_points(named, "preference")
@@ -271,9 +273,12 @@ def film_of(folder: Path) -> dict[str, Any] | None:
 
 
 def first_preferences(folder: Path) -> dict[str, str]:
-    """Return the preference of each human of a gentle task in its first episode, by id."""
+    """Return the preference of each human of a gentle task in its first episode, by id.
+
+    Humans that bring their own are left out.
+    """
     table = tables.read_episodes(folder / tables.EPISODES_FILE)
-    first = table.filter(pl.col("episode") == 0)
+    first = table.filter(pl.col("episode") == 0, pl.col("preference") != OWN)
     return dict(first.select("partner", "preference").unique().sort("partner").rows())
 
 

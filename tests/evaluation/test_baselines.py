@@ -247,6 +247,20 @@ def test_relative_figures_leave_out_and_name_the_unscorable():
     assert played_by.uniform_random is None
 
 
+def test_references_weigh_groups_as_m_test_does():
+    partners = [("spring", "own", 0), ("stepper", "own", 1), *PARTNERS[:2]]
+    table = episode_table(np.ones((1, 4, 1)), ["mine"], partners, ["test"] * 4)
+    low = {"spring": 9.0, "stepper": 3.0, PARTNERS[0][0]: 0.0}
+    names = table.select("partner", "partner_algorithm").rows()
+    rows = [
+        {"partner": name, "reference": ZERO, "ego": ZERO, "return": low[algorithm], "episode": 0}
+        for name, algorithm in reversed(names)
+    ]
+    reference = pl.DataFrame(rows)
+    shown, _ = summarise_references(recorded(table), reference, bounds_table(reference))
+    assert shown.zero_action is not None and shown.zero_action.mean == pytest.approx(12 / 3)
+
+
 def test_without_any_scorable_partner_there_is_no_figure():
     table = episode_table(np.ones((1, 4, 1)), ["mine"], PARTNERS, ["test"] * 4)
     reference = played([10] * 4, [None] * 4)

@@ -18,7 +18,7 @@ from assistax_workshop.press.publish import publish
 from assistax_zoo import cross_play, evaluate
 from evaluation.cast.cast import choose_partners
 from evaluation.cast.partners import zoo_partner
-from evaluation.cast.roster import joined, registry_roster
+from evaluation.cast.roster import registry_roster
 from evaluation.cast.seats import version_of
 from evaluation.crossplay import cast_population
 from evaluation.ego_training import prepare
@@ -86,7 +86,7 @@ def test_fewer_persons_are_a_part_of_more() -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ((TASK, None, ["persons", "scratch/ippo-*"]), ValueError, "play them in a separate"),
+        ((TASK, None, ["persons", "scratch/ippo-*"]), ValueError, "has no teams; choose teams"),
         (("scratch", None, "scratch/ippo-*", 9), ValueError, "persons is 9"),
         # Each tenth is of validation, which the split of the test side has not.
         ((TASK, None, "gentle_scratch/person-000*9-v1"), UnknownIdError, "validation"),
@@ -127,14 +127,9 @@ def test_persons_bring_their_bodies_and_wishes() -> None:
     assert len(stack["row"]) == 3
 
 
-def test_preferences_and_company_are_refused(tmp_path: Path) -> None:
+def test_preferences_are_refused() -> None:
     with pytest.raises(ValueError, match="have their own preferences; leave preferences out"):
         job_of((3,), preferences="p1")
-    _, job = job_of((3,))
-    registry = networks(tmp_path)
-    others = registry_roster(registry, [registry.policy(HUMAN)])
-    with pytest.raises(ValueError, match="play them in separate jobs"):
-        dataclasses.replace(job, partners=joined(job.partners, others))
     assert job_of((3,), series=3)[1].episodes == 6
 
 

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,49 @@ def test_teams_do_not_stand_for_known_families():
     table = episode_table(np.ones((3, 3, 2)), teams(3), partners, ["test"] * 3)
     found = summary.summarise_evaluation(recorded(table), CONTEXT)
     assert (found.m_test, set(found.by_group)) == (None, {"unseen family", "teams"})
+
+
+def test_split_with_teams_expects_them():
+    """So a robot that suits persons alone cannot hide, nor one that suits teams alone."""
+    split = summary.SplitName("s", "0" * 64, groups=("known families", "unseen family", "teams"))
+    context = dataclasses.replace(CONTEXT, split=split)
+    persons = [("spring", "own", 0), ("stepper", "own", 1)]
+    for partners, whole in ((persons, False), (teams(2), False), ([*persons, *teams(2)], True)):
+        returns = np.random.default_rng(0).normal(500, 50, (3, len(partners), 2))
+        record = recorded(episode_table(returns, teams(3), partners, ["test"] * len(partners)))
+        found = summary.summarise_evaluation(record, context)
+        assert (found.m_test is not None) == whole
+        played = {"known families", "unseen family"} if partners is persons else {"teams"}
+        assert {*found.by_group} == ({*split.groups} if whole else played)
+        assert summary.summarise_evaluation(record, CONTEXT).m_test is not None
+        assert tables.to_json(found)["split"]["groups"] == list(split.groups)
+    assert "groups" not in tables.to_json(CONTEXT)["split"], "as it was without teams"
+
+
+def test_groups_count_alike_in_a_comparison():
+    partners = [("spring", "own", 0), ("stepper", "own", 1), *teams(4)]
+    rng = np.random.default_rng(0)
+    records = [
+        recorded(episode_table(rng.normal(500, 50, (3, 6, 2)), teams(3), partners, ["test"] * 6))
+        for _ in range(2)
+    ]
+    found = [summary.summarise_evaluation(record, CONTEXT).m_test for record in records]
+    difference = summarise_comparison(*records).test
+    assert difference is not None and all(found)
+    assert difference.means == pytest.approx([figure.mean for figure in found if figure])
+    assert difference.mean == pytest.approx(difference.means[0] - difference.means[1])
+    plain = np.subtract(*(record.returns.values.mean() for record in records))
+    assert abs(difference.mean - plain) > 1.0
+
+
+def test_own_preferences_are_no_preference():
+    partners = [("spring", "own", 0), *teams(2)]
+    table = episode_table(np.arange(12.0).reshape(2, 3, 2), teams(2), partners, ["test"] * 3)
+    named = pl.when(pl.col("partner_disability") == "own").then(pl.lit("own"))
+    table = table.with_columns(named.otherwise(pl.lit("p1")).alias("preference"))
+    record = recorded(table.with_columns(violated=False, contact_peak=1.0))
+    assert set(summary.summarise_evaluation(record, CONTEXT).by_preference) == {"p1"}
+    assert record.returns.with_own_wishes.partners["partner_algorithm"].to_list() == ["spring"]
 
 
 def test_single_ego_and_episode_are_noted():

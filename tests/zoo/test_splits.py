@@ -15,8 +15,8 @@ from zoo.ids import parse_team
 from zoo.partners.sides import parse_split
 from zoo.registry import Registry, load_registry
 from zoo.saving import dump_registry
-from zoo.splits import check_split, shared_parameters, split_id
-from zoo.splitting.create import competent, create_split
+from zoo.splits import check_split, competent, shared_parameters, split_id
+from zoo.splitting.create import create_split
 from zoo.splitting.rules import half_side, make_split
 
 

@@ -129,6 +129,7 @@ def row(
     chosen, folder = loaded.split(task, split), out / task
     if split is None and not chosen.validation:
         chosen = loaded.split(task, "three-sides")
+    chosen = loaded.source_of_split(chosen).training_split(chosen)
     making = Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side, parts)
     record = make_row(making)
     print(json.dumps(record, indent=1))

@@ -225,8 +225,12 @@ def _picked(row: Row, chosen: Choices) -> tuple[Choice, ...]:
 
 
 def sampled(making: Making) -> list[PolicyEntry]:
-    """Return the partners of the side that have best responses: a draw, fewer part of more."""
-    _, humans = _partners(making, making.side, making.sizes.persons)
+    """Return the partners of the side that have best responses: a draw, fewer part of more.
+
+    Teams beside persons have none, since robots train with partners of one kind.
+    """
+    _, chosen = _partners(making, making.side, making.sizes.persons)
+    humans = [human for human in chosen if making.split.side(human.team)]
     drawn = sorted(humans, key=lambda human: sha256(human.id.encode()))[: making.sizes.sampled]
     return sorted(drawn, key=lambda human: human.id)
 

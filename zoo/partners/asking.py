@@ -11,6 +11,8 @@ def asked_source(
 ) -> PartnerSource | None:
     """Return the kind that is asked for by name; None if teams or default partners are meant.
 
+    Teams may be named beside a kind that plays with them.
+
     Args:
         sources: All kinds, teams first.
         split: Name of a split, with or without a side.
@@ -31,8 +33,10 @@ def asked_source(
             f"globs over partners, such as 'scratch/ippo-d9-*'; did you mean {meant}?"
         )
     named = {source for source in asked.values() if source}
-    if len(named) + bool(others) > 1:
-        first, kind = next((text, source) for text, source in asked.items() if source)
+    apart = [source for source in named if not source.with_teams]
+    if len(named) > 1 or (others and apart):
+        kinds = [(text, source) for text, source in asked.items() if source]
+        first, kind = min(kinds, key=lambda pair: pair[1].with_teams)
         beside = next(text for text, source in asked.items() if source is not kind)
         reason = "have their own preferences" if kind.own_preferences else "are of another kind"
         raise ValueError(

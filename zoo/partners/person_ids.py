@@ -13,6 +13,11 @@ _PERSON = re.compile(
 )
 
 
+def is_team(name: str) -> bool:
+    """Return whether an id, with or without a role, is no person's."""
+    return f"/{PERSON}-" not in name
+
+
 def parse_person(text: str) -> tuple[str, str, int, str] | None:
     """Return namespace, task, number and release of a person's id; None for any other text."""
     match = _PERSON.fullmatch(text)

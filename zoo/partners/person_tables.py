@@ -45,12 +45,12 @@ from assistax_envs.persons.rows import (
 )
 from population.networks.stack import PolicyStack
 from zoo.ids import compile_pattern
-from zoo.namespaces import qualify_split, split_namespace
-from zoo.partners.person_ids import OWN, PERSON, PERSONS, parse_person
+from zoo.namespaces import plain_name, qualify_split, split_namespace
+from zoo.partners.person_ids import OWN, PERSON, PERSONS, is_team, parse_person
 from zoo.partners.person_seat import PersonSpec
 from zoo.partners.source import made_entry
 from zoo.schema import Persons, PolicyEntry, RegistryFile, Split
-from zoo.splits import made_split
+from zoo.splits import competent, made_split, partner_teams
 
 
 def person_tables(data: RegistryFile) -> Iterator[tuple[str, str, Persons]]:
@@ -235,13 +235,34 @@ def _marked(data: RegistryFile, entries: Sequence[PolicyEntry]) -> np.ndarray:
 def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
     """Yield the splits of a task's persons, of which nothing is stored either.
 
-    Each release has one, of three sides. All persons of a secret are on the test side of one.
+    Each release has one, of three sides. If it has teams of the task, a second one has the
+    competent teams on its test side too, and follows the first unless that is the release's
+    default. All persons of a secret are on the test side of one.
     """
     for release, table in made_tables(data, task):
-        if table.secret is None:
-            yield _split(task, release)
-        else:
+        if table.secret is not None:
             yield _hidden_split(task, release, table.count)
+            continue
+        made, teams = [_split(task, release)], _teams(data, task, release)
+        beside = tuple(sorted(plain_name(team) for team in competent(data, teams, {})))
+        made += [_split(task, release, beside)] if beside else []
+        default = data.releases[release].splits.get(task)
+        yield from sorted(made, key=lambda split: split.id == default)
+
+
+def beside_persons(data: RegistryFile, split: Split) -> list[str]:
+    """Return the teams of which a split of persons has the competent ones, if it has any."""
+    return _teams(data, split.task, split.release) if any(map(is_team, split.test)) else []
+
+
+def persons_alone(split: Split) -> Split:
+    """Return the split of the same persons without teams."""
+    return _split(split.task, split.release) if any(map(is_team, split.test)) else split
+
+
+def _teams(data: RegistryFile, task: str, release: str) -> list[str]:
+    namespace, plain = split_namespace(release)
+    return partner_teams(data, f"{namespace}:{task}" if namespace else task, plain)
 
 
 def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
@@ -271,8 +292,8 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
 
 
 @functools.cache
-def _split(task: str, release: str) -> Split:
-    return _split_of(task, release, *(numbers(side).tolist() for side in SIDES))
+def _split(task: str, release: str, teams: tuple[str, ...] = ()) -> Split:
+    return _split_of(task, release, *(numbers(side).tolist() for side in SIDES), teams=teams)
 
 
 @functools.cache
@@ -280,9 +301,10 @@ def _hidden_split(task: str, release: str, count: int) -> Split:
     return _split_of(task, release, (), (), range(COUNT, COUNT + count))
 
 
-def _split_of(task: str, release: str, *sides: Sequence[int]) -> Split:
+def _split_of(task: str, release: str, *sides: Sequence[int], teams: tuple[str, ...] = ()) -> Split:
     namespace, plain = split_namespace(release)
     train, validation, test = (tuple(_team(task, n, plain) for n in side) for side in sides)
+    test = tuple(sorted((*teams, *test)))
     split = made_split(PERSONS, task, plain, train, test, validation=validation)
     return qualify_split(split, namespace) if namespace else split
 

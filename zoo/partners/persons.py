@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from assistax_base.errors import ZooError
 from zoo.history.merkle import persons_leaf
-from zoo.partners.person_ids import PERSON, PERSONS, parse_person
+from zoo.partners.person_ids import PERSONS, is_team, parse_person
 from zoo.partners.source import PartnerSource
 from zoo.schema import PolicyEntry, Split
 
@@ -24,6 +24,7 @@ class Persons(PartnerSource):
     word = PERSONS
     own_preferences = drawn = True
     most = 200  # a command then takes minutes
+    with_teams = True
     without_bytes = "a person, who is a program and its numbers"
     pinned = "which the release's root pins"
     has_numbers = True
@@ -31,7 +32,7 @@ class Persons(PartnerSource):
     @classmethod
     def owns(cls, name: str) -> bool:
         """Return whether an id or a glob says "person"."""
-        return f"/{PERSON}-" in name
+        return not is_team(name)
 
     @classmethod
     def names_split(cls, text: str) -> bool:
@@ -82,17 +83,29 @@ class Persons(PartnerSource):
         return person_stacks(self.registry.data, entries)
 
     def group(self, team: str) -> str:
-        """Return "known families" or "unseen family"; see `PartnerSource.group`."""
-        from assistax_envs.persons.rows import group_of
+        """Return "known families", "unseen family" or "teams"; see `PartnerSource.group`."""
+        from assistax_envs.persons.rows import TEAMS, group_of
         from zoo.partners.person_tables import family_of
 
-        return group_of(family_of(self.registry.data, team))
+        return group_of(family_of(self.registry.data, team)) if self._has(team) else TEAMS
 
     def identities(self, split: Split) -> dict[str, str | None]:
         """Return the sha256 of the training side's persons, as the installed program makes them."""
         from zoo.partners.person_tables import identities
 
         return identities(split.train)
+
+    def training_split(self, split: Split) -> Split:
+        """Return the split of the persons alone, which stays as it is when a release grows."""
+        from zoo.partners.person_tables import persons_alone
+
+        return persons_alone(split)
+
+    def teams_of(self, split: Split) -> Sequence[str]:
+        """Return the task's teams, of which the split has the competent ones, if it has any."""
+        from zoo.partners.person_tables import beside_persons
+
+        return beside_persons(self.registry.data, split)
 
     def offered(self, task: str, release: str) -> str | None:
         """Return how to choose the persons of a release, if it has any of the task."""

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from assistax_base.digest import sha256
-from assistax_base.errors import UnknownIdError
+from assistax_base.errors import UnknownIdError, counted
 from zoo.partners.sides import DEFAULT_SIDE, SIDES
 from zoo.schema import PolicyEntry, Split, Training
 
@@ -35,6 +35,7 @@ class PartnerSource:
         drawn: Whether each episode of a training draws a person, by the "row" of its parameters.
             If false, every partner has an equal share of the simulations.
         most: How many of a side play if no number is asked for. None for all.
+        with_teams: Whether teams may play beside its partners.
         without_bytes: Why a partner has no bytes to export.
         pinned: Why a lock cannot pin a partner.
         has_numbers: Whether `numbers` describes its partners.
@@ -44,6 +45,7 @@ class PartnerSource:
     own_preferences: ClassVar[bool] = False
     drawn: ClassVar[bool] = False
     most: ClassVar[int | None] = None
+    with_teams: ClassVar[bool] = False
     without_bytes: ClassVar[str] = "a partner that a package makes"
     pinned: ClassVar[str] = "which a package makes"
     has_numbers: ClassVar[bool] = False
@@ -113,16 +115,19 @@ class PartnerSource:
             task: Task of the partners.
             split: A split's id or the beginning of it, a side, or both, as "persons:validation".
                 The default side is the test side; of globs it is both.
-            patterns: The kind's `word`, or globs over its partners.
-            most: How many partners. They are a draw of those that match, with equal shares of the
-                groups; a smaller draw is a part of a larger one.
+            patterns: The kind's `word`, globs over its partners, and over teams of the side that
+                are to play beside them. Without any, teams of the side play too: as many as
+                partners of a group do, or all.
+            most: How many partners of this kind. They are a draw of those that match, with equal
+                shares of the groups; a smaller draw is a part of a larger one.
 
         Raises:
-            ValueError: There is no such split or side.
+            ValueError: There is no such split or side, or no team that matches is on the side.
             UnknownIdError: Fewer partners match.
         """
         texts = [patterns] if isinstance(patterns, str) else list(patterns or ())
-        globs = [self.registry.full(text) for text in texts if text != self.word]
+        named = [self.registry.full(text) for text in texts if text != self.word]
+        globs = [glob for glob in named if self._has(glob)]
         name, side = self._split_and_side(split, default="both" if globs else DEFAULT_SIDE)
         matching = {entry.team: entry.release for entry in self.select(globs)} if globs else {}
         releases = set(matching.values())
@@ -131,12 +136,8 @@ class PartnerSource:
             raise ValueError(
                 f"split {split!r} has no {self.word}; name {self.word}, or one of its sides"
             )
-        wanted = [
-            team
-            for part in SIDES[side]
-            for team in getattr(dealt, part)
-            if not globs or team in matching
-        ]
+        on_side = [team for part in SIDES[side] for team in getattr(dealt, part)]
+        wanted = [team for team in on_side if self._has(team) and (not globs or team in matching)]
         if len(wanted) < (most or 1):
             raise UnknownIdError(
                 f"{self.word} {', '.join(globs)}" if globs else f"{most} {self.word}",
@@ -145,7 +146,33 @@ class PartnerSource:
                 f"choose fewer, others, or another side: {', '.join(SIDES)}",
             )
         drawn = self._in_turn(wanted)[: self.most if most is None else most]
-        return dealt, self.known(sorted(f"{team}/human" for team in drawn))
+        teams = [team for team in on_side if not self._has(team)]
+        if others := [glob for glob in named if glob not in globs]:
+            drawn += self._teams(others, dealt, teams, side)
+        elif not texts:
+            sizes = Counter(map(self.group, drawn)).values()
+            drawn += self._in_turn(teams)[: max(sizes, default=0)]
+        return dealt, self.registry.known(sorted(f"{team}/human" for team in drawn))
+
+    def _has(self, name: str) -> bool:
+        """Return whether an id or a glob is of this kind, not of teams beside it."""
+        return self.registry.source_of(name).word == self.word
+
+    def _teams(
+        self, globs: Sequence[str], split: Split, on_side: Sequence[str], side: str
+    ) -> list[str]:
+        """Return the teams of a split's side that match one of the globs."""
+        matching = []
+        if on_side:
+            matching = self.registry.select(globs, task=split.task, role="human")
+        if not (found := [entry.team for entry in matching if entry.team in {*on_side}]):
+            found = f"{counted(len(on_side), 'team')}, and {', '.join(globs)} matches none of them"
+            raise ValueError(
+                f"the {' or '.join(SIDES[side])} side of split {split.id} has "
+                f"{found if on_side else 'no teams'}; choose teams of that side, or {self.word} "
+                "alone"
+            )
+        return found
 
     def group(self, team: str) -> str:
         """Return the group of a partner, of which a draw has as many as of the other groups."""
@@ -183,7 +210,15 @@ class PartnerSource:
 
     def public(self, task: str, split: Split) -> list[PolicyEntry]:
         """Return the humans of a task that a list of partners shows: those that play by default."""
-        return self.choose(task, None, self.word)[1]
+        return self.choose(task, None, None)[1]
+
+    def training_split(self, split: Split) -> Split:
+        """Return the split by which a robot that trains with its training side is recorded."""
+        return split
+
+    def teams_of(self, split: Split) -> Sequence[str]:
+        """Return the teams of the registry that decide a split, which a lock has to pin."""
+        return ()
 
     def card(self, entry: PolicyEntry) -> dict[str, Any]:
         """Return all that is known of a partner, JSON-ready."""

@@ -109,6 +109,10 @@ class Teams(PartnerSource):
         """Return the sha256 of the humans of a split's training side, by team."""
         return humans_of(self.registry.data.teams, split.train)
 
+    def teams_of(self, split: Split) -> Sequence[str]:
+        """Return the teams of all sides."""
+        return [team for side in split.sides.values() for team in side]
+
     def offered(self, task: str, release: str) -> str | None:
         """Return how to choose a release's default split; None for a release of egos alone."""
         split = self.registry.data.releases[release].splits.get(task)

@@ -1,6 +1,5 @@
 """A new split of a release's partners, kept in the registry or among the user's own."""
 
-import statistics
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,9 @@ from zoo.namespaces import qualify_split, split_namespace
 from zoo.registry import Registry, load_registry
 from zoo.saving import keep_split, save_registry, writable_registry
 from zoo.schema import RegistryFile, Split
-from zoo.splits import leaks, refuse_leak
+from zoo.splits import competent, leaks, partner_teams, refuse_leak
 from zoo.splitting.rules import LEAVE_ONE_OUT, THREE, make_split
 from zoo.splitting.similar_humans import similar_leak, similar_pairs
-
-LEAST = 0.25  # share of the median return; partners with whom robots earn less are left out
 
 
 def leaves_out(task: str) -> bool:
@@ -117,19 +114,6 @@ def _checked_split(
         partners = [team for team in partners if team not in twins]
 
 
-def competent(data: RegistryFile, teams: Iterable[str], earned: Mapping[str, float]) -> list[str]:
-    """Return the teams whose human lets a robot earn `LEAST` of the median, or more.
-
-    Teams without a known return stay. If the median is not above 0, all teams stay.
-    """
-    teams = list(teams)
-    own = {team: data.teams[team].self_play for team in teams}
-    known = {team: figure.mean for team, figure in own.items() if figure is not None}
-    known |= {team: earned[team] for team in teams if team in earned}
-    median = statistics.median(known.values()) if known else 0.0
-    return [team for team in teams if median <= 0 or known.get(team, median) >= LEAST * median]
-
-
 def _keep_own(registry: Registry, split: Split, default: bool) -> None:
     if default:
         raise SplitError(
@@ -155,17 +139,6 @@ def _write_split(registry: Registry, split: Split, default: bool) -> None:
 def _own_teams(teams: Iterable[str]) -> list[str]:
     """Return the names of teams in the user's own zoo; another zoo's stay, and are then refused."""
     return [team.removeprefix(f"{OWN}:") if ":" in team else f"official {team}" for team in teams]
-
-
-def partner_teams(data: RegistryFile, task: str, release: str) -> list[str]:
-    """Return the teams of a task in a release that have a human, and so can be partners."""
-    return [
-        team
-        for team, entry in data.teams.items()
-        if "human" in entry.policies
-        and team.startswith(f"{task}/")
-        and team.endswith(f"-{release}")
-    ]
 
 
 def with_defaults(data: RegistryFile, release: str, splits: Mapping[str, str]) -> RegistryFile:

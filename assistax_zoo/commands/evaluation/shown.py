@@ -43,7 +43,10 @@ def _main(summary: dict[str, Any]) -> str:
     name = {"test": "M_test", "validation": "M_validation", "train": "M_train"}[summary["side"]]
     if figure := summary[name.lower()]:
         return f"{name} {_with_interval(figure)}"
-    return "no M_test, since a group did not play"
+    missing = [
+        name for name in summary["split"].get("groups", ()) if name not in summary["by_group"]
+    ]
+    return f"no M_test, since {' and '.join(missing) or 'a group'} did not play"
 
 
 def _with_interval(figure: dict[str, Any], digits: int = 1) -> str:

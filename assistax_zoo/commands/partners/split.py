@@ -11,7 +11,8 @@ from assistax_zoo.shell.console import answer, first_lines
 from zoo.partners.person_tables import person_splits
 from zoo.registry import Registry, load_registry
 from zoo.schema import Rule, Split
-from zoo.splitting.create import create_split, partner_teams
+from zoo.splits import partner_teams
+from zoo.splitting.create import create_split
 from zoo.splitting.rules import LEAVE_ONE_OUT, THREE
 
 

@@ -49,11 +49,7 @@ class ZooScorer:
             hidden = unpack(release, Path(folder))
             humans = hidden_partners(hidden, work.task)
             pairs = [(humans[ordinal_index(name)], name) for name in work.partners]
-            # Persons have preferences of their own: a job of theirs is no job of other partners.
-            apart = [
-                [p for p in pairs if p[0].spec.own_preferences is own] for own in (False, True)
-            ]
-            return pl.concat(self._play(work, egos, hidden, some) for some in apart if some)
+            return self._play(work, egos, hidden, pairs)
 
     def _play(
         self, work: Work, egos: Any, registry: Any, pairs: Sequence[tuple[Any, str]]
@@ -68,7 +64,8 @@ class ZooScorer:
 
         entries = [entry for entry, _ in pairs]
         version = env_version(registry, work.task, entries)
-        names = () if entries[0].spec.own_preferences else work.preferences
+        own = all(entry.spec.own_preferences for entry in entries)
+        names = () if own else work.preferences
         seed, preferences = int(work.seed, 16), ",".join(names) or None
         how = PlaySettings(work.task, work.episodes, seed, self._backend, preferences=preferences)
         env, job = make_job(how, egos, registry_roster(registry, entries), version=version)

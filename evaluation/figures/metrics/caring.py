@@ -29,7 +29,8 @@ class CareFigures:
     # Share of episodes: the goal was reached as liked, without violation or much discomfort.
     caring_success: Estimate | None = None
     discomfort: Estimate | None = None  # share of felt steps, mean over episodes
-    # Share of pairs of robot and person with caring success in less than half of the episodes.
+    # Share of pairs of robot and person with caring success in less than half of the episodes,
+    # without teams beside persons.
     failed_persons: Estimate | None = None
     adaptation: dict[str, Adaptation] = dataclasses.field(default_factory=dict)  # by wish
 
@@ -51,7 +52,8 @@ def care_figures(returns: Returns) -> CareFigures:
     if returns.violated is None:
         return CareFigures()
     violations = estimate(returns.violated, **starts)
-    if returns.caring is None:
+    persons = returns.with_own_wishes.caring
+    if returns.caring is None or persons is None:
         return CareFigures(violations=violations)
     kinds = returns.table["violation"].to_numpy()[returns.rows]
     return CareFigures(
@@ -59,7 +61,7 @@ def care_figures(returns: Returns) -> CareFigures:
         violations_by_kind={kind: estimate(kinds == kind, **starts) for kind in VIOLATIONS[1:]},
         caring_success=estimate(returns.caring, **starts),
         discomfort=estimate(returns.column("discomfort_share"), **starts),
-        failed_persons=estimate(failed(returns.caring)),
+        failed_persons=estimate(failed(persons)),
         adaptation=adaptations(returns),
     )
 
@@ -70,7 +72,11 @@ def failed(caring: np.ndarray) -> np.ndarray:
 
 
 def adaptations(returns: Returns) -> dict[str, Adaptation]:
-    """Return the adaptation to each wish for which it is defined, by the wish's name."""
+    """Return the adaptation to each wish for which it is defined, by the wish's name.
+
+    Where teams play beside persons it is that to the persons, whose wishes stay the same.
+    """
+    returns = returns.with_own_wishes
     found = {
         wish: adaptation(
             *(returns.column(f"{what}_{wish}") for what in ("liked", "done", "within"))
@@ -101,12 +107,13 @@ def persons_done(returns: Returns) -> pl.DataFrame:
     """Return what was done with each person, a row for each wish and person that was touched.
 
     Columns: `wish`, `partner`, `family`, `liked`, `done`, the geometric mean over robots and
-    episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked.
+    episodes, and `within`, the mean share of touch within a factor 1.5 of what is liked. Teams
+    beside persons are left out.
 
     Raises:
         ValueError: Wishes are not measured, or no person was touched.
     """
-    names = returns.partners["partner"].to_list()
+    names = returns.with_own_wishes.partners["partner"].to_list()
     kept = returns.table.filter(pl.col("partner").is_in(names))
     tables = [
         kept.filter(pl.col(f"done_{wish}").is_not_null())

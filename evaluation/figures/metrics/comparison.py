@@ -1,6 +1,7 @@
 """Comparing methods or egos: paired differences and the stability of a ranking."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Num
@@ -18,6 +19,7 @@ from evaluation.figures.bootstrap import (
     interval,
     replicate_crossed,
 )
+from evaluation.figures.metrics.generalisation import mean_of_draws
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,12 +46,19 @@ class Stability:
 
 
 def paired_difference(
-    a: np.ndarray, b: np.ndarray, *, common_starts: bool = False, seed: int = 0
+    a: np.ndarray,
+    b: np.ndarray,
+    groups: Sequence[str] | None = None,
+    *,
+    common_starts: bool = False,
+    seed: int = 0,
 ) -> Difference:
     """Return the difference of returns a [S, P, K] and b [S', P, K], or scores [S, P], [S', P].
 
     Seeds of both methods, the partners and, if they are common to all, the starts are resampled.
-    Both methods met the same partners in the same episodes, so effects of a start cancel.
+    Both methods met the same partners in the same episodes, so effects of a start cancel. If
+    `groups` has the group of each partner [P], means are the means of the groups' means, and
+    partners are resampled within their group.
     """
     a, b = returns_of(a), returns_of(b)
     if a.shape[1:] != b.shape[1:]:
@@ -57,22 +66,27 @@ def paired_difference(
         axes = "partners x episodes" if a.ndim == b.ndim == 3 else "partners"
         raise ValueError(f"a has {x} {axes} and b has {y}; give both the same")
     rng = np.random.default_rng(seed)
-    a_counts, b_counts, partners = (
-        draw_counts(n, RESAMPLES, rng) for n in (len(a), len(b), a.shape[1])
-    )
-    starts = draw_starts(a.shape, common_starts, RESAMPLES, rng)
-    units = 1 if starts is None else starts.shape[1]
-    to = generalises_to(min(len(a), len(b)), a.shape[1], units)
-    draws = replicate_crossed(a, Counts(a_counts, partners, starts, to)) - replicate_crossed(
-        b, Counts(b_counts, partners, starts, to)
-    )
+    a_counts, b_counts = (draw_counts(n, RESAMPLES, rng) for n in (len(a), len(b)))
+    named = np.array(groups or [""] * a.shape[1])
+    of_groups, means, starts = [], [], None
+    for group in sorted(set(named.tolist())):
+        x, y = (scores[:, named == group] for scores in (a, b))
+        partners = draw_counts(x.shape[1], RESAMPLES, rng)
+        if starts is None or not common_starts:
+            starts = draw_starts(x.shape, common_starts, RESAMPLES, rng)
+        units = 1 if starts is None else starts.shape[1]
+        to = generalises_to(min(len(a), len(b)), x.shape[1], units)
+        of_a, of_b = Counts(a_counts, partners, starts, to), Counts(b_counts, partners, starts, to)
+        of_groups.append(replicate_crossed(x, of_a) - replicate_crossed(y, of_b))
+        means.append((x.mean(), y.mean()))
+    draws = mean_of_draws(of_groups)
     difference = (a.mean(axis=0) - b.mean(axis=0)).reshape(a.shape[1], -1).mean(axis=1)
     return Difference(
         **vars(draws.estimate()),
-        means=(float(a.mean()), float(b.mean())),
+        means=tuple(np.mean(means, axis=0).tolist()),
         seeds=(len(a), len(b)),
         partners=a.shape[1],
-        p_positive=_share_positive(draws.means) if to != NOTHING else None,
+        p_positive=_share_positive(draws.means) if draws.generalises_to != NOTHING else None,
         partners_better=_share_positive(difference),
     )
 

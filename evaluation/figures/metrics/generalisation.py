@@ -63,19 +63,21 @@ def zero_shot(
     scores: np.ndarray,
     sides: Sequence[str | None],
     groups: Sequence[str] | None = None,
+    expected: Sequence[str] = GROUPS,
     *,
     common_starts: bool = False,
 ) -> ZeroShot:
     """Return M(s) = mean over partners p of J[s, p], separately for the partners of each side.
 
     If the test side has groups, M_test is the mean of the groups' means: each group counts the
-    same. It is None if one of `GROUPS` did not play, so that a robot that suits one group alone
-    cannot hide.
+    same. It is None if one of those expected did not play, so that a robot that suits one group
+    alone cannot hide.
 
     Args:
         scores: Returns [S, P, K], or mean returns J [S, P].
         sides: "test", "validation", "train" or None (on no side) for each partner [P].
         groups: The group of each partner [P]; None if the test side has no groups.
+        expected: The groups that the test side has.
         common_starts: Whether all partners played the same K starts.
     """
     in_groups = groups or [""] * len(sides)
@@ -88,8 +90,8 @@ def zero_shot(
     validation, train = (draws.get((side, "")) for side in ("validation", "train"))
     if not (tested or validation or train):
         raise ValueError("no partner is on a side; evaluate against a split")
-    whole = bool(tested) and (groups is None or tested.keys() >= set(GROUPS))
-    test = _mean_of(tuple(tested.values())) if whole else None
+    whole = bool(tested) and (groups is None or tested.keys() >= set(expected))
+    test = mean_of_draws(tuple(tested.values())) if whole else None
     gap = train - test if train and test else None
     figures = (test, train, gap, validation)
     by_group = {group: found.estimate() for group, found in tested.items() if group}
@@ -113,7 +115,7 @@ def mean_of_groups(
     """
     draws = group_draws(scores, groups, resamples=resamples, seed=seed)
     by_group = {group: found.estimate() for group, found in draws.items()}
-    return _mean_of(tuple(draws.values())).estimate(), by_group
+    return mean_of_draws(tuple(draws.values())).estimate(), by_group
 
 
 def group_weights(groups: Sequence[str]) -> np.ndarray:
@@ -176,7 +178,7 @@ def group_draws(
     return draws
 
 
-def _mean_of(groups: Sequence[Draws]) -> Draws:
+def mean_of_draws(groups: Sequence[Draws]) -> Draws:
     """Return the mean of groups' figures, each of which counts the same whatever its size."""
     return Draws(
         mean=float(np.mean([group.mean for group in groups])),

@@ -9,7 +9,8 @@ from zoo.ids import parse_team, release_number
 from zoo.registry import Registry, load_registry
 from zoo.saving import save_registry
 from zoo.schema import RegistryFile
-from zoo.splitting.create import competent, leaves_out, partner_teams, with_defaults
+from zoo.splits import competent, partner_teams
+from zoo.splitting.create import leaves_out, with_defaults
 from zoo.splitting.rules import half_side, make_split
 
 
@@ -46,10 +47,10 @@ def _with_default_splits(data: RegistryFile, release: str) -> RegistryFile:
     """Return the registry with a default split, `half` of seed 0, if both halves have teams.
 
     A split that no longer covers the release stays in the registry; the default moves on to the new
-    one, unless it was chosen by hand.
+    one, unless it was chosen by hand. A task with persons has their split as its default.
     """
     splits, halves = {split.id: split for split in data.splits}, {}
-    for task in data.releases[release].environments:
+    for task in data.releases[release].environments.keys() - data.releases[release].persons.keys():
         partners = partner_teams(data, task, release)
         if leaves_out(task):
             partners = competent(data, partners, {})
