@@ -140,13 +140,12 @@ def _answers(files: Files) -> Iterator[Gate]:
     place = list(files[WORDS]["about"]["after"]).index(2.0)
     for kind, found in files[WORDS]["robots"].items():
         for name, answer in found["words"].items():
-            heard = [m for m, asked in enumerate(answer["asked"]) if asked]
+            both = [(a, b) for a, b in zip(answer["asked"], answer["unasked"], strict=True) if a]
+            heard = [(a, b) for a, b in both if a[place] is not None and b[place] is not None]
             if not heard:
                 continue
-            asked, unasked = (
-                1.0 - np.array([answer[how][m][place] / answer[how][m][0] for m in heard])
-                for how in ("asked", "unasked")
-            )
+            gone = np.array([[1.0 - seen[place] / seen[0] for seen in pair] for pair in heard])
+            asked, unasked = gone.T
             value, ci = of_means(lambda mean: mean, asked)
             detail = f"masked {unasked.mean():.2f}; {sum(answer['words'])} words, {kind}"
             yield Gate(f"gone 2 s after {name}", bar, value, ci, value > unasked.mean(), detail)

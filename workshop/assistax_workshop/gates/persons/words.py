@@ -52,7 +52,7 @@ def answers(task: str, signs: Trace, masked: Trace) -> dict[str, Any]:
 
     Each has "words" [M], how many were said while the wish was judged; "asked" [M, 5], at the times
     `AFTER`; and "unasked" [M, 5], of masked persons from moments with the same ratio. A robot that
-    heard fewer than `FEWEST` words has None.
+    heard fewer than `FEWEST` words has None, and a time at which too few are judged as well.
     """
     found: dict[str, Any] = {}
     for place, wish in enumerate(PREFERRED[task]):
@@ -70,7 +70,7 @@ def answers(task: str, signs: Trace, masked: Trace) -> dict[str, Any]:
 
 def _answer(
     signs: np.ndarray, masked: np.ndarray, said: np.ndarray
-) -> tuple[int, list[float] | None, list[float] | None]:
+) -> tuple[int, list[float | None] | None, list[float | None] | None]:
     """Return the number of words, and the medians after them and without them; all [T, P]."""
     last = len(signs) - round(AFTER[-1] * 50) - 1
     moments = np.nonzero(said[:last] & np.isfinite(signs[:last]))
@@ -85,10 +85,15 @@ def _answer(
     return len(moments[0]), _medians(signs, moments), _medians(masked, alike)
 
 
-def _medians(ratio: np.ndarray, moments: tuple[np.ndarray, ...]) -> list[float]:
-    """Return the medians of ratios [T, P] at the times `AFTER` from moments, as steps, persons."""
+def _medians(ratio: np.ndarray, moments: tuple[np.ndarray, ...]) -> list[float | None]:
+    """Return the medians of ratios [T, P] at the times `AFTER` from moments, as steps, persons.
+
+    One is None if the wish is judged after fewer than `FEWEST` of the moments.
+    """
     steps, persons = moments
-    return [float(np.nanmedian(ratio[steps + round(s * 50), persons])) for s in AFTER]
+    after = [ratio[steps + round(seconds * 50), persons] for seconds in AFTER]
+    judged = [values[np.isfinite(values)] for values in after]
+    return [float(np.median(v)) if len(v) >= FEWEST else None for v in judged]
 
 
 @own_settings()
