@@ -75,8 +75,8 @@ def evaluate(
             have validation too.
         partners: Glob over partners, or several, such as `'scratch/ippo-d9-*'`: only matching
             partners of those sides play. If all of them are of one release, its default split is
-            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`; teams
-            may be named beside them.
+            meant. persons for persons, or a glob such as `'gentle_scratch/person-08*'`; teams may
+            be named beside them.
         persons: Number of persons to draw. Default 200.
         episodes: Episodes of each pair. Default 18 in the gentle tasks, where nine preferences take
             turns, 4 with persons, and 8 in the other tasks.
