@@ -7,13 +7,16 @@ task has its numbers in its own `person.py`. Imports no JAX or MuJoCo.
 import dataclasses
 import functools
 import hashlib
+import inspect
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from assistax_base.extensions import FAMILIES as ADDED
 from assistax_base.extensions import Extension, extensions, files_sha256
+from assistax_envs import compiled
 from assistax_envs.registered import REGISTERED, ByTask
 from assistax_envs.tasks.person import Parameter, PersonKind
 from assistax_envs.tasks.person_numbers import SKIN
@@ -188,7 +191,13 @@ def persons(task: str) -> np.ndarray:
         ValueError: there is no such task.
     """
     person_kind(task)
-    table = _rows(task, _points(task))
+    sources = [Path(path).read_bytes() for path in (__file__, inspect.getfile(Parameter))]
+    key = compiled.key([task.encode(), repr(PARAMETERS[task]).encode(), *sources])
+    try:  # to take what this user has made, since making takes two seconds
+        kept = compiled.cached(key, ".npy", lambda path: np.save(path, made_rows(task)))
+        table = np.load(kept, allow_pickle=False)
+    except (OSError, ValueError):
+        table = made_rows(task)
     table.flags.writeable = False
     return table
 
@@ -287,6 +296,11 @@ def grades(someone: Person) -> dict[str, str]:
         "modified Ashworth": grade(ASHWORTH, float(row[place["spasticity"]])),
         "range of motion of the elbow": f"{share:.0%}",
     }
+
+
+def made_rows(task: str) -> np.ndarray:
+    """Return the rows [10000, 30] of a task, made anew."""
+    return _rows(task, _points(task))
 
 
 def _rows(task: str, points: np.ndarray) -> np.ndarray:

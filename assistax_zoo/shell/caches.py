@@ -67,9 +67,9 @@ KINDS = {
         ),
         Kind(
             "fused",
-            "programs of the fused engine; they are compiled again",
+            "programs of the fused engine, and persons' numbers; they are made again",
             compiled.folder,
-            re.compile(r"[0-9a-f]{32}-[0-9a-f]{32}\.(o|cubin)"),
+            re.compile(r"[0-9a-f]{32}-[0-9a-f]{32}\.(o|cubin|npy)"),
         ),
     )
 }

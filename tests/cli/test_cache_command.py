@@ -121,12 +121,12 @@ def read_only(tmp_path: Path) -> Iterator[Path]:
 
 def test_unwritable_cache_names_its_variable(read_only: Path) -> None:
     """Of the fused engine's programs, when they are compiled."""
-    from assistax_envs.physics.fused.runtime import cache
+    from assistax_envs import compiled
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(read_only))
         with pytest.raises(OSError, match=r"read-only/assistax-zoo/fused .*XDG_CACHE_HOME"):
-            cache.cached("k", ".o", lambda path: None)
+            compiled.cached("k", ".o", lambda path: None)
 
 
 def planted_command(cache: Path, tmp_path: Path) -> subprocess.CompletedProcess[str]:

@@ -1,6 +1,8 @@
 """The numbers of persons: ranges, sources, sides, identity, and the bits of ten thousand rows."""
 
 import hashlib
+from pathlib import Path
+from unittest.mock import Mock
 
 import jax
 import numpy as np
@@ -22,6 +24,7 @@ from assistax_envs.persons.rows import (
     card,
     drawn,
     family,
+    made_rows,
     numbers,
     person,
     persons,
@@ -69,7 +72,7 @@ def test_parameter_knows_its_range_and_distribution() -> None:
 
 @pytest.mark.parametrize("task", PARAMETERS)
 def test_persons_are_the_same_to_the_bit(task: str) -> None:
-    assert hashlib.sha256(persons(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
+    assert hashlib.sha256(made_rows(task).astype("<f4").tobytes()).hexdigest() == TABLES[task]
 
 
 def test_person_is_named_by_its_numbers() -> None:
@@ -163,3 +166,22 @@ def test_secret_draws_the_same_hidden_persons() -> None:
     assert not np.array_equal(table, drawn("gentle_bath", b"another season", 50))
     for parameter, column in zip(PARAMETERS["gentle_bath"], table.T, strict=True):
         assert all(parameter.holds(float(f"{value:.6g}")) for value in column), parameter.name
+
+
+def test_rows_are_kept_and_made_again_where_they_cannot_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, made = persons(SCRATCH), Mock(side_effect=made_rows)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(rows, "made_rows", made)
+    anew = persons.__wrapped__
+    for _ in range(2):
+        np.testing.assert_array_equal(anew(SCRATCH), kept)
+    assert made.call_count == 1
+    [file] = tmp_path.glob("*/*/*.npy")
+    file.write_bytes(file.read_bytes()[:-1])
+    np.testing.assert_array_equal(anew(SCRATCH), kept)
+    assert made.call_count == 2
+    file.parent.chmod(0o777)  # others could plant rows there
+    np.testing.assert_array_equal(anew(SCRATCH), kept)
+    assert made.call_count == 3

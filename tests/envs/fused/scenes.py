@@ -10,10 +10,11 @@ import mujoco
 import numpy as np
 
 from assistax_envs import TASKS as TASKS
+from assistax_envs import compiled
 from assistax_envs.models import build_model
 from assistax_envs.physics.base import values_width
 from assistax_envs.physics.fused import generate
-from assistax_envs.physics.fused.runtime import cache, cpu
+from assistax_envs.physics.fused.runtime import cpu
 from assistax_envs.versions import CARE_TASKS
 from tests.envs.base_scenes import BASES
 
@@ -180,7 +181,7 @@ class Engine:
         program = generate(model)
         source = program.source.replace("contract(off)", f"contract({contraction})")
         text = source
-        key = cache.key([text.encode(), str(lanes).encode(), *(x.encode() for x in features)])
+        key = compiled.key([text.encode(), str(lanes).encode(), *(x.encode() for x in features)])
         self._name = f"test_{key}"
         self._widths = program.nq, program.nv, program.nv, values_width(model)
         self._range, self._sensors = model.jnt_range, model.nsensordata

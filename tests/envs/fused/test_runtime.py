@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
+from assistax_envs import compiled
+from assistax_envs.physics.fused.runtime import cpu, gpu, toolchain
 
 # A mass on a line, a motor on it and three sensors, the last of which no model could have: how hard
 # the hardest of a vector is. Beyond its range it "cannot be solved"; its effort is where it is.
@@ -291,18 +292,18 @@ def damaged(data: bytes) -> bytes:
 @pytest.mark.parametrize("harm", [damaged, lambda data: data[:-1], lambda data: b""])
 def test_a_harmed_file_is_built_anew(own_cache: Path, harm) -> None:
     whole = bytes(range(200))
-    path = cache.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
-    assert cache.cached("key", ".o", lambda output: pytest.fail("built twice")) == path
+    path = compiled.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
+    assert compiled.cached("key", ".o", lambda output: pytest.fail("built twice")) == path
     path.write_bytes(harm(whole))
-    again = cache.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
+    again = compiled.cached("key", ".o", lambda output: output.write_bytes(whole) and None)
     assert again.read_bytes() == whole
     assert list(own_cache.iterdir()) == [again]
 
 
 def test_a_file_of_another_key_is_not_taken(own_cache: Path) -> None:
-    path = cache.cached("one", ".o", lambda output: output.write_bytes(b"one") and None)
+    path = compiled.cached("one", ".o", lambda output: output.write_bytes(b"one") and None)
     path.rename(path.with_name(path.name.replace("one-", "two-")))
-    built = cache.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
+    built = compiled.cached("two", ".o", lambda output: output.write_bytes(b"two") and None)
     assert built.read_bytes() == b"two"
 
 
@@ -310,12 +311,12 @@ def test_folder_writable_by_others_is_refused(own_cache: Path) -> None:
     own_cache.mkdir(parents=True)
     own_cache.chmod(0o777)
     with pytest.raises(ValueError, match="may be written by others"):
-        cache.cached("key", ".o", lambda output: pytest.fail("built"))
+        compiled.cached("key", ".o", lambda output: pytest.fail("built"))
 
 
 def test_parts_of_a_key_do_not_run_together() -> None:
-    assert cache.key([b"ab", b"c"]) != cache.key([b"a", b"bc"])
-    assert cache.key([b"ab", b"c"]) == cache.key([b"ab", b"c"])
+    assert compiled.key([b"ab", b"c"]) != compiled.key([b"a", b"bc"])
+    assert compiled.key([b"ab", b"c"]) == compiled.key([b"ab", b"c"])
 
 
 def test_another_release_of_warp_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax_envs import compiled
 from assistax_envs.physics.base import SUBSTEPS, PhysicsState, values_width
 from assistax_envs.physics.fused.program import generate
-from assistax_envs.physics.fused.runtime import cache, cpu, gpu, toolchain
+from assistax_envs.physics.fused.runtime import cpu, gpu, toolchain
 
 _REGISTERED: set[str] = set()  # names of calls that XLA of this process has
 _REGISTERING = threading.Lock()
@@ -84,4 +85,4 @@ def model_key(model: mujoco.MjModel) -> str:
     mujoco.mj_saveModel(model, None, data)
     here = Path(__file__).parents[1]
     files = sorted(path for path in here.iterdir() if path.suffix in (".py", ".h"))
-    return cache.key([data.tobytes(), *(path.read_bytes() for path in files)])
+    return compiled.key([data.tobytes(), *(path.read_bytes() for path in files)])

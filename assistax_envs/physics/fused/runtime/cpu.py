@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from assistax_envs.physics.fused.runtime import cache, toolchain
+from assistax_envs import compiled
+from assistax_envs.physics.fused.runtime import toolchain
 from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
 
 LANES = 8  # simulations in a vector: with 16, or with AVX-512, it is no faster
@@ -39,6 +40,6 @@ def register(
     def build(output: Path) -> None:
         toolchain.compile_cpp(before + source() + after, output, flags)
 
-    path = cache.cached(cache.key(part.encode() for part in parts), ".o", build)
+    path = compiled.cached(compiled.key(part.encode() for part in parts), ".o", build)
     (address,) = toolchain.load(path, name, ["fused_step"])
     register_call(name, address, "cpu")

@@ -8,7 +8,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from assistax_envs.physics.fused.runtime import cache, toolchain
+from assistax_envs import compiled
+from assistax_envs.physics.fused.runtime import toolchain
 from assistax_envs.physics.fused.runtime.xla import HERE, declarations, register_call
 
 _PROCESSOR_COUNT = 16  # CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
@@ -66,8 +67,8 @@ def build_cubin(key: str, source: Callable[[], str], architecture: int) -> Path:
     files = "arrays.h", "step.h", "grid.h", "gpu_kernel.h"
     after = "".join((HERE / file).read_text() for file in files)
     parts = (key, before, after, toolchain.WARP, str(architecture))
-    return cache.cached(
-        cache.key(part.encode() for part in parts),
+    return compiled.cached(
+        compiled.key(part.encode() for part in parts),
         ".cubin",
         lambda output: toolchain.compile_cuda(before + source() + after, output, architecture),
     )
@@ -77,8 +78,8 @@ def build_handler() -> Path:
     """Return the path of the CPU's machine code that launches a kernel; it is the same for all."""
     texts = [(HERE / file).read_text() for file in ("arrays.h", "xla.h", "grid.h", "gpu_handler.h")]
     text = declarations() + "".join(texts)
-    return cache.cached(
-        cache.key(part.encode() for part in (text, toolchain.WARP, toolchain.host_cpu())),
+    return compiled.cached(
+        compiled.key(part.encode() for part in (text, toolchain.WARP, toolchain.host_cpu())),
         ".o",
         lambda output: toolchain.compile_cpp(text, output, ["-w"]),
     )
