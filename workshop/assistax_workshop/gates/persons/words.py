@@ -33,10 +33,8 @@ def play_words(plan: Plan, progress: Callable[[str], None] = print) -> dict[str,
     met = np.concatenate([strangers(side) for side in SIDES])
     found = {}
     for name, env, policy, params in players(plan):
-        signs, masked = (
-            _trace(plan, env, policy, params, rows_of(plan.task, met, hidden))
-            for hidden in (False, True)
-        )
+        trace = _tracer(plan, env, policy, params)
+        signs, masked = (trace(rows_of(plan.task, met, hidden)) for hidden in (False, True))
         returns = {"signs": signs["return"], "masked": masked["return"]}
         found[name] = {
             "return": {seen: values.mean(axis=1).tolist() for seen, values in returns.items()},
@@ -96,37 +94,44 @@ def _medians(ratio: np.ndarray, moments: tuple[np.ndarray, ...]) -> list[float |
     return [float(np.median(v)) if len(v) >= FEWEST else None for v in judged]
 
 
-@own_settings()
-def _trace(plan: Plan, env: Env, policy: Any, params: Any, rows: np.ndarray) -> Trace:
-    """Play one episode of robots [M] with persons of rows [P, 31], and return its trace."""
-    robots, count = len(jax.tree.leaves(params)[0]), len(rows)
-    sizes, every = (robots, count), jnp.asarray(np.tile(rows, (robots, 1)))
-    person, act = PersonPlayer(plan.task), jax.vmap(policy.act)
-    body = person_params(plan.task, np.asarray(every))
-    state = env.reset(jax.random.split(key_of(99), len(every)), body)
+def _tracer(plan: Plan, env: Env, policy: Any, params: Any) -> Callable[[np.ndarray], Trace]:
+    """Return a function that plays an episode of robots [M] with persons of rows [P, 31]."""
+    robots, person = len(jax.tree.leaves(params)[0]), PersonPlayer(plan.task)
+    act, length = jax.vmap(policy.act), plan.horizon or env.episode_length
 
-    def step(loop: Any, _: None) -> tuple[Any, dict[str, jax.Array]]:
-        state, mind, carry, alive = loop
-        first = state.step == 0
-        mind, human = person.act({"row": every}, mind, state.obs["human"], first)
-        obs = state.obs["robot"].reshape(*sizes, -1)
-        carry, robot = act(params, carry, obs, first.reshape(sizes))
-        word = person.word(mind)
-        actions = {"robot": robot.reshape(len(every), -1), "human": human, "word": word}
-        state = env.step(state, actions)
-        measured: Any = state.measures
-        ratio = jnp.log(jnp.maximum(measured.done, 1e-3) / measured.liked)
-        seen = {
-            "ratio": jnp.where(measured.judged & alive[:, None], ratio, jnp.nan),
-            "word": jnp.where(alive, word, 0),
-            "reward": jnp.where(alive, state.reward, 0.0),
-        }
-        return (state, mind, carry, alive & ~state.terminated), seen
+    @jax.jit
+    def play(state: Any, rows: jax.Array) -> dict[str, jax.Array]:
+        sizes = robots, len(rows) // robots
 
-    mind, carry = person.initial_carry((len(every),)), policy.initial_carry(sizes)
-    begin = state, mind, carry, jnp.ones(len(every), bool)
-    steps = plan.horizon or env.episode_length
-    _, seen = jax.jit(lambda loop: jax.lax.scan(step, loop, length=steps))(begin)
-    seen = {name: np.asarray(values) for name, values in seen.items()}
-    seen = {name: v.reshape(len(v), *sizes, *v.shape[2:]) for name, v in seen.items()}
-    return {**seen, "return": seen["reward"].sum(axis=0)}
+        def step(loop: Any, _: None) -> tuple[Any, dict[str, jax.Array]]:
+            state, mind, carry, alive = loop
+            first = state.step == 0
+            mind, human = person.act({"row": rows}, mind, state.obs["human"], first)
+            obs = state.obs["robot"].reshape(*sizes, -1)
+            carry, robot = act(params, carry, obs, first.reshape(sizes))
+            word = person.word(mind)
+            actions = {"robot": robot.reshape(len(rows), -1), "human": human, "word": word}
+            state = env.step(state, actions)
+            measured: Any = state.measures
+            ratio = jnp.log(jnp.maximum(measured.done, 1e-3) / measured.liked)
+            seen = {
+                "ratio": jnp.where(measured.judged & alive[:, None], ratio, jnp.nan),
+                "word": jnp.where(alive, word, 0),
+                "reward": jnp.where(alive, state.reward, 0.0),
+            }
+            seen = {name: v.reshape(*sizes, *v.shape[1:]) for name, v in seen.items()}
+            return (state, mind, carry, alive & ~state.terminated), seen
+
+        mind, carry = person.initial_carry((len(rows),)), policy.initial_carry(sizes)
+        begin = state, mind, carry, jnp.ones(len(rows), bool)
+        return jax.lax.scan(step, begin, length=length)[1]
+
+    @own_settings()
+    def trace(rows: np.ndarray) -> Trace:
+        every = np.tile(rows, (robots, 1))
+        keys = jax.random.split(key_of(99), len(every))
+        seen = play(env.reset(keys, person_params(plan.task, every)), jnp.asarray(every))
+        found = {name: np.asarray(values) for name, values in seen.items()}
+        return {**found, "return": found["reward"].sum(axis=0)}
+
+    return trace
