@@ -46,8 +46,7 @@ from evaluation.record import tables
 from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import check_whole
-from zoo.partners.kinds import described_kind
-from zoo.partners.person_ids import OWN
+from zoo.partners.person_ids import OWN, PERSON, PERSONS
 from zoo.schema import Split
 
 
@@ -64,8 +63,7 @@ class SplitName:
     @classmethod
     def of(cls, split: Split) -> "SplitName":
         """Return what a summary says of a split."""
-        kind = described_kind()
-        mixed = split.rule == kind.word and not all(map(kind.owns, split.test))
+        mixed = split.rule == PERSONS and any(f"/{PERSON}-" not in team for team in split.test)
         groups = (*GROUPS, TEAMS) if mixed else ()
         return cls(split.id, split.sha256, dict(split.preferences), groups)
 
