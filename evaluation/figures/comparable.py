@@ -12,7 +12,6 @@ from typing import Any
 import polars as pl
 
 from assistax_base.errors import counted, listing
-from assistax_envs.persons.rows import TEAMS, groups_of
 from evaluation.cast.met_partners import MetSummary, both_met, comparison_notes
 from evaluation.figures.metrics import Difference, paired_difference
 from evaluation.figures.metrics.caring import CareComparison, compare_care
@@ -226,9 +225,7 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
         if not mask.any():
             return None
         values = first.values[:, mask], second.values[:, mask]
-        groups = groups_of(first.partners.filter(pl.Series(mask))["partner_algorithm"].to_list())
-        if TEAMS not in (groups or ()):
-            groups = None
+        groups = first.select_partners(mask).groups
         return paired_difference(*values, groups, common_starts=first.common_starts, seed=seed)
 
     sides = {side: difference(side) for side in SIDES}

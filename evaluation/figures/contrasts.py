@@ -198,8 +198,9 @@ def _figure(
 ) -> ContrastFigure:
     sides = [_test_side(record, contrast) for record in (pair.method, pair.baseline)]
     a, b = (_values(returns, contrast) for returns in sides)
-    difference = paired_difference(a, b, common_starts=sides[0].common_starts, seed=seed)
-    test = mean_test(a.mean(axis=2), b.mean(axis=2))
+    groups, common = sides[0].groups, sides[0].common_starts
+    difference = paired_difference(a, b, groups, common_starts=common, seed=seed)
+    test = mean_test(a.mean(axis=2), b.mean(axis=2), groups)
     return ContrastFigure(
         *(contrast.task, contrast.method, contrast.baseline, contrast.metric),
         # With fewer seeds it is another contrast than the one that was named.

@@ -10,14 +10,13 @@ import dataclasses
 import numpy as np
 import polars as pl
 
-from assistax_envs.persons.rows import TEAMS, groups_of
 from evaluation.figures.bootstrap import Estimate, estimate
 from evaluation.figures.metrics import (
     Bounds,
     Coverage,
     br_prox,
     coverage,
-    mean_of_groups,
+    estimate_of,
     normalised_return,
     regret,
 )
@@ -128,17 +127,16 @@ def summarise_references(
     bounds = partners.join(bounds, on="partner", how="left", maintain_order="left")
     on_side = references.join(partners, on="partner", how="semi", maintain_order="left")
 
-    groups = groups_of(returns.partners["partner_algorithm"].to_list()) or ()
+    groups = returns.groups
 
     def figure(means: pl.Series) -> Estimate | None:
-        if TEAMS in groups and means.len() == len(groups):  # as M_test
-            return mean_of_groups(means.to_numpy()[None], groups)[0]
-        return estimate(means.to_numpy()[None]) if means.len() else None
+        of = groups if groups and means.len() == len(groups) else None  # as M_test
+        return estimate_of(means.to_numpy()[None], of) if means.len() else None
 
     def returns_of(name: str) -> Estimate | None:
         played = on_side.filter(pl.col(COLUMN) == name).group_by("partner", maintain_order=True)
         means = played.agg(pl.col("return").cast(pl.Float64).mean())
-        if means.height == len(groups):
+        if groups and means.height == len(groups):
             means = partners.join(means, on="partner", maintain_order="left")
         return figure(means["return"])
 

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from assistax_base.validated import first_problem
 from assistax_envs.persons.rows import TEAMS, group_of, groups_of
 from evaluation.cast.met_partners import MetSummary
-from evaluation.figures.bootstrap import Draws, Estimate, Interval, estimate
+from evaluation.figures.bootstrap import Draws, Estimate, Interval
 from evaluation.figures.metrics import (
     CrossPlay,
     Fairness,
@@ -21,6 +21,7 @@ from evaluation.figures.metrics import (
     ZeroShot,
     cross_play,
     cvar_crossfit,
+    estimate_of,
     fairness,
     group_draws,
     rank_stability,
@@ -229,10 +230,12 @@ def summarise_evaluation(
         preference_fairness=fairness(by_preference) if len(by_preference) > 1 else None,
         by_place=_by_place(record.table, side),
         **vars(care_figures(side)),
-        touch={name: estimate(values, **starts) for name, values in side.touch.items()},
+        touch={
+            name: estimate_of(values, side.groups, **starts) for name, values in side.touch.items()
+        },
         worst_partner=_worst_partner(side),
         cvar_10=cvar_crossfit(side.values, 0.1, **starts) if several else None,
-        more=metric_figures(metrics or {}, side),
+        more=metric_figures(metrics or {}, side, side.groups),
         egos=tuple(returns.egos["ego"]),
         partners={side: sides.count(side) for side in SIDES if side in {*sides, "train", "test"}},
         notes=(
@@ -302,7 +305,7 @@ def _by_place(table: pl.DataFrame, returns: Returns) -> dict[str, Estimate]:
     played = table.filter(pl.col("partner").is_in(returns.partners["partner"].to_list()))
     means = played.group_by(pairs).agg(pl.col("return").cast(pl.Float64).mean()).sort(pairs)
     scores = means["return"].to_numpy().reshape(-1, *returns.scores.shape)
-    return {str(place): estimate(score) for place, score in enumerate(scores, 1)}
+    return {str(place): estimate_of(score, returns.groups) for place, score in enumerate(scores, 1)}
 
 
 def _estimates(draws: dict[str, Draws]) -> dict[str, Estimate]:

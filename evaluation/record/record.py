@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int, Shaped
 
+from assistax_envs.persons.rows import groups_with_teams
 from evaluation.record.columns import (
     EGO_COLUMNS,
     PARTNER_COLUMNS,
@@ -83,6 +84,11 @@ class Returns:
                 f"no partner is on a side ({', '.join(SIDES)}); evaluate against a split"
             )
         return self.select_partners((sides == side).fill_null(value=False).to_numpy())
+
+    @functools.cached_property
+    def groups(self) -> tuple[str, ...] | None:
+        """The group of each partner [P] if teams play beside persons: groups then count alike."""
+        return groups_with_teams(self.partners["partner_algorithm"].to_list())
 
     @property
     def with_own_wishes(self) -> "Returns":

@@ -10,19 +10,22 @@ import numpy as np
 import polars as pl
 import pytest
 
+from assistax_base.extensions import Extension
 from assistax_envs.tasks import care
 from assistax_zoo.comparing import compare
 from assistax_zoo.shell.main import run
+from evaluation.figures.bootstrap import estimate
 from evaluation.figures.league import league_table, read_league
-from evaluation.figures.metrics.caring import care_figures, persons_done
+from evaluation.figures.metrics.caring import care_figures, compare_care, persons_done
+from evaluation.figures.metrics.installed import InstalledMetric, Metric
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.figures.summary import read_summary, summarise_evaluation
 from evaluation.play.evaluator import run_job
 from evaluation.play.jobs import Job
 from evaluation.plots.figures import adaptation_of
 from evaluation.record import tables
-from evaluation.record.columns import CARE, VIOLATIONS, validate_episodes, wishes_of
-from evaluation.record.record import Record, lay_out
+from evaluation.record.columns import CARE, TOUCH, VIOLATIONS, validate_episodes, wishes_of
+from evaluation.record.record import Record, Returns, lay_out
 from evaluation.report.page import write_report
 from tests.evaluation.episode_tables import CONTEXT, episode_table, recorded, teams
 from tests.evaluation.matrix_game import MatrixGame, Measures, humans, robots
@@ -142,6 +145,71 @@ def test_figures_of_care_are_those_of_the_table() -> None:
     assert list(figures.adaptation) == ["force"]
     assert figures.adaptation["force"].slope.value == pytest.approx(0.6, abs=0.06)
     assert figures.adaptation["force"].credited == 2
+
+
+def beside_teams(shares: np.ndarray) -> pl.DataFrame:
+    """Two robots with a person of either group, then two teams.
+
+    `shares` [4] of the two episodes of a pair are cared for; the others are violated, with twice
+    the discomfort and touch.
+    """
+    partners = [("spring", "own", 0), ("stepper", "own", 1), *teams(2)]
+    success = np.stack([shares > 0, shares > 0.5], axis=1)[None].repeat(2, axis=0)
+    flat = success.ravel()
+    table = episode_table(np.where(success, 100.0, 0.0), teams(2), partners, ["test"] * 4)
+    whose = pl.when(pl.col("partner_disability") == "own").then(pl.lit("own"))
+    return table.with_columns(
+        success=flat,
+        violated=~flat,
+        violation=pl.Series(np.where(flat, "none", "impact")),
+        contact_peak=pl.lit(3.0),
+        **dict.fromkeys(TOUCH, pl.Series(np.where(flat, 1.0, 2.0))),
+        liked_force=pl.lit(1.0),
+        done_force=pl.lit(1.0),
+        within_force=pl.lit(1.0),
+        discomfort_share=np.where(flat, 0.1, 0.2),
+        preference=whose.otherwise(pl.lit("p1")),
+    )
+
+
+def test_teams_beside_persons_are_one_group_of_three() -> None:
+    """Known 1, unseen 1/2, teams 0 and 1/2: 7/12 are cared for, and 1/2 of all episodes."""
+    table, metric = beside_teams(np.array([1.0, 0.5, 0.0, 0.5])), Metric("caring", caring_of)
+    more = {"again": InstalledMetric(metric, Extension("metrics", "again", "a:b", "package", "1"))}
+    figures = summarise_evaluation(recorded(table), GENTLE, more)
+    assert figures.m_test and figures.m_test.mean == pytest.approx(700 / 12)
+    assert figures.caring_success and figures.caring_success.mean == pytest.approx(7 / 12)
+    assert figures.caring_success.mean_ci == pytest.approx(
+        [end / 100 for end in figures.m_test.mean_ci or ()]
+    )
+    assert figures.violations and figures.violations.mean == pytest.approx(5 / 12)
+    kinds = {kind: figure.mean for kind, figure in figures.violations_by_kind.items()}
+    assert kinds == pytest.approx({"impact": 5 / 12, "pressed": 0.0})
+    assert figures.discomfort and figures.discomfort.mean == pytest.approx(0.1 + 0.1 * 5 / 12)
+    assert [touch.mean for touch in figures.touch.values()] == pytest.approx(
+        [1 + 5 / 12] * len(TOUCH)
+    )
+    assert figures.more["again"].mean == pytest.approx(7 / 12)
+    assert figures.failed_persons and figures.failed_persons.n == 4, "of two robots and persons"
+    # Each setting, algorithm and preference has its own mean, in which no group stands for another.
+    shares = {name: figure.mean for name, figure in figures.by_disability.items()}
+    assert shares == pytest.approx({"own": 75.0, "d1": 25.0})
+    assert figures.by_preference["p1"].mean == pytest.approx(25.0)
+    alone = table.filter(pl.col("partner_disability") != "own")
+    found = care_figures(lay_out(alone)).caring_success
+    assert found and found == estimate(lay_out(alone).caring, common_starts=True)
+
+
+def caring_of(returns: Returns) -> np.ndarray:
+    return returns.column("success")
+
+
+def test_care_is_compared_by_groups() -> None:
+    tables_ = [beside_teams(np.array(shares)) for shares in ([1, 0.5, 0, 0.5], [0, 0.5, 1, 0.5])]
+    found = compare_care(*map(lay_out, tables_)).care
+    assert found["caring_success"].mean == pytest.approx((7 - 5) / 12)
+    assert found["violations"].mean == pytest.approx((5 - 7) / 12)
+    assert found["discomfort"].mean == pytest.approx(0.1 * (5 - 7) / 12)
 
 
 def test_older_tables_have_violations_alone() -> None:

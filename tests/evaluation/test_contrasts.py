@@ -7,19 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from assistax_base.digest import sha256
 from assistax_base.errors import FormatError
 from assistax_zoo.comparing import compare_named
 from assistax_zoo.shell.main import run
-from evaluation.figures.contrasts import named_pairs, read_contrasts
+from evaluation.figures.contrasts import Pair, contrast_figures, named_pairs, read_contrasts
 from evaluation.figures.metrics.inference import mean_test
 from evaluation.figures.saved_tables import save_evaluation
 from evaluation.record import tables
 from evaluation.record.record import Record
-from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
+from tests.evaluation.episode_tables import CONTEXT, episode_table, recorded, team_id, teams
 
 SPLIT = "scratch-half-v0"  # of CONTEXT
+TEAMS = [f"{team_id(team)}/human" for team in teams(4)]
 NAMED = "schema = 1\nalpha = 0.05\n" + "".join(
     f"""
 [[contrasts]]
@@ -109,6 +111,27 @@ def test_the_figures_are_those_of_the_test_side(rows: dict[str, Path], file: Pat
     assert gru.p == mean_test(*(side.scores for side in sides)).p
     assert gru.difference.means == pytest.approx([side.values.mean() for side in sides])
     assert gru.difference.partners == gru.partners == 8
+
+
+def test_teams_count_beside_persons_as_one_group(file: Path) -> None:
+    """Of differences with means 2, 6 and 25 in three groups; the mean of all partners is 14.5."""
+    partners = [(family, "own", n) for family in ("spring", "stepper") for n in (0, 1)]
+    differences = np.array([1.0, 3, 4, 8, 10, 20, 30, 40])[None, :, None]
+    gru, ppo = (
+        recorded(episode_table(returns, [name], [*partners, *teams(4)], ["test"] * 8))
+        for name, returns in (("gru", 500.0 + differences), ("ppo", np.full((1, 8, 1), 500.0)))
+    )
+    named, digest = read_contrasts(file)
+    pairs = {("scratch", "gru", "ppo"): Pair(gru, ppo, SPLIT)}
+    [found] = contrast_figures(named, digest, "file", pairs).contrasts
+    assert (found.difference.mean, found.partners) == (pytest.approx(11.0), 8)
+    parts = np.array([2 / 2, 8 / 2, 500 / 3 / 4]) / 9  # variances of the groups' means, over 3^2
+    freedom = parts.sum() ** 2 / (parts**2 / [1, 1, 3]).sum()
+    assert found.p == pytest.approx(2 * stats.t.sf(11 / np.sqrt(parts.sum()), freedom))
+    alone = {("scratch", "gru", "ppo"): Pair(*(r.without(TEAMS) for r in (gru, ppo)), SPLIT)}
+    [found] = contrast_figures(named, digest, "file", alone).contrasts
+    assert found.difference.mean == pytest.approx(4.0)
+    assert found.p == pytest.approx(stats.ttest_1samp([1, 3, 4, 8], 0).pvalue), "persons as before"
 
 
 def test_unnamed_methods_are_paired_too(file: Path) -> None:

@@ -136,6 +136,34 @@ def test_level_and_power(seeds: int, partners: int, sds: tuple[float, ...]):
     assert 0.74 < np.mean([test.p < 0.05 for test in there]) < 0.86
 
 
+def test_level_with_groups_of_partners():
+    """Teams are few, and their differences are spread most; seeds differ in a group as a whole."""
+    rng, sizes = np.random.default_rng(8), (30, 30, 6)
+    groups = np.repeat(["known", "unseen", "teams"], sizes)
+    scale = np.repeat([1.0, 1.0, 3.0], sizes)
+
+    def method() -> np.ndarray:
+        of_groups = np.repeat(rng.normal(0, 20, (4, 3)), sizes, axis=1)
+        return of_groups + rng.normal(0, 30, (4, 66)) + rng.normal(0, 20, 66) * scale
+
+    tables = [(method(), method()) for _ in range(1000)]
+    found = [mean_test(*pair, groups.tolist()) for pair in tables]
+    means = [a.mean(axis=0) - b.mean(axis=0) for a, b in tables]
+    by_hand = [np.mean([mean[groups == name].mean() for name in {*groups}]) for mean in means]
+    assert [test.difference for test in found] == pytest.approx(by_hand)
+    spread, errors = np.var(by_hand), [test.error**2 for test in found]
+    assert np.mean(errors) == pytest.approx(spread, rel=0.1)
+    assert 0.033 < np.mean([test.p < 0.05 for test in found]) < 0.066
+
+
+def test_group_of_a_single_partner_widens_the_test():
+    scores, groups = np.random.default_rng(9).normal(5, 1, (2, 3, 5)), ["a", "b", "b", "b", "b"]
+    found = mean_test(*scores, groups)
+    by_hand = (scores[0] - scores[1]).mean(axis=0)
+    assert found.difference == pytest.approx((by_hand[0] + by_hand[1:].mean()) / 2)
+    assert found == mean_test(*(scores * [2.5, 0.625, 0.625, 0.625, 0.625]))
+
+
 def test_without_any_variance_equal_means_are_equal():
     same = np.ones((3, 4))
     assert mean_test(same, same).p == 1.0

@@ -1,6 +1,7 @@
 """How people fared with the robots of a gentle task: figures that every page shows."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -8,6 +9,7 @@ import polars as pl
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
 from evaluation.figures.metrics.adaptation import Adaptation, adaptation
 from evaluation.figures.metrics.comparison import Difference, paired_difference
+from evaluation.figures.metrics.generalisation import estimate_of
 from evaluation.record.columns import VIOLATIONS, measures_care, wishes_of
 from evaluation.record.record import Returns
 
@@ -47,20 +49,23 @@ class CareComparison:
 
 
 def care_figures(returns: Returns) -> CareFigures:
-    """Return the figures of care of the robots and persons of some returns."""
-    starts = {"common_starts": returns.common_starts}
+    """Return the figures of care of the robots and persons of some returns.
+
+    Where teams play beside persons, shares of episodes are means of the groups' means, as M_test.
+    """
+    how: dict[str, Any] = {"groups": returns.groups, "common_starts": returns.common_starts}
     if returns.violated is None:
         return CareFigures()
-    violations = estimate(returns.violated, **starts)
+    violations = estimate_of(returns.violated, **how)
     persons = returns.with_own_wishes.caring
     if returns.caring is None or persons is None:
         return CareFigures(violations=violations)
     kinds = returns.table["violation"].to_numpy()[returns.rows]
     return CareFigures(
         violations=violations,
-        violations_by_kind={kind: estimate(kinds == kind, **starts) for kind in VIOLATIONS[1:]},
-        caring_success=estimate(returns.caring, **starts),
-        discomfort=estimate(returns.column("discomfort_share"), **starts),
+        violations_by_kind={kind: estimate_of(kinds == kind, **how) for kind in VIOLATIONS[1:]},
+        caring_success=estimate_of(returns.caring, **how),
+        discomfort=estimate_of(returns.column("discomfort_share"), **how),
         failed_persons=estimate(failed(persons)),
         adaptation=adaptations(returns),
     )
@@ -92,7 +97,7 @@ def compare_care(a: Returns, b: Returns, *, seed: int = 0) -> CareComparison:
         return CareComparison()
     care = {
         share: paired_difference(
-            a.column(column), b.column(column), common_starts=a.common_starts, seed=seed
+            a.column(column), b.column(column), a.groups, common_starts=a.common_starts, seed=seed
         )
         for share, column in SHARES.items()
     }

@@ -3,7 +3,7 @@
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Num
@@ -19,6 +19,7 @@ from evaluation.figures.bootstrap import (
     crossed_counts,
     draw_counts,
     draw_starts,
+    estimate,
     generalises_to,
     interval,
     replicate_crossed,
@@ -102,20 +103,38 @@ def mean_of_groups(
     scores: np.ndarray,
     groups: Sequence[str],
     *,
+    common_starts: bool = False,
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> tuple[Estimate, dict[str, Estimate]]:
     """Return the mean of the groups' means, in which each group counts the same, and each group.
 
     Args:
-        scores: Mean returns [S, P].
+        scores: Returns [S, P, K], or mean returns [S, P].
         groups: The group of each partner [P].
+        common_starts: Whether all partners played the same K starts.
         resamples: Number of resamples; partners are resampled within each group.
         seed: Seed of the resamples.
     """
-    draws = group_draws(scores, groups, resamples=resamples, seed=seed)
+    how: dict[str, Any] = {"common_starts": common_starts, "resamples": resamples, "seed": seed}
+    draws = group_draws(scores, groups, **how)
     by_group = {group: found.estimate() for group, found in draws.items()}
     return mean_of_draws(tuple(draws.values())).estimate(), by_group
+
+
+def estimate_of(
+    scores: np.ndarray, groups: Sequence[str] | None, *, common_starts: bool = False
+) -> Estimate:
+    """Return the mean over seeds and partners; with groups, the mean of the groups' means.
+
+    Args:
+        scores: Values [S, P, K] or [S, P].
+        groups: The group of each partner [P], if each group counts the same.
+        common_starts: Whether all partners played the same K starts.
+    """
+    if groups is None:
+        return estimate(scores, common_starts=common_starts)
+    return mean_of_groups(scores, groups, common_starts=common_starts)[0]
 
 
 def group_weights(groups: Sequence[str]) -> np.ndarray:

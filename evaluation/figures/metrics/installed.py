@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from assistax_base.extensions import METRICS, Extension, extensions
-from evaluation.figures.bootstrap import Estimate, estimate
+from evaluation.figures.bootstrap import Estimate
+from evaluation.figures.metrics.generalisation import estimate_of
 from evaluation.record.record import Returns
 
 if TYPE_CHECKING:
@@ -78,23 +79,29 @@ def find_metrics(names: Sequence[str]) -> dict[str, InstalledMetric]:
 
 
 def metric_figures(
-    metrics: Mapping[str, InstalledMetric], returns: Returns
+    metrics: Mapping[str, InstalledMetric],
+    returns: Returns,
+    groups: Sequence[str] | None = None,
 ) -> dict[str, MetricFigure]:
     """Return the figures of metrics over all pairs of egos and partners.
+
+    With the group of each partner, they are means of the groups' means.
 
     Raises:
         assistax_base.extensions.ExtensionError: A metric's values have another shape, or are not
             finite.
     """
-    return {name: _figure(installed, returns) for name, installed in metrics.items()}
+    return {name: _figure(installed, returns, groups) for name, installed in metrics.items()}
 
 
-def _figure(installed: InstalledMetric, returns: Returns) -> MetricFigure:
+def _figure(
+    installed: InstalledMetric, returns: Returns, groups: Sequence[str] | None
+) -> MetricFigure:
     shape = returns.values.shape
     values = np.asarray(installed.metric.values(returns), float)
     if values.shape not in (shape, shape[:2]) or not np.isfinite(values).all():
         expected = f"finite values of shape {shape} or {shape[:2]}"
         finite = "finite" if np.isfinite(values).all() else "not finite"
         raise installed.origin.error(expected, f"values of shape {values.shape}, {finite}")
-    figure = estimate(values, common_starts=returns.common_starts)
+    figure = estimate_of(values, groups, common_starts=returns.common_starts)
     return MetricFigure(**vars(figure), title=installed.metric.title, **installed.source)
