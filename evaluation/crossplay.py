@@ -94,7 +94,9 @@ def cross_play(
         run_blocks_on_ray(make_env, job, folder, cluster, **options)
     result = run_job(env, job, folder, **options)
     releases = ", ".join(cast.releases)
-    context = context_of(job, result, split=cast.split, release=releases, lock=cast.lock)
+    context = context_of(
+        job, result, split=cast.split, groups=cast.groups, release=releases, lock=cast.lock
+    )
     with locked_if_current(job, folder):
         summary = save_crossplay(Record(result.table, folder), context, cast.met, job.metrics)
         _draw(folder, summary)

@@ -117,7 +117,9 @@ def evaluate(
     if references is not None:
         episodes, kept = play_references(env, job, cast.own_robots, references, **playing)
         baselines, files = (episodes, bounds_table(episodes, pairs)), files + kept
-    context = context_of(job, result, split=split, release=split.release, lock=cast.lock)
+    context = context_of(
+        job, result, split=split, groups=cast.groups, release=split.release, lock=cast.lock
+    )
     about = describe_robots(folder, cast.robots, env.observation_size["robot"])
     saving: dict[str, Any] = {"include_own": include_own, "references": baselines}
     saving |= {"notes": robot_notes(about, cast.robots), "metrics": job.metrics}

@@ -146,12 +146,6 @@ def groups_of(algorithms: Sequence[str]) -> tuple[str, ...] | None:
     return tuple(map(group_of, algorithms))
 
 
-def groups_with_teams(algorithms: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the group of each partner [P]; None unless teams play beside persons."""
-    groups = groups_of(algorithms) or ()
-    return groups if TEAMS in groups else None
-
-
 def installed_family(name: str) -> Extension:
     """Return the entry point of a package's family, which nothing imports here.
 

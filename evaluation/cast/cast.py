@@ -9,12 +9,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from assistax_base.errors import RegistryVersionError, listing
+from assistax_envs.persons.rows import KNOWN_FAMILIES, TEAMS, UNSEEN_FAMILY
 from assistax_envs.versions import TASKS, VERSIONS
 from evaluation.cast.met_partners import MetPartners, declare, describe_met, met_partners
 from evaluation.cast.roster import Roster, paired_rosters, registry_roster
 from evaluation.record.manifest import describe_sources
 from zoo.ids import EGO
 from zoo.namespaces import plain_name, split_namespace
+from zoo.partners.kinds import described_kind
 from zoo.partners.sides import SIDES
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -29,6 +31,7 @@ class Cast:
     robots: Roster
     humans: Roster
     split: Split | None  # the humans' split; None if the population has no split
+    groups: tuple[str, ...]  # of its test side, see `groups_beside_teams`
     sides: Mapping[str, str]  # human's id -> "train", "validation" or "test"
     releases: tuple[str, ...]  # of the published robots and humans, sorted
     lock: str | None  # sha256 of the lock that the registry was narrowed down to
@@ -78,6 +81,7 @@ class Cast:
             robots=robots,
             humans=registry_roster(registry, humans),
             split=split,
+            groups=groups_beside_teams(split),
             sides=sides_of(humans, split),
             releases=tuple(sorted({entry.release for entry in (*published, *humans)} - {""})),
             lock=registry.lock,
@@ -238,6 +242,14 @@ def roots_of(registry: Registry, entries: Sequence[PolicyEntry]) -> dict[str, st
     return {
         release: registry.root(release) for release in sorted({e.release for e in entries} - {""})
     }
+
+
+def groups_beside_teams(split: Split | None) -> tuple[str, ...]:
+    """Return the groups of a test side on which teams stand beside persons; else nothing."""
+    kind = described_kind()
+    if split is None or split.rule != kind.word or all(map(kind.owns, split.test)):
+        return ()
+    return KNOWN_FAMILIES, UNSEEN_FAMILY, TEAMS
 
 
 def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:

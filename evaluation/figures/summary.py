@@ -10,7 +10,7 @@ import polars as pl
 from pydantic import TypeAdapter, ValidationError
 
 from assistax_base.validated import first_problem
-from assistax_envs.persons.rows import TEAMS, group_of, groups_of
+from assistax_envs.persons.rows import group_of, groups_of
 from evaluation.cast.met_partners import MetSummary
 from evaluation.figures.bootstrap import Draws, Estimate, Interval
 from evaluation.figures.metrics import (
@@ -47,8 +47,7 @@ from evaluation.record import tables
 from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import check_whole
-from zoo.partners.person_ids import OWN, PERSON, PERSONS
-from zoo.schema import Split
+from zoo.partners.person_ids import OWN
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,13 +59,6 @@ class SplitName:
     preferences: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # by side
     # Of the test side, if teams stand beside its persons: each has to play for M_test.
     groups: tuple[str, ...] = dataclasses.field(default=(), metadata={tables.OPTIONAL: True})
-
-    @classmethod
-    def of(cls, split: Split) -> "SplitName":
-        """Return what a summary says of a split."""
-        mixed = split.rule == PERSONS and any(f"/{PERSON}-" not in team for team in split.test)
-        groups = (*GROUPS, TEAMS) if mixed else ()
-        return cls(split.id, split.sha256, dict(split.preferences), groups)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

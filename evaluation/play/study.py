@@ -79,7 +79,13 @@ def _numbers_of(humans: Roster) -> np.ndarray | None:
 
 
 def context_of(
-    job: Job, result: Evaluation, *, split: Split | None, release: str, lock: str | None
+    job: Job,
+    result: Evaluation,
+    *,
+    split: Split | None,
+    groups: tuple[str, ...],
+    release: str,
+    lock: str | None,
 ) -> Context:
     """Return the run's metadata that is not in its table: task, engine, split, speed."""
     return Context(
@@ -88,7 +94,7 @@ def context_of(
         backend=job.backend,
         engine=job.view.engine(job.engine),
         release=release,
-        split=SplitName.of(split) if split else None,
+        split=SplitName(split.id, split.sha256, dict(split.preferences), groups) if split else None,
         lock=lock,
         env_steps_per_second=result.env_steps_per_second,
     )

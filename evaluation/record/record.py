@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Bool, Float, Int, Shaped
 
-from assistax_envs.persons.rows import groups_with_teams
+from assistax_envs.persons.rows import TEAMS, groups_of
 from evaluation.record.columns import (
     EGO_COLUMNS,
     PARTNER_COLUMNS,
@@ -88,7 +88,8 @@ class Returns:
     @functools.cached_property
     def groups(self) -> tuple[str, ...] | None:
         """The group of each partner [P] if teams play beside persons: groups then count alike."""
-        return groups_with_teams(self.partners["partner_algorithm"].to_list())
+        groups = groups_of(self.partners["partner_algorithm"].to_list()) or ()
+        return groups if TEAMS in groups else None
 
     @property
     def with_own_wishes(self) -> "Returns":

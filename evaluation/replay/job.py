@@ -12,7 +12,14 @@ from typing import Any
 
 from assistax_base.errors import SplitError
 from assistax_envs.models.build import scene_sha256
-from evaluation.cast.cast import entries_of, env_version, in_release, roots_of, sides_of
+from evaluation.cast.cast import (
+    entries_of,
+    env_version,
+    groups_beside_teams,
+    in_release,
+    roots_of,
+    sides_of,
+)
 from evaluation.cast.met_partners import DECLARED, MetPartners, declare, met_partners
 from evaluation.cast.roster import Roster, registry_roster
 from evaluation.figures.summary import Context, CrossPlaySummary, EvaluationSummary, read_summary
@@ -80,8 +87,10 @@ def rebuild_job(record: Record, registry: Registry, *, run_code: bool = False) -
     _check_identity(identity, job)
     partners = registry.known(entry.id for entry in partners)
     result = Evaluation(record.table, summary.env_steps_per_second, 0.0)
-    release = _release(summary, split, played)
-    context = context_of(job, result, split=split, release=release, lock=registry.lock)
+    release, groups = _release(summary, split, played), groups_beside_teams(split)
+    context = context_of(
+        job, result, split=split, groups=groups, release=release, lock=registry.lock
+    )
     if summary.lock and registry.lock is None:
         raise ValueError(
             f"{folder} was made under the lock {summary.lock[:12]}; give the lock's file as well"

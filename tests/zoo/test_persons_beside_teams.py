@@ -10,9 +10,8 @@ import pytest
 from assistax_base.errors import LockError, UnknownIdError
 from assistax_workshop.press.publish import publish
 from assistax_zoo.commands.partners.split import list_splits
-from evaluation.cast.cast import choose_partners
+from evaluation.cast.cast import choose_partners, groups_beside_teams
 from evaluation.ego_training import load_partners, prepare
-from evaluation.figures.summary import SplitName
 from population.runs.trained import TrainedTeam
 from tests.zoo.conftest import SELF_PLAY, put, trained_team
 from zoo.lock import apply_lock, read_lock
@@ -72,7 +71,7 @@ def test_test_side_has_competent_teams_and_no_robot_trains_with_them(mixed: Regi
     assert mixed.source_of_split(split).word == "persons"
     assert mixed.data.releases["v1"].splits == {}, "no half of the teams is the default"
     groups = ("known families", "unseen family", "teams")
-    assert (SplitName.of(split).groups, SplitName.of(alone(mixed)).groups) == (groups, ())
+    assert (groups_beside_teams(split), groups_beside_teams(alone(mixed))) == (groups, ())
     report = verify(mixed)
     assert report.ok and not report.notes, (report.problems, report.notes)
 
