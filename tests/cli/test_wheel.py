@@ -194,8 +194,8 @@ def test_readme_and_start_run_in_the_core_alone(
             call(env, clone, str(core / "assistax-zoo"), *words, *more)
             done.append(words)
     answers = call(env, clone, str(core / "python"), "-c", example)
-    # As the page prints it, but for what last bits do: XLA's code differs among processors, of which
-    # two kinds gave 310.7 and 310.2, beside an interval of 45.
+    # As the page prints it, but for what last bits do: XLA's code differs among processors. Two
+    # kinds gave 310.7 and 310.2, beside an interval of 45.
     [shown] = re.findall(r"^M_test (-?[\d.]+) ", start, re.MULTILINE)
     [found] = re.findall(r"^Estimate\(mean=(-?[\d.]+),", answers)
     assert float(found) == pytest.approx(float(shown), rel=0.01)
