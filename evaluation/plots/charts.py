@@ -39,7 +39,15 @@ def zsc_dots(
         lines: Other returns to draw as lines, by name, beside those of the reference egos.
         width: Width of the figure, in inches.
         note: The caption's end.
+
+    Raises:
+        ValueError: No folder has the mean of a side: groups of its test side did not play.
     """
+    if summaries and not any(s.get(key) for s in summaries.values() for key in _MEANS):
+        raise ValueError(
+            "these folders have no M_test, since groups of their test sides did not play, and no "
+            "M_train; evaluate with all groups"
+        )
     references = _references(summaries, lines)
     room = style.room_for(references)
     size = width or max(2.6 + 0.9 * len(summaries), 6.2) + room - 0.15
@@ -110,13 +118,13 @@ def trait_points(
 ) -> Figure:
     """Draw each method's return by a trait of the partners: mean with its 95% interval.
 
-    The trait is "disability" or, for a gentle task, "preference". The width is in inches, and the
-    note ends the caption.
+    The trait is "disability", "group" of a test side or, for a gentle task, "preference". The
+    width is in inches, and the note ends the caption.
     """
     settings = sorted({n for summary in summaries.values() for n in summary.get(f"by_{trait}", ())})
     if summaries and not settings:
         raise ValueError(f"no partner of these folders has a {trait}; leave that figure out")
-    what = {"disability": "disability setting", "preference": "preference"}[trait]
+    what = {"disability": "disability setting"}.get(trait, trait)
     title = f"Return by the partner's {what}"
     size = width or max(2.4 + 0.55 * len(settings), 6.2)
     figure, axes = _returns(summaries, title, size, note, marks=len(summaries))

@@ -31,7 +31,7 @@ from evaluation.plots.league import league_chart
 from evaluation.plots.persons import described_panels
 from evaluation.plots.style import figure_bytes
 from evaluation.record import tables
-from evaluation.record.columns import TOUCHES
+from evaluation.record.columns import SIDES, TOUCHES
 from evaluation.record.manifest import file_sha256, read_manifest
 from evaluation.record.record import Record
 from evaluation.record.verification import strange_tables_refused, unchecked
@@ -182,7 +182,11 @@ def _evaluation(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     shown_of = _NAMES | (_FAMILY if persons else _SETTING) | _MEASURED
     known = {key: column for key, column in shown_of.items() if column in partners.columns}
     headings, columns = [*known], [*known.values()]
-    images = {"returns with training and test partners": zsc_dots(named)}
+    images = {}
+    if any(summary[f"m_{side}"] for side in SIDES):
+        images["returns with training and test partners"] = zsc_dots(named)
+    if summary["by_group"]:
+        images["returns by the partner's group"] = trait_points(named, "group")
     if not persons:
         images["returns by the partner's disability setting"] = trait_points(named)
     if any(map(described_kind().owns, names)):

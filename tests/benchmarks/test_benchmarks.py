@@ -74,7 +74,7 @@ def test_evaluate_compares_the_evaluator_with_the_environment(capfd: pytest.Capt
 
 @pytest.mark.slow
 def test_adapters_are_held_to_the_bare_environment(capfd: pytest.CaptureFixture[str]):
-    words = ["--task", "scratch", "--backend", "native", "--num-envs", "2", "--seconds", "0.03"]
+    words = ["--backend", "native", "--num-envs", "2", "--seconds", "0.03"]
     assert run(["adapters", *words, "--partners", "nobody,persons", "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)
     assert [(row["partners"], row["num_envs"]) for row in rows] == [("nobody", 2), ("persons", 2)]

@@ -316,6 +316,12 @@ def test_dots_show_mean_and_interval():
     assert "95% interval for new partners and starts; 95% interval for new seeds" in caption
 
 
+def test_dots_without_any_side_are_refused():
+    summaries = {"ppo": evaluations()["ppo"] | dict.fromkeys(("m_test", "m_train"))}
+    with pytest.raises(ValueError, match="groups of their test sides did not play"):
+        zsc_dots(summaries)
+
+
 @pytest.mark.parametrize("zero_action", [3.0, 990.0])
 def test_axis_includes_robots_and_references(zero_action):
     summaries = evaluations()

@@ -283,9 +283,13 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
         for release, of, table in person_tables(data):
             if of == task and (not known or f"-{split_namespace(release)[1]}-" in f"{plain}-"):
                 check_table(release, of, table)
+        if not known:
+            tasks = sorted({of for _, of, _ in person_tables(data)})
+            expected = f"a task with persons ({', '.join(tasks)})" if tasks else "published persons"
+            raise SplitError(f"split {name} of task {task}", expected, "a task without persons")
         raise SplitError(
             f"split {name} of task {task}",
-            f"one of {', '.join(split.id for split in known) or 'none, for it has no persons'}",
+            f"one of {', '.join(split.id for split in known)}",
             "none of this name",
         )
     return matching[-1]  # of the newest release that has any
