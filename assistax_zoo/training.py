@@ -99,7 +99,8 @@ def train_ego(
         algorithm: "ppo", "sac", "dagger", or a method, such as "asymmetric" (docs/methods.md).
         folder: Of the run; one that was interrupted goes on. Default a new temporary one.
         split: Split whose training side are the partners; default the release's own.
-        partners: "persons" for a new person of the training side each episode.
+        partners: "persons" for a new person of the training side each episode; "mixed" for persons
+            in half of the simulations and the side's teams in the other half.
         seeds: How many, numbered from 0, or which.
         steps: Environment steps of each robot, rounded up to whole updates.
         hyperparameters: Changes of the preset, such as {"learning_rate": 3e-4, "torso": "gru"}.

@@ -147,8 +147,8 @@ def _made(task: str, word: str, registry: "Registry") -> "Partners":
         SplitError: It has no persons.
     """
     from assistax_envs.adapters.partners import Persons
-    from evaluation.ego_training import load_partners
-    from population.trainers.rotating_partners import RotatingPartners
+    from evaluation.training_partners import load_partners
+    from population.partners.rotating import RotatingPartners
 
     source = next(source for source in registry.sources if source.word == word)
     if (dealt := source.split(task, word)) is None:
@@ -171,8 +171,8 @@ def _published(
     """
     from assistax_envs.adapters.partners import Persons
     from assistax_envs.preferences import PREFERENCES
-    from evaluation.ego_training import load_partners, older_version
-    from population.trainers.rotating_partners import RotatingPartners
+    from evaluation.training_partners import networks, older_version
+    from population.partners.rotating import RotatingPartners
 
     opened = open_zoo(zoo)
     chosen = opened.registry.split(task, split)
@@ -188,12 +188,21 @@ def _published(
             raise ValueError(f"{source.word} have no preferences to choose; leave these out")
         if patterns is None:
             return Persons(task), None
-        return Persons(
-            task, [entry.row for entry in source.known(f"{n}/human" for n in names)]
-        ), None
+        kinds = {opened.registry.source_of(name) for name in names}
+        if len(kinds) > 1:
+            raise ValueError(
+                f"{source.word} and teams are named; name partners of one kind, since simulations "
+                "meet them in turns"
+            )
+        if source in kinds:
+            rows = [entry.row for entry in source.known(f"{name}/human" for name in names)]
+            return Persons(task, rows), None
+    humans = [f"{team}/human" for team in names]
     if opened.remote is not None:
-        opened.fetch([f"{team}/human" for team in names])
-    frozen = load_partners(opened.registry, chosen.model_copy(update={"train": tuple(names)}))
+        opened.fetch(humans)
+    frozen = networks(
+        opened.registry, humans, own_preferences=source.own_preferences and not source.drawn
+    )
     drawn = drawn or tuple(chosen.preferences.get("train", ()))
     return RotatingPartners(frozen, drawn), older_version(opened.registry, chosen)
 

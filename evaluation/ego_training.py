@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from assistax_base.digest import json_sha256
 from assistax_base.files import atomic_write
 from assistax_envs.preferences import Told
-from assistax_envs.versions import VERSIONS
+from evaluation.training_partners import chosen_split, load_partners, older_version
 from population.config import MIXED, Member, TrainConfig, check_names, make_run, numbered
 from population.hyperparameters import TrainerConfig, robot_preset
 from population.networks.stack import PolicyStack, stack_policies
@@ -24,8 +24,8 @@ from zoo.registry import Registry
 from zoo.schema import Split
 
 if TYPE_CHECKING:
+    from population.partners.frozen import FrozenPartners
     from population.runs.train import Progress
-    from population.trainers.frozen_partners import FrozenPartners
 
 POLICIES, SPLIT = "policies", "split.json"  # within a run: the trained robots, and their split
 
@@ -87,7 +87,7 @@ def prepare(
         task: Task.
         split: Split whose training side are the partners: an id or its beginning, or the split
             itself; by default the release's own.
-        partners: "persons" for a new person of the training side each episode; else networks.
+        partners: "persons" for a new person each episode, "mixed" for teams beside them.
         algorithm: "ppo", "sac", "dagger", or a method: `population.method_presets.METHODS`.
         seeds: Number of seeds, from 0, or the seeds themselves.
         steps: Environment steps of each robot, rounded up to whole updates.
@@ -104,7 +104,7 @@ def prepare(
     """
     check_names(task)
     trainer = robot_preset(algorithm, **(changes := {**(hyperparameters or {})}))
-    chosen = _chosen_split(registry, task, split, partners)
+    chosen = chosen_split(registry, task, split, partners)
     frozen = load_partners(registry, chosen, preferences)
     config = make_run(
         task,
@@ -217,7 +217,7 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
     Raises:
         ValueError: The number is to be kept and cannot be shared equally.
     """
-    from population.trainers.frozen_partners import fitting_envs
+    from population.partners.frozen import fitting_envs
 
     fitting = fitting_envs(trainer.num_envs, partners, getattr(trainer, "minibatches", 1))
     if not keep:
@@ -228,79 +228,6 @@ def shared_out(trainer: TrainerConfig, partners: int, *, keep: bool) -> TrainerC
             f"share, so choose {fitting}, or let it be chosen"
         )
     return trainer
-
-
-def _chosen_split(
-    registry: Registry, task: str, split: str | Split | None, partners: str | None
-) -> Split:
-    """Return the split that gives the training partners; a split of persons for "persons".
-
-    Of a default split whose test side has teams beside persons, it is that of the persons alone.
-    """
-    if isinstance(split, Split):
-        return split
-    words = [source.word for source in registry.sources if source.word]
-    if partners is not None and partners not in words:
-        raise ValueError(
-            f"partners are {partners!r}; allowed are {', '.join(words)}, or a split's alone"
-        )
-    chosen = registry.split(task, split or partners)
-    if partners and chosen.rule != partners:
-        raise ValueError(
-            f"split {chosen.id} has no {partners}; leave out the split or the partners"
-        )
-    return registry.source_of_split(chosen).training_split(chosen)
-
-
-def older_version(registry: Registry, split: Split) -> int | None:
-    """Return the environment version of a split's partners, or None if it is the newest."""
-    from evaluation.cast.cast import env_version
-
-    entries = registry.known(f"{team}/human" for team in split.train)
-    version = env_version(registry, split.task, entries)
-    return None if version == VERSIONS[split.task] else version
-
-
-def load_partners(
-    registry: Registry, split: Split, preferences: Sequence[str] = (), *, each: bool = False
-) -> "FrozenPartners":
-    """Return the partners of a split's training side; nothing of the test side is loaded.
-
-    Args:
-        registry: Where the partners are.
-        split: Split whose training side is meant.
-        preferences: Preferences of the humans.
-        each: Give member i partner i alone.
-
-    Raises:
-        ValueError: Preferences are given, and the partners have their own; `each` is asked for,
-            and the partners are not drawn; or they are of several kinds.
-    """
-    from population.trainers.drawn_persons import DrawnPersons, OnePersonEach
-    from population.trainers.frozen_partners import FrozenPartners, PartnersWithBodies
-
-    source = registry.source_of_split(split)
-    if preferences and source.own_preferences:
-        raise ValueError(
-            f"preferences are {', '.join(preferences)}, but {source.word} have their own "
-            "preferences; leave preferences out"
-        )
-    humans = [f"{team}/human" for team in split.train]
-    if others := [team for team in split.train if registry.source_of(team) is not source]:
-        raise ValueError(
-            f"the training side of {split.id} has {others[0]} beside {source.word or 'teams'}; "
-            "robots train with partners of one kind, so choose a split of one"
-        )
-    if source.drawn:
-        drawn = OnePersonEach if each else DrawnPersons
-        [stack] = source.stacks(source.known(humans))
-        return drawn(stack.spec.player(), stack.params["row"], split.id)
-    if each:
-        raise ValueError(f"{source.word or 'teams'} cannot be one partner of each member")
-    entries = [registry.policy(name) for name in humans]
-    settings = {entry.id: entry.partner_setting for entry in entries}
-    kind = PartnersWithBodies if source.own_preferences else FrozenPartners
-    return kind(registry.stacks(entries), settings)
 
 
 def write_egos(run: TrainedRun, training: EgoTraining) -> TrainedEgos:

@@ -121,12 +121,14 @@ def state_specs(state: Any, partners: Any) -> Any:
 
     Args:
         state: A training state, or its shapes.
-        partners: Frozen partners, whose carries may be [partner, member x simulation] instead.
+        partners: Frozen partners, whose carries may be [partner, member x simulation] instead; see
+            their `member_axes`.
     """
     specs = jax.tree.map(lambda leaf: FIRST_AXIS if leaf.ndim else WHOLE, state)
-    if not partners or not partners.by_partner:
+    if not partners:
         return specs
-    carries = jax.tree.map(lambda _: SECOND_AXIS, state.simulations.partners)
+    axes = partners.member_axes(state.simulations.partners)
+    carries = jax.tree.map(lambda axis: SECOND_AXIS if axis else FIRST_AXIS, axes)
     return dataclasses.replace(
         specs, simulations=dataclasses.replace(specs.simulations, partners=carries)
     )

@@ -15,7 +15,7 @@ from population.networks.seat import Params
 from population.networks.spec import ROLES
 
 if TYPE_CHECKING:
-    from population.trainers.frozen_partners import FrozenPartners
+    from population.partners.frozen import FrozenPartners
 
 WHO, HIDDEN = "partner", "hidden"  # names of these observations
 _SETTING = ("strength", "elbow_range", "tremor")

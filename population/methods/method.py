@@ -23,7 +23,7 @@ from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec
 
 if TYPE_CHECKING:
-    from population.trainers.frozen_partners import FrozenPartners
+    from population.partners.frozen import FrozenPartners
 
 
 class Method:

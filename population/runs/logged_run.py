@@ -13,10 +13,10 @@ from population.runs.trained import TrainedRun, read_trained_run
 
 if TYPE_CHECKING:
     from population.networks.stack import PolicyStack
+    from population.partners.frozen import FrozenPartners
     from population.runs.tensorboard import EventFiles
     from population.runs.train import Progress
     from population.runs.wandb_run import WandbRuns
-    from population.trainers.frozen_partners import FrozenPartners
 
 
 def run_training(

@@ -23,13 +23,13 @@ from population.devices import SECOND_AXIS, WHOLE, DeviceShares, state_specs
 from population.environment import Environment, environment_facts
 from population.hyperparameters import DAggerConfig, PPOConfig
 from population.networks.stack import PolicyStack
+from population.partners.frozen import FrozenPartners
 from population.play.self_play import self_play
 from population.runs.checkpoints import Checkpoints
 from population.runs.divergence import DivergedError, describe_divergence, find_divergence
 from population.runs.folder import RunFolder, extends, metrics_table
 from population.runs.progress import Clock, Progress
 from population.trainers.dagger import DAgger
-from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
 from population.trainers.trainer import Trainer, TrainState

@@ -24,9 +24,9 @@ from population.networks.seat import Carry, Params
 from population.networks.spec import Role
 from population.networks.stack import PolicyStack
 from population.networks.unrolled import unroll_policy, unroll_states
+from population.partners.frozen import FrozenPartners
 from population.trainers import experience, normaliser
 from population.trainers.experience import Batch, Sampler
-from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.trainer import (
     Hyper,
     MemberState,

@@ -13,7 +13,7 @@ from population.environment import Environment, EnvState
 from population.networks.members import member_map, to_members, to_simulations
 from population.networks.policy import Gaussian, Policy
 from population.networks.seat import Carry, Params
-from population.trainers.frozen_partners import FrozenPartners
+from population.partners.frozen import FrozenPartners
 
 EVER = ("success", "violated")  # measures that are true of an episode if true at any step
 STEP, FASTEST = 0.02, 20.0  # s, a control step; rad/s, beyond which a joint's speed is cut

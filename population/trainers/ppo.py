@@ -26,9 +26,9 @@ from population.networks.policy import Critic, Policy, normalise
 from population.networks.seat import Carry, Params
 from population.networks.spec import PolicySpec, Role
 from population.networks.unrolled import unroll_both, unroll_critic
+from population.partners.frozen import FrozenPartners
 from population.trainers import experience, gae, normaliser
 from population.trainers.experience import Batch
-from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.trainer import (
     Hyper,
     MemberState,

@@ -20,9 +20,9 @@ from population.networks.members import member_map
 from population.networks.policy import Gaussian, normalise
 from population.networks.seat import Params
 from population.networks.spec import Role
+from population.partners.frozen import FrozenPartners
 from population.trainers import experience, normaliser, replay_buffer
 from population.trainers.experience import Sampler
-from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.replay_buffer import Replay, Transitions
 from population.trainers.sac_losses import (
     critic_loss,

@@ -23,9 +23,9 @@ from population.networks.members import member_map
 from population.networks.policy import Critic, CriticSpec, Gaussian, Policy
 from population.networks.seat import Params
 from population.networks.spec import ROLES, PolicySpec, Role
+from population.partners.frozen import FrozenPartners
 from population.trainers import experience, normaliser
 from population.trainers.experience import Batch, Sampler, Simulations
-from population.trainers.frozen_partners import FrozenPartners
 from population.trainers.normaliser import Statistics
 
 Metrics = dict[str, jax.Array]

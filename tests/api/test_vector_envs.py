@@ -137,7 +137,7 @@ def test_forms_and_wrong_arguments() -> None:
 
 
 def test_persons_are_of_gentle_tasks_alone() -> None:
-    with pytest.raises(SplitError, match="it has no persons"):
+    with pytest.raises(SplitError, match="a task with persons"):
         az.vector_env("scratch", 2, partners="persons", backend="native")
     with pytest.raises(SplitError, match=r"expected one split \(persons\)"):
         az.vector_env("gentle_scratch", 2, split="half", backend="native")

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from assistax_envs.disability import DISABILITY_SETTINGS
-from evaluation.ego_training import load_partners, prepare, shared_out, train_egos
+from evaluation.ego_training import prepare, shared_out, train_egos
+from evaluation.training_partners import load_partners
 from population.hyperparameters import preset
 from tests.untrained import halved, published, teams_of
 from zoo.parameters import storage

@@ -9,7 +9,7 @@ from assistax_envs import DISABILITY_SETTINGS
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
-from population.trainers.frozen_partners import FrozenPartners
+from population.partners.frozen import FrozenPartners
 from tests.population.toy_env import ToyEnv, ToyState
 
 LENGTH, OWN = 12, 0.02

@@ -21,10 +21,10 @@ from population.hyperparameters import DAggerConfig, robot_preset
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.partners.drawn_persons import DrawnPersons
 from population.runs.folder import extends
 from population.runs.train import initial_state, make_trainer, train
 from population.runs.trained import read_trained_run
-from population.trainers.drawn_persons import DrawnPersons
 from tests.population.hidden_env import PARTNERS, HiddenBit, partners
 from tests.population.test_ppo import FAST_COMPILE
 from zoo.parameters.storage import write_policy_file

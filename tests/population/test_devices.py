@@ -21,10 +21,10 @@ from population.config import MIXED, Member, TrainConfig
 from population.devices import DeviceShares
 from population.hyperparameters import preset
 from population.networks.spec import PolicySpec
+from population.partners.drawn_persons import OnePersonEach
 from population.runs import train as training
 from population.runs.checkpoints import Checkpoints
 from population.runs.train import initial_state, make_trainer, train
-from population.trainers.drawn_persons import OnePersonEach
 from tests.population.test_frozen_partners import frozen, stack
 from tests.population.test_train import Killed
 from tests.population.toy_env import ToyEnv, match

@@ -14,8 +14,8 @@ from assistax_envs.persons.senses import SEAT_SIZES
 from population.config import MIXED, Member, TrainConfig
 from population.environment import ToldNumbers
 from population.hyperparameters import PPOConfig
+from population.partners.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 from population.runs.train import initial_state, make_trainer
-from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 
 TASK = "gentle_scratch"
 TRAINING = numbers("training")

@@ -16,8 +16,8 @@ from population.hyperparameters import PPOConfig, SACConfig
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack
+from population.partners.frozen import FrozenPartners, fitting_envs
 from population.runs.train import initial_state, train
-from population.trainers.frozen_partners import FrozenPartners, fitting_envs
 from population.trainers.ppo import PPO
 from population.trainers.sac import SAC
 from tests.population import test_sac

@@ -19,9 +19,9 @@ from population.methods.hidden import HIDDEN, WHO, WithHidden
 from population.methods.method import Method, method_class, register
 from population.networks.policy import Policy
 from population.networks.spec import PolicySpec, spec_from_json
+from population.partners.drawn_persons import DrawnPersons
 from population.runs.train import initial_state, train
 from population.runs.trained import read_trained_run
-from population.trainers.drawn_persons import DrawnPersons
 from population.trainers.ppo import PPO
 from tests.population.hidden_env import (
     LENGTH,

@@ -7,7 +7,7 @@ import pytest
 
 from assistax_envs import DISABILITY_SETTINGS
 from population.networks.policy import Policy
-from population.trainers.rotating_partners import RotatingPartners
+from population.partners.rotating import RotatingPartners
 from tests.population.test_frozen_partners import PLAIN, SQUASHED, population
 
 SETTINGS = {"a": "d1", "b": "d3", "c": "d9"}

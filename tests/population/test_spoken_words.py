@@ -15,10 +15,10 @@ from assistax_envs.preferences import WORDS, code
 from population.config import MIXED, Member, TrainConfig
 from population.hyperparameters import PPOConfig
 from population.networks.stack import PolicyStack
+from population.partners.drawn_persons import DrawnPersons, IdlePersons
+from population.partners.frozen import FrozenPartners
 from population.play.seats import said
 from population.runs.train import initial_state, make_trainer
-from population.trainers.drawn_persons import DrawnPersons, IdlePersons
-from population.trainers.frozen_partners import FrozenPartners
 from tests.population.test_frozen_partners import PLAIN, stack
 
 TASK = "gentle_scratch"

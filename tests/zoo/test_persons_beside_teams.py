@@ -4,14 +4,17 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from assistax_base.errors import LockError, UnknownIdError
+from assistax_base.errors import LockError, SplitError, UnknownIdError
 from assistax_workshop.press.publish import publish
 from assistax_zoo.commands.partners.split import list_splits
+from assistax_zoo.vector_envs import vector_env
 from evaluation.cast.cast import choose_partners, groups_beside_teams
-from evaluation.ego_training import load_partners, prepare
+from evaluation.ego_training import prepare
+from evaluation.training_partners import load_partners
 from population.runs.trained import TrainedTeam
 from tests.zoo.conftest import SELF_PLAY, put, trained_team
 from zoo.lock import apply_lock, read_lock
@@ -30,8 +33,10 @@ from zoo.verify import verify
 TASK = "gentle_scratch"
 ALONE = f"{TASK}/persons-s0-v1-956a2b0d"  # of a release without teams
 # Self-play of teams by seed: seed 1 is below a quarter of the median, and the last is just there.
-EARNED = (100.0, 24.9, 120.0, 100.0, 25.0)
-COMPETENT = [f"{TASK}/ippo-d1-s{seed}-v1" for seed in (0, 2, 3, 4)]
+EARNED = (100.0, 24.9, 120.0, 100.0, 25.0, 100.0, 110.0, 100.0)
+LEARNED, TESTED = (
+    [f"{TASK}/ippo-d1-s{n}-v1" for n in seeds] for seeds in ((0, 3, 6), (2, 4, 5, 7))
+)
 
 
 def published(folder: Path, earned: Sequence[float] = EARNED) -> Registry:
@@ -61,12 +66,13 @@ def alone(registry: Registry) -> Split:
     return registry.split(TASK, ALONE)
 
 
-def test_test_side_has_competent_teams_and_no_robot_trains_with_them(mixed: Registry) -> None:
+def test_competent_teams_are_on_two_sides(mixed: Registry) -> None:
     split = mixed.split(TASK)
     check_split(split)
-    assert [team for team in split.test if is_team(team)] == COMPETENT
-    assert (split.train, split.validation) == (alone(mixed).train, alone(mixed).validation)
-    assert {*split.test} == {*alone(mixed).test, *COMPETENT}
+    assert [team for team in split.test if is_team(team)] == TESTED
+    assert {*split.train} == {*alone(mixed).train, *LEARNED}
+    assert split.validation == alone(mixed).validation
+    assert {*split.test} == {*alone(mixed).test, *TESTED}
     assert mixed.split(TASK, "persons") == mixed.split(TASK, "persons-s0-v1") == split
     assert mixed.source_of_split(split).word == "persons"
     assert mixed.data.releases["v1"].splits == {}, "no half of the teams is the default"
@@ -90,7 +96,7 @@ def test_teams_of_another_release_or_zoo_stay_apart(mixed: Registry, tmp_path: P
     lab = dataclasses.replace(bare, data=both, parts={"": bare, "lab": mixed})
     assert lab.split(TASK).id == ALONE
     theirs = lab.split(TASK, "lab:persons")
-    assert [t for t in theirs.test if is_team(t)] == [f"lab:{team}" for team in COMPETENT]
+    assert [t for t in theirs.test if is_team(t)] == [f"lab:{team}" for team in TESTED]
     assert theirs.sha256 == mixed.split(TASK).sha256
 
 
@@ -101,12 +107,12 @@ def test_teams_of_another_release_or_zoo_stay_apart(mixed: Registry, tmp_path: P
         ("test", None, 3, 2),
         ("persons:test", None, 50, 4),  # there are no more
         ("validation", None, 4, 0),
-        ("train", None, 4, 0),
+        ("train", None, 4, 3),
         ("both", None, 6, 3),
         (None, "persons", 4, 0),
         (None, f"{TASK}/person-09*", 4, 0),
         (None, ["persons", f"{TASK}/ippo-*"], 2, 4),
-        (None, [f"{TASK}/ippo-d1-s[01]", "persons"], 4, 1),
+        (None, [f"{TASK}/ippo-d1-s[0-2]", "persons"], 4, 1),
         (None, [f"{TASK}/person-09*", f"{TASK}/ippo-d1-s3"], 4, 1),
     ],
 )
@@ -115,7 +121,7 @@ def test_a_user_says_who_plays(mixed: Registry, split, patterns, persons: int, t
     assert dealt == mixed.split(TASK)
     chosen = teams_in(humans)
     assert (len(humans) - len(chosen), len(chosen)) == (persons, teams)
-    assert {*chosen} <= {*COMPETENT}
+    assert {*chosen} <= {*TESTED, *(LEARNED if patterns or split in ("train", "both") else ())}
     named = [patterns] if isinstance(patterns, str) else patterns or ["persons"]
     others = [text for text in named if "ippo" not in text]
     by_themselves = choose_partners(mixed, TASK, split, others, persons)[1]
@@ -161,8 +167,21 @@ def test_robots_are_recorded_with_the_persons_alone(mixed: Registry) -> None:
     met = made_split_met(mixed, TrainedAgainst(split=ALONE, sha256=alone(mixed).sha256))
     assert met is not None and met.partners == declared_met(mixed, TASK, "persons").partners
     both = mixed.split(TASK)
-    with pytest.raises(ValueError, match="robots train with partners of one kind"):
-        load_partners(mixed, both.model_copy(update={"train": (*both.train, COMPETENT[0])}))
+    with pytest.raises(ValueError, match="has teams, which are not drawn"):
+        load_partners(mixed, both, each=True)
+
+
+def test_robots_train_with_persons_and_teams(mixed: Registry) -> None:
+    training, both = prepare(mixed, TASK, steps=1, partners="mixed"), mixed.split(TASK)
+    assert training.split == both and training.config.trainer.num_envs % 6 == 0
+    assert training.config.partners == (both.id, *(f"{team}/human" for team in LEARNED))
+    assert "teams" in training.summary
+    met = made_split_met(mixed, TrainedAgainst(split=both.id, sha256=both.sha256))
+    assert met is not None and met.partners == training.met.partners
+    assert {*both.train} == {*met.partners} and None not in met.partners.values()
+    lonely = mixed.split(TASK, ALONE)
+    with pytest.raises(ValueError, match="has partners of one kind; choose a split with teams"):
+        prepare(mixed, TASK, steps=1, partners="mixed", split=lonely.id)
 
 
 def locked(registry: Registry, pattern: str, folder: Path, **splits: str) -> Path:
@@ -180,7 +199,7 @@ def test_lock_pins_teams_of_the_test_side(mixed: Registry, tmp_path: Path) -> No
     for registry, named in ((here, None), (here, "persons"), (grown, None), (grown, "persons")):
         narrowed = apply_lock(registry, whole, task=TASK, split=named)
         dealt, humans = choose_partners(narrowed, TASK, named, None, 8)
-        assert dealt == here.split(TASK) and teams_in(humans) == COMPETENT
+        assert dealt == here.split(TASK) and teams_in(humans) == TESTED
     with pytest.raises(LockError, match="expected the locked one"):
         apply_lock(here, whole, task=TASK, split=ALONE)
 
@@ -202,4 +221,15 @@ def test_list_marks_the_split_with_teams(
     list_splits(task=TASK, registry=mixed.path)
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [ALONE, "14400", "1600", "14000"] in lines
-    assert [mixed.split(TASK).id, "14400", "1600", "14004", "yes"] in lines
+    assert [mixed.split(TASK).id, "14403", "1600", "14004", "yes"] in lines
+
+
+def test_simulations_seat_partners_of_one_kind(mixed: Registry) -> None:
+    how: dict[str, Any] = {"num_envs": 2, "backend": "native", "zoo": mixed.path}
+    env = vector_env(TASK, partners=f"{TASK}/ippo-d1-s[36]", **how)
+    env.reset(seed=0)
+    assert {*env.partner_names()} == {f"{team}/human" for team in LEARNED[1:]}
+    with pytest.raises(ValueError, match="persons and teams are named; name partners of one kind"):
+        vector_env(TASK, partners=[f"{TASK}/person-0000*", LEARNED[0]], **how)
+    with pytest.raises(SplitError, match="one of its test side"):
+        vector_env(TASK, partners=TESTED[0], **how)

@@ -16,13 +16,14 @@ from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import StudyLine, TrainingLine
 from evaluation.cast.cast import choose_partners
-from evaluation.ego_training import EgoTraining, load_partners, prepare, train_egos
+from evaluation.ego_training import EgoTraining, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
 from evaluation.play.how import PlaySettings
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
+from evaluation.training_partners import load_partners
 from evaluation.validation import CHOICES, Choice, Choices, choose, validation_side
 from population.runs.trained import TrainedRun
 from tools.league.parts import RECORD, TRAINED, Part

@@ -108,7 +108,10 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
                 f"training side, and globs over partners; did you mean {meant[0]!r}?"
             )
         else:
-            sides.append(side_met(registry, registry.split(task, name)))
+            chosen = registry.split(task, name)
+            if name == chosen.rule:  # a kind's word means partners of that kind alone
+                chosen = registry.source_of_split(chosen).training_split(chosen)
+            sides.append(side_met(registry, chosen))
             partners |= sides[-1].partners
     split = sides[0].split if len(sides) == len(names) == 1 else None
     return Met(source="declared", partners=partners, split=split)

@@ -44,7 +44,7 @@ from assistax_envs.persons.rows import (
     persons,
 )
 from population.networks.stack import PolicyStack
-from zoo.ids import compile_pattern
+from zoo.ids import compile_pattern, parse_team
 from zoo.namespaces import plain_name, qualify_split, split_namespace
 from zoo.partners.person_ids import OWN, PERSON, PERSONS, is_team, parse_person
 from zoo.partners.person_seat import PersonSpec
@@ -236,8 +236,9 @@ def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
     """Yield the splits of a task's persons, of which nothing is stored either.
 
     Each release has one, of three sides. If it has teams of the task, a second one has the
-    competent teams on its test side too, and follows the first unless that is the release's
-    default. All persons of a secret are on the test side of one.
+    competent teams too: those of each third seed, from seed 0, on its training side, the others on
+    its test side. It follows the first unless that is the release's default. All persons of a
+    secret are on the test side of one.
     """
     for release, table in made_tables(data, task):
         if table.secret is not None:
@@ -252,12 +253,17 @@ def person_splits(data: RegistryFile, task: str) -> Iterator[Split]:
 
 def beside_persons(data: RegistryFile, split: Split) -> list[str]:
     """Return the teams of which a split of persons has the competent ones, if it has any."""
-    return _teams(data, split.task, split.release) if any(map(is_team, split.test)) else []
+    return _teams(data, split.task, split.release) if has_teams(split) else []
 
 
 def persons_alone(split: Split) -> Split:
     """Return the split of the same persons without teams."""
-    return _split(split.task, split.release) if any(map(is_team, split.test)) else split
+    return _split(split.task, split.release) if has_teams(split) else split
+
+
+def has_teams(split: Split) -> bool:
+    """Return whether teams are on a side of a split of persons."""
+    return any(map(is_team, (*split.train, *split.test)))
 
 
 def _teams(data: RegistryFile, task: str, release: str) -> list[str]:
@@ -308,7 +314,9 @@ def _hidden_split(task: str, release: str, count: int) -> Split:
 def _split_of(task: str, release: str, *sides: Sequence[int], teams: tuple[str, ...] = ()) -> Split:
     namespace, plain = split_namespace(release)
     train, validation, test = (tuple(_team(task, n, plain) for n in side) for side in sides)
-    test = tuple(sorted((*teams, *test)))
+    learned = [team for team in teams if parse_team(team).seed % 3 == 0]
+    train = tuple(sorted((*learned, *train)))
+    test = tuple(sorted((*(set(teams) - set(learned)), *test)))
     split = made_split(PERSONS, task, plain, train, test, validation=validation)
     return qualify_split(split, namespace) if namespace else split
 

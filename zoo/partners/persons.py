@@ -1,5 +1,6 @@
 """Persons: partners that are rows of numbers, which a formula gives. See `person_tables`."""
 
+import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ from assistax_base.errors import ZooError
 from zoo.history.merkle import persons_leaf
 from zoo.partners.person_ids import PERSONS, is_team, parse_person
 from zoo.partners.source import PartnerSource
+from zoo.partners.teams import humans_of
 from zoo.schema import PolicyEntry, Split
 
 if TYPE_CHECKING:
@@ -90,10 +92,11 @@ class Persons(PartnerSource):
         return group_of(family_of(self.registry.data, team)) if self._has(team) else TEAMS
 
     def identities(self, split: Split) -> dict[str, str | None]:
-        """Return the sha256 of the training side's persons, as the installed program makes them."""
+        """Return the sha256 of the training side, as the installed program makes persons."""
         from zoo.partners.person_tables import identities
 
-        return identities(split.train)
+        teams = humans_of(self.registry.data.teams, self._teams_of_training(split))
+        return identities(split.train) | teams
 
     def training_split(self, split: Split) -> Split:
         """Return the split of the persons alone, which stays as it is when a release grows."""
@@ -165,8 +168,12 @@ class Persons(PartnerSource):
                 yield str(error)
 
     def settings(self, split: Split) -> list[list[Any]]:
-        """Return nothing: a person's identity covers its body."""
-        return []
+        """Return those of teams alone: a person's identity covers its body."""
+        teams = self.registry.known(f"{team}/human" for team in self._teams_of_training(split))
+        return [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
+
+    def _teams_of_training(self, split: Split) -> list[str]:
+        return [team for team in split.train if not self._has(team)]
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":

@@ -24,7 +24,7 @@ def train_ego(
     task: str,
     out: Path,
     split: str | None = None,
-    partners: Literal["persons"] | None = None,
+    partners: Literal["persons", "mixed"] | None = None,
     algorithm: str = "ppo",
     steps: str = "20M",
     preferences: str | None = None,
@@ -45,7 +45,7 @@ def train_ego(
         task: Task, such as scratch.
         out: Folder of the run; its folder policies holds a .safetensors file for each seed.
         split: Split of the partners, an id or its beginning; default that of the release.
-        partners: persons for a new person of the training side each episode, in place of networks.
+        partners: persons for a new one each episode; mixed for teams in half of the simulations.
         algorithm: ppo, sac, dagger, or a method, such as asymmetric_gru; docs/methods.md has all.
         steps: Environment steps of each robot, such as 500k or 20M, rounded up to whole updates.
         preferences: Of a gentle task's humans, such as p2,p3; default the split's, or all.

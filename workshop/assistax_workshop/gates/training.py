@@ -24,8 +24,8 @@ from population.hyperparameters import TrainerConfig, preset
 from population.networks.members import member_map, to_members, to_simulations
 from population.networks.seat import Carry
 from population.networks.stack import PolicyStack
+from population.partners.frozen import FrozenPartners
 from population.runs.train import train
-from population.trainers.frozen_partners import FrozenPartners
 from population.views import View
 from zoo.registry import load_registry
 

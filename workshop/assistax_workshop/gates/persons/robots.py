@@ -32,9 +32,9 @@ from population.config import MIXED, Member, make_run
 from population.hyperparameters import robot_preset
 from population.networks.stack import PolicyStack
 from population.networks.tensors import flatten, row_sha256
+from population.partners.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 from population.runs.train import train
 from population.runs.trained import read_trained_run
-from population.trainers.drawn_persons import DrawnPersons, IdlePersons, OnePersonEach
 
 
 def _training_side(plan: Plan) -> np.ndarray:

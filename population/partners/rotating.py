@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax_envs import EnvParams, disability_params
-from population.trainers.frozen_partners import FrozenPartners
+from population.partners.frozen import FrozenPartners
 
 
 @dataclasses.dataclass(frozen=True)

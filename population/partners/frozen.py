@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,8 +33,6 @@ class FrozenPartners:
     Raises:
         ValueError: There is none, not all sit in the same seat, or a setting is missing.
     """
-
-    by_partner: ClassVar[bool] = True  # how carries are laid out: see `initial_carry`
 
     def __init__(self, stacks: Sequence[PolicyStack], settings: Mapping[str, Disability]) -> None:
         roles = {stack.spec.role for stack in stacks}
@@ -144,6 +142,10 @@ class FrozenPartners:
         """Return carries before the first observation, by stack [P, N / partners, ...]."""
         share = simulations // len(self)
         return tuple(policy.initial_carry((len(stack), share)) for policy, stack in self._pairs())
+
+    def member_axes(self, carry: Any) -> Any:
+        """Return the axis along which members lie in each leaf of `initial_carry`."""
+        return jax.tree.map(lambda _: 1, carry)
 
     def act(
         self,

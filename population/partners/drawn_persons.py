@@ -14,7 +14,7 @@ from assistax_envs.persons import PersonPlayer, draw_persons, person_params
 from assistax_envs.persons.rows import WIDTH
 from assistax_envs.persons.senses import SEAT_SIZES
 from population.environment import Environment
-from population.trainers.frozen_partners import FrozenPartners
+from population.partners.frozen import FrozenPartners
 
 
 class DrawnPersons(FrozenPartners):
@@ -27,8 +27,6 @@ class DrawnPersons(FrozenPartners):
         rows: All of them [P, 31], as `assistax_envs.persons.rows.marked` has them.
         name: What they are called together, such as the id of their split.
     """
-
-    by_partner = False  # who is in a simulation changes, so minds are laid out as simulations are
 
     def __init__(self, player: PersonPlayer, rows: Float[jax.Array, "P W"], name: str) -> None:
         self.role, self.player, self.rows, self.ids = "human", player, jnp.asarray(rows), (name,)
@@ -82,6 +80,10 @@ class DrawnPersons(FrozenPartners):
     def initial_carry(self, simulations: int) -> Any:
         """Return their minds before the first observation, [N, ...]."""
         return self.player.initial_carry((simulations,))
+
+    def member_axes(self, carry: Any) -> Any:
+        """Return the axes of members: minds lie as simulations do, since persons change."""
+        return jax.tree.map(lambda _: 0, carry)
 
     def act(
         self,
