@@ -121,6 +121,7 @@ def _choices(
 def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lines: bool) -> None:
     """Print the policy files, and which of them were chosen."""
     from evaluation.validation import CHOSEN
+    from zoo.partners.kinds import kind_of
 
     run = egos.run
     result: dict[str, Any] = {
@@ -131,9 +132,10 @@ def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lin
     }
     result |= {"choices": dataclasses.asdict(choices)} if choices else {}
     files = egos.files[0] if len(egos.files) == 1 else egos.files[0].parent / "*.safetensors"
-    whom = "--split both"
+    whom = " --split both"
     if egos.split.rule not in RULES:  # the word of another kind than teams
-        whom = f"--partners {egos.split.rule}"
+        alone = kind_of(egos.split.train).word == egos.split.rule
+        whom = f" --partners {egos.split.rule}" if alone else ""
     chosen = [
         f"seed {choice.seed}: {choice.steps:,} steps, {choice.mean:.1f} on the validation side"
         for choice in (choices.by_seed if choices else ())
@@ -143,6 +145,6 @@ def _report(egos: "TrainedEgos", choices: "Choices | None", json: bool, json_lin
     lines = [
         *chosen,
         f"{counted(len(egos.files), 'robot')} in {Path(files).parent}; next:",
-        f"assistax-zoo evaluate --task {run.config.task} {whom} {shlex.quote(str(files))}",
+        f"assistax-zoo evaluate --task {run.config.task}{whom} {shlex.quote(str(files))}",
     ]
     answer(json, result, *([jsonlib.dumps(result)] if json_lines else lines))
