@@ -7,6 +7,7 @@ Shapes: N simulations; observations [N, O] of the robot, actions [N, 7].
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -145,7 +146,8 @@ def script_of(
     """
     script = SCRIPTS[task]
     chosen = {**script.numbers, **(numbers or {})}
-    return jax.tree_util.Partial(script.play, Chain(model), chosen)
+    # Compiled once where it is called by itself; a program that contains it is as without.
+    return jax.jit(functools.partial(script.play, Chain(model), chosen), inline=True)
 
 
 def told_script_of(
@@ -170,6 +172,7 @@ def told_script_of(
         raise ValueError(f"the script of {task} cannot be told wishes; those of {able} can")
     told, chosen = script.told, {**script.numbers, **script.careful, **(numbers or {})}
 
+    @functools.partial(jax.jit, inline=True)
     def act(obs: jax.Array, wishes: jax.Array) -> jax.Array:
         named = dict(zip(PREFERRED[task], jnp.split(wishes, wishes.shape[1], axis=1), strict=True))
         return script.play(chain, {**chosen, **told(chosen, named)}, obs)
