@@ -114,14 +114,16 @@ def test_each_kind_has_tiles_of_its_own(most: int) -> None:
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    """A release with persons and four untrained teams, of which one lets nobody earn much."""
+    """A release with persons and six untrained teams, of which one lets nobody earn much."""
     path = tmp_path_factory.mktemp("mixed") / "registry.json"
     teams = [
         dataclasses.replace(
             team, self_play={"mean": mean, "iqm": mean, "mean_ci": [0.0, mean], "n": 8}
         )
         for team, mean in zip(
-            teams_of(2, *gentle_specs(TASK), task=TASK), (100.0, 20.0, 120.0, 140.0), strict=True
+            teams_of(3, *gentle_specs(TASK), task=TASK),
+            (100.0, 20.0, 110.0, 120.0, 140.0, 130.0),
+            strict=True,
         )
     ]
     publish(teams, path, "v1", persons=[TASK], date="2027-01-31")
@@ -161,5 +163,5 @@ def test_an_evaluation_has_three_groups_and_is_replayed(mixed: Registry, tmp_pat
 def test_a_crossplay_without_names_is_of_the_teams(mixed: Registry, tmp_path: Path) -> None:
     how: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False}
     found = cross_play(task=TASK, zoo=mixed.path, out=tmp_path, **how)
-    assert found.pairs.height == 16
+    assert found.pairs.height == 36
     assert replay_folder(tmp_path, mixed, sample=2, seed=0).ok
