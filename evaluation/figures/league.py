@@ -37,6 +37,7 @@ RESPONSES = RESPONSE, KNOWING_RESPONSE
 # Rows that play the persons alone, where teams stand beside them: robots that met persons of the
 # test side, or that are told numbers, which teams do not have.
 OF_PERSONS = KNOWING_NUMBERS, MIRROR, *RESPONSES
+GROUP_ORDER = (*GROUPS, TEAMS)
 REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
 FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
 LAST = (KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR, RESPONSE, KNOWING_RESPONSE)
@@ -134,7 +135,7 @@ def read_league(folder: Path) -> League:
 def league_table(league: League) -> pl.DataFrame:
     """Return a league as a table with a line for each row, for CSV."""
     lines = []
-    groups = [g for g in (*GROUPS, TEAMS) if any(g in row.by_group for row in league.rows)]
+    groups = [g for g in GROUP_ORDER if any(g in row.by_group for row in league.rows)]
     wishes = list(dict.fromkeys(wish for row in league.rows for wish in row.care.adaptation))
     for row in league.rows:
         low, high = row.mean.mean_ci or (None, None)

@@ -229,6 +229,14 @@ def test_the_page_has_rows_contrasts_and_their_hash(league: Path, tmp_path: Path
     assert "named and not played, they count as p = 1: sac less ppo" in text
 
 
+def test_the_page_has_columns_of_groups(tmp_path: Path) -> None:
+    put_beside_teams(tmp_path / "league")
+    page = tmp_path / "page.html"
+    assert run(["report", str(tmp_path / "league"), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "unseen family" in text and "with persons alone: mirror" in text
+
+
 def test_who_fails_with_whom(league: Path) -> None:
     shares = failures(read_league(league).by_partner)
     told = shares.filter(row="told-best-response")

@@ -15,7 +15,7 @@ from evaluation.record.record import Record
 from population.method_presets import METHODS
 from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
-from tests.evaluation.test_league import put
+from tests.evaluation.test_league import put, put_beside_teams
 from tools.league.__main__ import run
 from tools.league.queue import read_queue, run_queue
 from tools.league.results import ShownContrast, sentences
@@ -238,13 +238,41 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     [row] = [line for line in page.splitlines() if line.startswith("| `scratch` | `gru` |")]
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
-    assert row.endswith("| 0 of 10 persons |") and "`gru` wins 66% of 151 points" in page
+    assert row.endswith("| 0 of 10 partners |") and "`gru` wins 66% of 151 points" in page
     beside = "each trained for one training person, the best of each four seeds, `gru` earns 380"
     assert f"{beside} of 400 (95%) in `scratch`" in page
     assert page.count("](images/") == 2  # nobody was validated, so there are no curves
     assert "nan" not in page and "Above PPO at Holm's 5% over all named contrasts: `gru`" in page
     first_screen = page[: page.index("![")]
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
+
+
+def test_page_of_persons_and_teams_shows_each_group(tmp_path: Path, capsys) -> None:
+    put_beside_teams(tmp_path / "league/scratch")
+    page = written_page(
+        tmp_path, capsys, NAMED.replace("scratch-half-v0", "persons-s0-v0-11111111")
+    )
+    assert "| row | task | return | known families | unseen family | teams |" in page
+    lines = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    cells = [cell.split() for cell in lines["mirror"].split("|")[3:7]]
+    assert [cell[0] if cell else "" for cell in cells] == ["200", "150", "250", ""]
+    assert lines["ppo"].count("[") == 4, "each figure has an interval"
+    assert "`mirror`, `told-best-response` play the persons alone: teams have no" in page
+    assert "whose groups count alike" in page and "`gru` - `ppo` | `scratch` | 30 " in page
+    assert "of 11 partners |" in page
+    partners = pl.read_csv(tmp_path / "docs/data/scratch-partners.csv")
+    assert set(partners["family"]) == {"spring", "stepper", "teams"}
+    table = pl.read_csv(tmp_path / "docs/data/scratch-league.csv")
+    assert table.filter(row="mirror")["teams"].to_list() == [None]
+    again = read_tables(tmp_path / "docs/data").league["scratch"]
+    assert_frame_equal(again, table)
+
+
+def test_page_without_groups_has_no_table_of_them(tmp_path: Path, capsys) -> None:
+    for row in ("ppo", "gru"):
+        put(tmp_path / "league/scratch", row, np.full((4, 10), 200.0), baselines=row == "ppo")
+    page = written_page(tmp_path, capsys, NAMED)
+    assert "| row | task |" not in page and "persons alone" not in page
 
 
 @pytest.mark.parametrize(("rule", "is_named"), [("half", True), ("small-5", False)])
