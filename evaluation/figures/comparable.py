@@ -37,6 +37,7 @@ from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import strange_tables_refused, unchecked
 from population.views import plain_engine
+from zoo.partners.person_ids import OWN
 
 ADVICE = "evaluate all methods alike"
 _CONTEXT = ("task", "env_version", "backend", "engine", "release", "episodes_per_pair")
@@ -191,8 +192,8 @@ def check_starts(played: Mapping[str, Returns]) -> None:
         for place, row in enumerate(returns.partners.iter_rows(named=True)):
             partner, keys = row["partner"], returns.keys[place].tolist()
             facts = {f"{column} of {partner}": value for column, value in row.items()}
-            drawn = returns.preferences
-            preferences = [] if drawn is None else drawn[0, place].tolist()
+            drawn = returns.preferences  # None if all partners bring their own
+            preferences = [OWN] * len(keys) if drawn is None else drawn[0, place].tolist()
             other, other_facts, other_keys, other_preferences = known.setdefault(
                 partner, (name, facts, keys, preferences)
             )

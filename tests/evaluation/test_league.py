@@ -21,6 +21,7 @@ from population.method_presets import METHODS
 from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed, teams
 from tests.evaluation.test_contrasts import NAMED
 from tools.league.figures import failure_chart, failures, validation_curves
+from zoo.partners.person_ids import OWN
 
 PARTNERS = 10
 CURVE = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
@@ -47,6 +48,10 @@ def put(
     """Write a row's folder, and return it; partners are networks unless given."""
     names = [f"{row}-{place}" for place in range(len(means))]
     table, folder = played(means, names, len(row), partners), root / row
+    if context.split and context.split.groups:  # teams have drawn preferences
+        own = pl.col("partner_disability") == OWN
+        wish = pl.when(own).then(pl.lit(OWN)).otherwise(pl.lit("p1")).alias("preference")
+        table = table.with_columns(wish)
     references = None
     if baselines:
         levels = {ZERO: 10.0, RANDOM: 20.0, SCRIPT: 100.0}
