@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from assistax_envs.persons.rows import TEAMS, groups_of
+from assistax_envs.persons.rows import OWN_FAMILY, TEAMS, groups_of
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
 from evaluation.figures.comparable import ADVICE, Evaluated, comparable
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
@@ -37,7 +37,7 @@ RESPONSES = RESPONSE, KNOWING_RESPONSE
 # Rows that play the persons alone, where teams stand beside them: robots that met persons of the
 # test side, or that are told numbers, which teams do not have.
 OF_PERSONS = KNOWING_NUMBERS, MIRROR, *RESPONSES
-GROUP_ORDER = (*GROUPS, TEAMS)
+GROUP_ORDER = (*GROUPS, OWN_FAMILY, TEAMS)
 REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
 FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
 LAST = (KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR, RESPONSE, KNOWING_RESPONSE)
