@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.cast.cast import Cast
+from evaluation.cast.cast import Cast, without_teams
 from evaluation.cast.egos import probe_egos, read_egos
 from evaluation.cast.met_partners import check_new
 from evaluation.figures.normalised import bounds_table
@@ -22,6 +22,7 @@ from evaluation.record import tables
 from evaluation.record.record import Record
 from population.views import View
 from zoo.locations import CACHE_VARIABLE
+from zoo.partners.person_ids import is_team
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -36,8 +37,12 @@ def cast_robots(
     *,
     trained_with: str | Sequence[str] | None = None,
     baselines: bool = False,
+    default: bool = False,
 ) -> Cast:
     """Return the cast of robots, seeds of one method, and the partners of a split.
+
+    Robots that are told all numbers of a person play the split of the persons alone, unless teams
+    were asked for.
 
     Args:
         registry: The published partners.
@@ -45,6 +50,7 @@ def cast_robots(
         partners: The result of `evaluation.cast.cast.choose_partners`.
         trained_with: The robots' training partners, see `zoo.met.claims.declared_met`.
         baselines: Whether baselines will be played.
+        default: Whether the partners are those that play if none are asked for.
 
     Raises:
         ValueError: A policy does not exist or does not fit the task, or one robot is given under
@@ -57,6 +63,10 @@ def cast_robots(
     split, humans = partners
     egos = read_egos(robots, registry, split.task)
     check_distinct(egos)
+    if (alone := without_teams(split)) is not split and egos.view is View.NUMBERS:
+        persons = [human for human in humans if not is_team(human.team)]
+        if default or len(persons) == len(humans):
+            split, humans = alone, persons
     return Cast.of(
         registry,
         task=split.task,

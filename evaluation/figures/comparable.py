@@ -37,9 +37,11 @@ from evaluation.record.columns import SIDES
 from evaluation.record.record import Record, Returns
 from evaluation.record.verification import strange_tables_refused, unchecked
 from population.views import plain_engine
+from zoo.partners.person_ids import OWN
 
 ADVICE = "evaluate all methods alike"
 _CONTEXT = ("task", "env_version", "backend", "engine", "release", "episodes_per_pair")
+_OF_SPLIT = ("split", "sha256 of the split", "preferences")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,13 +105,14 @@ def comparable(
         methods: Evaluations with the same conditions, split and release, in which one id is one
             partner in the same episodes.
         parts: Names of methods that played with a part of the partners only; they keep what they
-            have of the common ones, and take no partner from the others.
+            have of the common ones, and take no partner from the others. If others played teams
+            beside persons, these may have played the split of the persons alone.
         told: Whether robots that observe preferences may be compared with others.
 
     Raises:
         ValueError: They were not evaluated alike, or no common partner is left.
     """
-    identities = _check_played_alike(methods, told)
+    identities = _check_played_alike(methods, parts, told)
     met = both_met(*((method.summary.met, method.record.table) for method in methods))
     played = [_partners(method.record) for method in methods]
     whole = [who for who, m in zip(played, methods, strict=True) if m.name not in parts] or [
@@ -189,8 +192,8 @@ def check_starts(played: Mapping[str, Returns]) -> None:
         for place, row in enumerate(returns.partners.iter_rows(named=True)):
             partner, keys = row["partner"], returns.keys[place].tolist()
             facts = {f"{column} of {partner}": value for column, value in row.items()}
-            drawn = returns.preferences
-            preferences = [] if drawn is None else drawn[0, place].tolist()
+            drawn = returns.preferences  # None if all partners bring their own
+            preferences = [OWN] * len(keys) if drawn is None else drawn[0, place].tolist()
             other, other_facts, other_keys, other_preferences = known.setdefault(
                 partner, (name, facts, keys, preferences)
             )
@@ -242,9 +245,12 @@ def summarise_comparison(a: Record, b: Record, *, seed: int = 0) -> ComparisonSu
     )
 
 
-def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, dict[str, Any]]:
+def _check_played_alike(
+    methods: Sequence[Evaluated], parts: Collection[str], told: bool
+) -> dict[str, dict[str, Any]]:
     """Refuse methods that were evaluated otherwise; return the identities that manifests name."""
     described, identities = {}, {}
+    of_persons = _of_persons_alone(methods, parts)
     for method in methods:
         summary = method.summary
         about = {name: getattr(summary, name) for name in _CONTEXT}
@@ -253,12 +259,24 @@ def _check_played_alike(methods: Sequence[Evaluated], told: bool) -> dict[str, d
         described[method.name] = _untold(about) if told else about
         if (identity := read_identity(method.record.folder)) is not None:
             identities[method.name] = _untold(identity) if told else identity
-    check_alike(described, advice=ADVICE)
     # With and without series the same episodes are played: what a memory is worth.
     how = {name: {**conditions(job), "series": 1} for name, job in identities.items()}
-    check_alike(how, advice=ADVICE)
+    for each in (described, how):
+        check_alike({name: each[name] for name in each if name not in of_persons}, advice=ADVICE)
+        # Wishes are drawn for teams alone; `check_starts` compares those of each partner.
+        check_alike({n: _without(each[n], _OF_SPLIT) for n in each}, advice=ADVICE)
     check_members(identities, "partners", advice=ADVICE)
     return identities
+
+
+def _of_persons_alone(methods: Sequence[Evaluated], parts: Collection[str]) -> set[str]:
+    """Return those parts that played the split of the persons alone, if others played teams too."""
+    with_teams = {m.name for m in methods if m.summary.split and m.summary.split.groups}
+    return {m.name for m in methods if m.name in parts} - with_teams if with_teams else set()
+
+
+def _without(fields: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if name not in names}
 
 
 def _series_notes(identities: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -6,16 +6,18 @@ trained with one partner.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from assistax_envs.persons.rows import OWN_FAMILY, TEAMS, groups_of
 from evaluation.figures.bootstrap import Estimate, Interval, estimate
 from evaluation.figures.comparable import ADVICE, Evaluated, comparable
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
 from evaluation.figures.metrics.caring import CareFigures, care_figures
+from evaluation.figures.metrics.generalisation import GROUPS, mean_of_groups
 from evaluation.figures.metrics.variance import variance_components
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.notes import ENOUGH
@@ -31,6 +33,11 @@ FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
 KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS = "told-preference", "told-gru", View.NUMBERS.condition
 MIRROR = "mirror"
 RESPONSE, KNOWING_RESPONSE = "best-response", "told-best-response"
+RESPONSES = RESPONSE, KNOWING_RESPONSE
+# Rows that play the persons alone, where teams stand beside them: robots that met persons of the
+# test side, or that are told numbers, which teams do not have.
+OF_PERSONS = KNOWING_NUMBERS, MIRROR, *RESPONSES
+GROUP_ORDER = (*GROUPS, OWN_FAMILY, TEAMS)
 REFERENCES = (ZERO, RANDOM, SCRIPT)  # which stand in the folders of other rows
 FIRST = (*REFERENCES, FIXED, PPO, BEST_OF_FOUR)  # methods follow
 LAST = (KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS, MIRROR, RESPONSE, KNOWING_RESPONSE)
@@ -43,13 +50,14 @@ class LeagueRow:
     row: str
     robots: int
     partners: int
-    mean: Estimate
+    mean: Estimate  # of groups' means, as M_test, if the side has groups
     share: Interval | None  # of (told best response - script); None if either is missing
     care: CareFigures  # empty for best responses
     seed_sd: float | None  # between robots, beside the luck of their episodes
     partner_sd: float | None
     pair_sd: float | None
     interaction_index: float | None  # see `evaluation.figures.metrics.variance.Spread`
+    by_group: Mapping[str, Estimate]  # of the test side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +108,8 @@ def read_league(folder: Path) -> League:
             "each row"
         )
     read = [Evaluated.read(place, name) for name, place in folders.items()]
-    compared = comparable(read, parts=(RESPONSE, KNOWING_RESPONSE), told=True)
+    teams = any(row.summary.split and row.summary.split.groups for row in read)
+    compared = comparable(read, parts=OF_PERSONS if teams else RESPONSES, told=True)
     returns = {
         row.name: record.returns.evaluated_side
         for row, record in zip(read, compared.records, strict=True)
@@ -126,6 +135,7 @@ def read_league(folder: Path) -> League:
 def league_table(league: League) -> pl.DataFrame:
     """Return a league as a table with a line for each row, for CSV."""
     lines = []
+    groups = [g for g in GROUP_ORDER if any(g in row.by_group for row in league.rows)]
     wishes = list(dict.fromkeys(wish for row in league.rows for wish in row.care.adaptation))
     for row in league.rows:
         low, high = row.mean.mean_ci or (None, None)
@@ -138,6 +148,7 @@ def league_table(league: League) -> pl.DataFrame:
                 "mean": row.mean.mean,
                 "low": low,
                 "high": high,
+                **_group_columns(row, groups),
                 "share": row.share.value if row.share else None,
                 "share_low": share_low,
                 "share_high": share_high,
@@ -151,6 +162,22 @@ def league_table(league: League) -> pl.DataFrame:
     texts, counts = {"row": pl.String}, dict.fromkeys(("robots", "partners"), pl.Int64)
     schema = {name: {**texts, **counts}.get(name, pl.Float64) for name in lines[0]}
     return pl.DataFrame(lines, schema=schema)
+
+
+def columns_of(group: str) -> tuple[str, str, str]:
+    """Return the names of a table's columns of a group: mean, and ends of its interval."""
+    name = group.replace(" ", "_")
+    return name, f"{name}_low", f"{name}_high"
+
+
+def _group_columns(row: LeagueRow, groups: Iterable[str]) -> dict[str, float | None]:
+    """Return a row's mean with each group of partners, and its interval; None if none played."""
+    found: dict[str, float | None] = {}
+    for group in groups:
+        figure = row.by_group.get(group)
+        values = (figure.mean, *(figure.mean_ci or (None, None))) if figure else (None,) * 3
+        found |= dict(zip(columns_of(group), values, strict=True))
+    return found
 
 
 def _care_columns(care: CareFigures, wishes: Iterable[str]) -> dict[str, float | None]:
@@ -206,28 +233,40 @@ class _Means:
 
 
 def _means(name: str, returns: Returns) -> _Means:
-    alone = name in (RESPONSE, KNOWING_RESPONSE)
+    alone = name in RESPONSES
     scores = best_of_robots(returns.values)[None] if alone else returns.scores
     return _Means(scores, returns.partners["partner"].to_list())
 
 
 def _row(name: str, returns: Returns, means: Mapping[str, _Means]) -> LeagueRow:
-    alone = name in (RESPONSE, KNOWING_RESPONSE)
+    alone = name in RESPONSES
     variance = None if alone else variance_components(returns.values)
     spread = variance.spread if variance else None
-    starts = {"common_starts": returns.common_starts}
+    scores = means[name].scores if alone else returns.values
+    mean, by_group = _mean(scores, returns, common_starts=returns.common_starts and not alone)
     return LeagueRow(
         row=name,
         robots=returns.egos.height,
         partners=returns.partners.height,
-        mean=estimate(means[name].scores) if alone else estimate(returns.values, **starts),
+        mean=mean,
         share=_share(means[name], means),
         care=CareFigures() if alone else care_figures(returns),
         seed_sd=spread.seeds if spread else None,
         partner_sd=spread.partners if spread else None,
         pair_sd=spread.pairs if spread else None,
         interaction_index=variance.interaction_index if variance else None,
+        by_group=by_group,
     )
+
+
+def _mean(
+    scores: np.ndarray, returns: Returns, *, common_starts: bool
+) -> tuple[Estimate, Mapping[str, Estimate]]:
+    """Return the mean of scores [S, P] or [S, P, K], and that of each group of a test side."""
+    groups = groups_of(returns.partners["partner_algorithm"].to_list())
+    if groups is None or returns.partners["side"][0] != "test":
+        return estimate(scores, common_starts=common_starts), {}
+    return mean_of_groups(scores, groups, common_starts=common_starts)
 
 
 def _share(own: _Means, means: Mapping[str, _Means]) -> Interval | None:
@@ -247,9 +286,19 @@ def _by_partner(name: str, means: _Means) -> pl.DataFrame:
     return pl.DataFrame(content).select(pl.lit(name).alias("row"), "partner", "mean")
 
 
-def _notes(rows: Iterable[LeagueRow]) -> Iterable[str]:
+def of_persons(groups: Mapping[str, Collection[str]]) -> list[str]:
+    """Return the rows that played persons alone, where others played teams too.
+
+    Args:
+        groups: The groups that each row played, by row.
+    """
+    if not any(TEAMS in played for played in groups.values()):
+        return []
+    return [row for row, played in groups.items() if TEAMS not in played]
+
+
+def _notes(rows: Sequence[LeagueRow]) -> Iterable[str]:
     """Yield notes for readers on the rows."""
-    rows = list(rows)
     few = [row.row for row in rows if row.row not in REFERENCES and row.robots < ENOUGH]
     if few:
         yield (
@@ -257,6 +306,11 @@ def _notes(rows: Iterable[LeagueRow]) -> Iterable[str]:
         )
     if not any(row.share for row in rows):
         yield f"no share of the range: it takes the rows {SCRIPT} and {KNOWING_RESPONSE}"
+    if alone := of_persons({row.row: row.by_group for row in rows}):
+        yield (
+            f"with persons alone: {', '.join(alone)}; teams have no numbers to tell, and robots "
+            "that met the test side met its persons"
+        )
     counts = {row.partners for row in rows}
     if len(counts) > 1:
         yield "rows with fewer partners are of a part of the side; shares are over those in common"

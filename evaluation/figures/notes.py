@@ -7,6 +7,7 @@ import polars as pl
 
 from assistax_base.errors import counted
 from evaluation.record.record import Returns
+from population.views import CONDITION, View
 
 # Seeds, partners or teams; with fewer, intervals cover too little (see
 # `evaluation.figures.bootstrap.estimate`).
@@ -66,6 +67,16 @@ def clipping_notes(table: pl.DataFrame) -> list[str]:
     return [
         f"actions went beyond [-1, 1] and were clipped in {(shares > 0).sum()} of {len(shares)} "
         f"episodes: {shares.to_numpy().mean():.1%} of their numbers"
+    ]
+
+
+def told_notes(engine: Mapping[str, str]) -> list[str]:
+    """Return a note on robots that are told all numbers of a person."""
+    if engine.get(CONDITION) != View.NUMBERS.condition:
+        return []
+    return [
+        "robots are told all numbers of a person, which teams do not have: figures are of persons "
+        "alone"
     ]
 
 

@@ -42,6 +42,7 @@ from evaluation.figures.notes import (
     seed_notes,
     start_notes,
     team_notes,
+    told_notes,
 )
 from evaluation.record import tables
 from evaluation.record.columns import SIDES
@@ -235,6 +236,7 @@ def summarise_evaluation(
             *group_notes(side),
             *preference_notes(returns, context.split.preferences if context.split else {}),
             *start_notes(returns),
+            *told_notes(context.engine),
             *episode_notes(returns),
             *clipping_notes(record.table),
         ),

@@ -1,5 +1,6 @@
 """A league: its rows in order, the share of the range, the page and the figures."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -12,42 +13,83 @@ from evaluation.figures.league import FIRST, LAST, league_table, ordered, read_l
 from evaluation.figures.metrics.bounds import best_of_robots, share_of_range
 from evaluation.figures.normalised import COLUMN, RANDOM, SCRIPT, ZERO
 from evaluation.figures.saved_tables import save_evaluation
+from evaluation.figures.summary import Context, EvaluationSummary, SplitName, read_summary
 from evaluation.plots.league import league_chart
 from evaluation.record import tables
 from evaluation.record.record import Record
 from population.method_presets import METHODS
-from tests.evaluation.episode_tables import CONTEXT, episode_table, teams
+from tests.evaluation.episode_tables import CONTEXT, Team, episode_table, sealed, teams
 from tests.evaluation.test_contrasts import NAMED
 from tools.league.figures import failure_chart, failures, validation_curves
+from zoo.partners.person_ids import OWN
 
 PARTNERS = 10
 CURVE = pl.DataFrame({"seed": [0, 0], "steps": [10, 20], "return": [1.0, 2.0]})
 
 
-def played(means: np.ndarray, names: list[str], seed: int) -> pl.DataFrame:
+def played(
+    means: np.ndarray, names: list[str], seed: int, partners: list[Team] | None = None
+) -> pl.DataFrame:
     """Return the table of robots by partners with these means [S, P], in four episodes."""
     noise = np.random.default_rng(seed).normal(0, 5, (*means.shape, 4))
-    table = episode_table(means[..., None] + noise, names, teams(means.shape[1]), None)
+    table = episode_table(means[..., None] + noise, names, partners or teams(means.shape[1]), None)
     return table.with_columns(pl.lit("test").alias("side"))
 
 
-def put(root: Path, row: str, means: np.ndarray, *, baselines: bool = False) -> None:
+def put(
+    root: Path,
+    row: str,
+    means: np.ndarray,
+    *,
+    baselines: bool = False,
+    partners: list[Team] | None = None,
+    context: Context = CONTEXT,
+) -> Path:
+    """Write a row's folder, and return it; partners are networks unless given."""
     names = [f"{row}-{place}" for place in range(len(means))]
-    table, folder = played(means, names, len(row)), root / row
+    table, folder = played(means, names, len(row), partners), root / row
+    if context.split and context.split.groups:  # teams have drawn preferences
+        own = pl.col("partner_disability") == OWN
+        wish = pl.when(own).then(pl.lit(OWN)).otherwise(pl.lit("p1")).alias("preference")
+        table = table.with_columns(wish)
     references = None
     if baselines:
         levels = {ZERO: 10.0, RANDOM: 20.0, SCRIPT: 100.0}
         shape = 1, means.shape[1]
         episodes = pl.concat(
-            played(np.full(shape, level), [name], 1).with_columns(pl.lit(name).alias(COLUMN))
+            played(np.full(shape, level), [name], 1, partners).with_columns(
+                pl.lit(name).alias(COLUMN)
+            )
             for name, level in levels.items()
         )
         columns = {"low": 10.0, "low_episodes": 4, "best": 400.0, "source": "self-play"}
-        partners = episodes["partner"].unique(maintain_order=True)
-        bounds = pl.DataFrame({"partner": partners, **columns})
+        ids = episodes["partner"].unique(maintain_order=True)
+        bounds = pl.DataFrame({"partner": ids, **columns})
         references = episodes, bounds
     tables.write_episodes(table, folder / tables.EPISODES_FILE)
-    save_evaluation(Record(table, folder), CONTEXT, references=references)
+    save_evaluation(Record(table, folder), context, references=references)
+    return folder
+
+
+PERSONS = [("spring", "own", place) for place in range(6)]
+PERSONS += [("stepper", "own", place) for place in range(3)]
+BOTH = [*PERSONS, *teams(2)]
+MIXED, ALONE = (
+    dataclasses.replace(CONTEXT, split=SplitName(f"persons-s0-v0-{digit * 8}", digit * 64, {}, who))
+    for digit, who in (("1", ("known families", "unseen family", "teams")), ("2", ()))
+)
+
+
+def put_beside_teams(root: Path, *, alone: Context = ALONE) -> None:
+    """Write rows with persons and teams, and those that play the persons alone."""
+    earned = np.repeat([100.0, 200.0, 600.0], (6, 3, 2))
+    for row, more in (("ppo", 0.0), ("gru", 30.0)):
+        means = np.tile(earned + more, (4, 1))
+        put(root, row, means, baselines=row == "ppo", partners=BOTH, context=MIXED)
+    means = np.tile(earned[:9] + 50, (4, 1))
+    put(root, "mirror", means, partners=PERSONS, context=alone)
+    best = np.where(np.eye(9), 500.0, 50.0)
+    put(root, "told-best-response", best, partners=PERSONS, context=alone)
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +125,57 @@ def test_a_league_reads_rows_references_and_shares(league: Path) -> None:
     table = league_table(found)
     assert table["row"].to_list() == list(by_name) and table["share"].null_count() == 0
     assert any("fewer than 16 robots: ppo, gru, told-best-response" in n for n in found.notes)
+
+
+def test_groups_of_partners_count_alike_and_have_columns(tmp_path: Path) -> None:
+    put_beside_teams(tmp_path)
+    found = read_league(tmp_path)
+    table = {line["row"]: line for line in league_table(found).iter_rows(named=True)}
+    expected = {
+        "ppo": (11, 300, 100, 200, 600),
+        "gru": (11, 330, 130, 230, 630),
+        SCRIPT: (11, 100, 100, 100, 100),
+        "mirror": (9, 200, 150, 250, None),
+        "told-best-response": (9, 500, 500, 500, None),
+    }
+    for row, figures in expected.items():
+        names = ("partners", "mean", "known_families", "unseen_family", "teams")
+        values = [table[row][name] for name in names]
+        assert values == pytest.approx(list(figures), abs=6), row
+    for group in ("known_families", "unseen_family", "teams"):
+        line = table["ppo"]
+        assert line[f"{group}_low"] <= line[group] <= line[f"{group}_high"]
+    summary = read_summary(tmp_path / "ppo")
+    assert isinstance(summary, EvaluationSummary) and summary.m_test
+    [ppo] = [row for row in found.rows if row.row == "ppo"]
+    assert list(ppo.by_group) == list(summary.by_group)
+    said = (summary.m_test, *summary.by_group.values())
+    for figure, own in zip((ppo.mean, *ppo.by_group.values()), said, strict=True):
+        assert figure.mean_ci == pytest.approx(own.mean_ci, rel=1e-4)
+    notes = [note for note in found.notes if note.startswith("with persons alone")]
+    assert [note.partition(";")[0] for note in notes] == [
+        "with persons alone: mirror, told-best-response"
+    ]
+    assert not any("in common" in note and "compared on" in note for note in found.notes)
+
+
+def test_rows_of_persons_may_play_their_split_and_others_may_not(tmp_path: Path) -> None:
+    put_beside_teams(tmp_path)
+    turns = {"ppo": ["p1", "p2"], "gru": ["p1", "p2"], "mirror": None}
+    for row, preferences in turns.items():
+        sealed(tmp_path / row, preferences=preferences)
+    assert "mirror" in [row.row for row in read_league(tmp_path).rows]
+    sealed(tmp_path / "mirror", stochastic=True)
+    with pytest.raises(ValueError, match=r"stochastic is false in .* and true in mirror"):
+        read_league(tmp_path)
+    sealed(tmp_path / "mirror")
+    sealed(tmp_path / "gru")
+    with pytest.raises(ValueError, match=r"preferences is \[.* in ppo and none in gru"):
+        read_league(tmp_path)
+    shutil.rmtree(tmp_path / "gru")
+    put(tmp_path, "gru", np.full((4, 9), 100.0), partners=PERSONS, context=ALONE)
+    with pytest.raises(ValueError, match=r"split is persons-s0-v0-1* in ppo and .*-2* in gru"):
+        read_league(tmp_path)
 
 
 def test_a_league_of_two_releases_is_refused(league: Path, tmp_path: Path) -> None:
@@ -139,6 +232,14 @@ def test_the_page_has_rows_contrasts_and_their_hash(league: Path, tmp_path: Path
     text = page.read_text()
     assert "gru - ppo" in text and "sha256 <code>" in text
     assert "named and not played, they count as p = 1: sac less ppo" in text
+
+
+def test_the_page_has_columns_of_groups(tmp_path: Path) -> None:
+    put_beside_teams(tmp_path / "league")
+    page = tmp_path / "page.html"
+    assert run(["report", str(tmp_path / "league"), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "unseen family" in text and "with persons alone: mirror" in text
 
 
 def test_who_fails_with_whom(league: Path) -> None:

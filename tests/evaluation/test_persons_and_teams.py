@@ -16,7 +16,9 @@ from assistax_envs.persons.senses import SEAT_SIZES
 from assistax_envs.preferences import PREFERENCES
 from assistax_workshop.press.publish import publish
 from assistax_zoo import cross_play, evaluate
+from evaluation.cast.cast import choose_partners, groups_beside_teams, names_nobody
 from evaluation.cast.roster import Member, Roster, joined
+from evaluation.evaluate import cast_robots
 from evaluation.figures.comparable import Evaluated, comparable, summarise_comparison
 from evaluation.play.baselines import reference_roster
 from evaluation.play.how import PlaySettings
@@ -28,8 +30,12 @@ from evaluation.play.tiles import cut_tiles, plan
 from evaluation.replay.replay import replay_folder
 from population.networks.spec import PolicySpec
 from population.networks.stack import PolicyStack, stack_policies
+from population.views import View
 from tests.untrained import gentle_specs, params_of, teams_of
+from zoo.parameters.storage import write_policy_file
+from zoo.partners.person_ids import is_team
 from zoo.partners.person_seat import PersonSpec
+from zoo.partners.person_tables import persons_alone
 from zoo.registry import Registry, load_registry
 
 TASK, OWN = "gentle_scratch", "own"
@@ -157,6 +163,55 @@ def test_an_evaluation_has_three_groups_and_is_replayed(mixed: Registry, tmp_pat
     for partners, count, groups in (("persons", 4, 2), (f"{TASK}/ippo-*", None, 1)):
         part = evaluate(robot, **{**how, "partners": partners, "persons": count, "episodes": 1})
         assert part.m_test is None and len(part.by_group) == groups
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An untrained robot that is told all numbers of a person."""
+    env = View.NUMBERS.make(TASK, "native", numbers=np.zeros((1, 30)))
+    sizes = env.observation_size["robot"], env.action_size["robot"]
+    spec, path = PolicySpec("robot", *sizes, hidden=(8,)), tmp_path_factory.mktemp("told") / "robot"
+    claims = {"task": TASK, **View.NUMBERS.claim}
+    write_policy_file(path.with_suffix(".safetensors"), spec, params_of(spec, 0), claims)
+    return str(path.with_suffix(".safetensors"))
+
+
+@pytest.mark.parametrize(
+    ("split", "partners", "teams"),
+    [
+        (None, None, False),
+        ("test", None, False),
+        ("persons", None, False),
+        (None, "persons", False),
+        ("its id", None, True),
+        (None, ["persons", f"{TASK}/ippo-*"], True),
+    ],
+)
+def test_robots_told_numbers_play_teams_only_if_a_user_asks(
+    mixed: Registry, told: str, split: str | None, partners: Any, teams: bool
+) -> None:
+    whole = mixed.split(TASK)
+    named = whole.id if split == "its id" else split
+    chosen = choose_partners(mixed, TASK, named, partners, 4)
+    default = names_nobody(named, partners)
+    cast = cast_robots(mixed, [told], chosen, default=default)
+    assert cast.split == (whole if teams else persons_alone(whole))
+    assert {is_team(name) for name in cast.humans.ids} == ({False, True} if teams else {False})
+    assert cast.groups == (groups_beside_teams(whole) if teams else ())
+    plain = cast_robots(mixed, [f"{TASK}/ippo-d1-s1-v1/robot"], chosen, default=default)
+    assert plain.split == whole and plain.humans.ids == tuple(human.id for human in chosen[1])
+    if teams:
+        with pytest.raises(ValueError, match="only persons have any; play it with persons alone"):
+            make_job(PlaySettings(TASK, backend="native"), cast.robots, cast.humans)
+
+
+@pytest.mark.slow
+def test_m_test_of_robots_told_numbers_is_of_persons(mixed: Registry, told: str) -> None:
+    how: dict[str, Any] = {"episodes": 1, "backend": "native", "progress": False}
+    found = evaluate(told, persons=4, references=False, zoo=mixed.path, task=TASK, **how)
+    assert found.m_test is not None and [*found.by_group] == ["known families", "unseen family"]
+    assert found.episodes["partner"].n_unique() == 4
+    assert any("all numbers of a person, which teams do not have" in note for note in found.notes)
 
 
 @pytest.mark.slow

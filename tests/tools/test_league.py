@@ -10,18 +10,22 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+from assistax_workshop.press.publish import publish
 from evaluation.figures.league import read_league, row_folders
+from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.record.record import Record
 from population.method_presets import METHODS
 from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
-from tests.evaluation.test_league import put
+from tests.evaluation.test_league import put, put_beside_teams
 from tools.league.__main__ import run
 from tools.league.queue import read_queue, run_queue
 from tools.league.results import ShownContrast, sentences
 from tools.league.rows import named, rows
 from tools.league.tables import read_tables
 from zoo.parameters.storage import read_policy_file
+from zoo.partners.person_ids import is_team
+from zoo.partners.person_tables import person_splits
 from zoo.registry import load_registry
 from zoo.splitting.create import create_split
 
@@ -214,6 +218,47 @@ def test_a_told_best_response_of_a_gentle_task(tmp_path: Path, capfd, monkeypatc
     assert seen > own
 
 
+@pytest.mark.slow
+def test_rows_play_persons_and_teams_but_bounds_play_persons(
+    tmp_path: Path, capfd, monkeypatch
+) -> None:
+    monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
+    task, path, league = "gentle_scratch", tmp_path / "registry.json", tmp_path / "league"
+    teams = untrained.teams_of(2, *untrained.gentle_specs(task), task=task)
+    earned = {"mean": 100.0, "iqm": 100.0, "mean_ci": [0.0, 100.0], "n": 8}
+    weak = {**earned, "mean": 1.0}  # its team is on no side
+    teams = [
+        dataclasses.replace(team, self_play=weak if place == 3 else earned)
+        for place, team in enumerate(teams)
+    ]
+    publish(teams, path, "v1", persons=[task], date="2027-01-31")
+    registry = load_registry(path)
+    split, (alone, _) = registry.split(task), person_splits(registry.data, task)
+    sizes = ["--registry", str(path), "--persons", "4", "--no-references", "--seeds", "2", *TINY]
+    competent = {team for team in split.test if is_team(team)}
+    assert len(competent) == 3
+    of_persons, met = {"mirror", "best-response", "told-partner"}, dict[str, set[str]]()
+    for name in ("ppo", *sorted(of_persons)):
+        code, printed = run(["row", name, task, "--out", str(league), *sizes]), capfd.readouterr()
+        assert code == 0, printed.err
+        record, row = json.loads(printed.out), league / task / name
+        assert (record["split"], record["training_split"]) == (split.id, alone.id)
+        summary, played = read_summary(row), {*_partners(row)}
+        assert isinstance(summary, EvaluationSummary) and summary.m_test and summary.split
+        assert record["m_test"]["mean"] == summary.m_test.mean
+        assert summary.split.id == (alone.id if name in of_persons else split.id)
+        chosen = {team for team in played if is_team(team)}
+        assert chosen <= competent and len(chosen) == (0 if name in of_persons else 2)
+        met[name] = played - chosen
+    assert met.pop("best-response") < met["ppo"] and len({*map(frozenset, met.values())}) == 1
+    for found in read_league(league / task).rows:
+        means = [figure.mean for figure in found.by_group.values()]
+        assert found.mean.mean == pytest.approx(np.mean(means))
+        assert ("teams" in found.by_group) == (found.row not in of_persons)
+    assert run(["page", str(league), "--text", str(tmp_path / "page.md")]) == 0
+    assert "play the persons alone" in (tmp_path / "page.md").read_text()
+
+
 def _partners(folder: Path) -> list[str]:
     return sorted(Record.read(folder).returns.partners["partner_team"])
 
@@ -238,7 +283,7 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     [row] = [line for line in page.splitlines() if line.startswith("| `scratch` | `gru` |")]
     best, plain, _, told = [cell.strip() for cell in row.split("|")[3:7]]
     assert best.startswith("**300") and plain.startswith("200") and told.startswith("350")
-    assert row.endswith("| 0 of 10 persons |") and "`gru` wins 66% of 151 points" in page
+    assert row.endswith("| 0 of 10 partners |") and "`gru` wins 66% of 151 points" in page
     beside = "each trained for one training person, the best of each four seeds, `gru` earns 380"
     assert f"{beside} of 400 (95%) in `scratch`" in page
     assert page.count("](images/") == 2  # nobody was validated, so there are no curves
@@ -247,17 +292,49 @@ def test_the_page_says_what_the_rows_say(tmp_path: Path, capsys) -> None:
     assert len([line for line in first_screen.splitlines() if line[:1].isdigit()]) <= 10
 
 
-@pytest.mark.parametrize(("rule", "is_named"), [("half", True), ("small-5", False)])
+def test_page_of_persons_and_teams_shows_each_group(tmp_path: Path, capsys) -> None:
+    put_beside_teams(tmp_path / "league/scratch")
+    page = written_page(
+        tmp_path, capsys, NAMED.replace("scratch-half-v0", "persons-s0-v0-11111111")
+    )
+    assert "| row | task | return | known families | unseen family | teams |" in page
+    lines = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    cells = [cell.split() for cell in lines["mirror"].split("|")[3:7]]
+    assert [cell[0] if cell else "" for cell in cells] == ["200", "150", "250", ""]
+    assert lines["ppo"].count("[") == 4, "each figure has an interval"
+    assert "`mirror`, `told-best-response` play the persons alone: teams have no" in page
+    assert "whose groups count alike" in page and "`gru` - `ppo` | `scratch` | 30 " in page
+    assert "of 11 partners |" in page
+    partners = pl.read_csv(tmp_path / "docs/data/scratch-partners.csv")
+    assert set(partners["family"]) == {"spring", "stepper", "teams"}
+    table = pl.read_csv(tmp_path / "docs/data/scratch-league.csv")
+    assert table.filter(row="mirror")["teams"].to_list() == [None]
+    again = read_tables(tmp_path / "docs/data").league["scratch"]
+    assert_frame_equal(again, table)
+
+
+def test_page_without_groups_has_no_table_of_them(tmp_path: Path, capsys) -> None:
+    for row in ("ppo", "gru"):
+        put(tmp_path / "league/scratch", row, np.full((4, 10), 200.0), baselines=row == "ppo")
+    page = written_page(tmp_path, capsys, NAMED)
+    assert "| row | task |" not in page and "persons alone" not in page
+
+
+@pytest.mark.parametrize(
+    ("rule", "of", "is_named"),
+    [("half", "split", True), ("small-5", "split", False), ("half", "training_split", True)],
+)
 def test_page_names_published_robots_of_chosen_methods(
-    rule: str, is_named: bool, tmp_path: Path, capsys
+    rule: str, of: str, is_named: bool, tmp_path: Path, capsys
 ) -> None:
-    """Those that learned with the league's split."""
+    """Those that learned with the same split as the league's."""
     place = tmp_path / "league/scratch"
     put(place, "ppo", np.full((4, 10), 200.0), baselines=True)
     put(place, "gru", np.full((4, 10), 150.0))
     (place / "runs/ppo").mkdir(parents=True)
     split = load_registry().split("scratch", rule).id
-    (place / "runs/ppo/row.json").write_text(json.dumps({"split": split}))
+    record = {"split": "scratch/persons-s0-v1-01234567", of: split}
+    (place / "runs/ppo/row.json").write_text(json.dumps(record))
     page = written_page(tmp_path, capsys, NAMED)
     assert ("names: `scratch/ppo-ego-s0-v1`. [Tracks]" in page) == is_named
 

@@ -80,7 +80,9 @@ def row(
         name: Row, such as ppo; `rows` prints them.
         task: Task, such as gentle_scratch.
         out: Folder of the league.
-        split: Split of three sides, or persons; default the release's own.
+        split: Split of three sides, or persons; default the release's own. If teams stand beside
+            persons on its test side, robots train with persons and play both, but best responses,
+            the mirror and robots that are told numbers play the persons alone.
         seeds: How many, or which; default 32, and 64 in gentle_lift.
         part: 2/4 trains the second quarter of the seeds, and chooses by the validation side. all/4
             joins the four, which may come from several machines, and plays the test side.
@@ -92,7 +94,7 @@ def row(
         sampled: Partners of the side that have best responses.
         side: Side of these partners. With those of the training side the best robots of all
             methods in OUT play too, and the folder is OUT/TASK/training-side.
-        persons: How many persons of the test side play.
+        persons: How many persons of the test side play, and teams as many as of a group of them.
         validators: How many of the validation side; default as many.
         references: Whether zero, random and script play too; once in a league is enough.
         contrasts: File of named contrasts, whose sha256 the record keeps.
@@ -129,7 +131,6 @@ def row(
     chosen, folder = loaded.split(task, split), out / task
     if split is None and not chosen.validation:
         chosen = loaded.split(task, "three-sides")
-    chosen = loaded.source_of_split(chosen).training_split(chosen)
     making = Making(loaded, made, how, chosen, sizes, folder, command, contrasts, side, parts)
     record = make_row(making)
     print(json.dumps(record, indent=1))

@@ -15,7 +15,7 @@ from assistax_base.files import write_json
 from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import StudyLine, TrainingLine
-from evaluation.cast.cast import choose_partners
+from evaluation.cast.cast import choose_partners, without_teams
 from evaluation.ego_training import EgoTraining, prepare, train_egos
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
@@ -24,9 +24,9 @@ from evaluation.play.how import PlaySettings
 from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
 from evaluation.training_partners import load_partners
-from evaluation.validation import CHOICES, Choice, Choices, choose, validation_side
+from evaluation.validation import CHOICES, choose, validation_side
 from population.runs.trained import TrainedRun
-from tools.league.parts import RECORD, TRAINED, Part
+from tools.league.parts import RECORD, TRAINED, Part, picked
 from tools.league.rows import Row, rows
 from zoo.locations import cache_root
 from zoo.registry import Registry
@@ -58,13 +58,23 @@ class Making:
     registry: Registry
     row: Row
     how: PlaySettings
-    split: Split
+    split: Split  # of the league
     sizes: Sizes
     folder: Path  # of the task
     command: str
     contrasts: Path | None = None
     side: Side = "test"  # side of the partners that have best responses
     part: Part | None = None  # of the seeds; None if all are trained at once
+
+    @property
+    def learned(self) -> Split:
+        """The split that robots learn with."""
+        return self.registry.source_of_split(self.split).training_split(self.split)
+
+    @property
+    def played(self) -> Split:
+        """The split that the row plays, which is of the persons alone for some rows."""
+        return without_teams(self.split) if self.row.of_persons else self.split
 
     @property
     def place(self) -> Path:
@@ -142,6 +152,7 @@ def make_row(making: Making) -> dict[str, Any]:
         "task": making.how.task,
         "command": making.command,
         "split": making.split.id,
+        "training_split": making.learned.id,
         "seeds": made.seeds,
         "robots": len(made.files),
         "steps": made.steps,
@@ -161,7 +172,7 @@ def make_row(making: Making) -> dict[str, Any]:
 
 def _robots(making: Making, seconds: dict[str, float]) -> Made:
     """Train the robots of a row, or choose those that are trained already."""
-    row, split = making.row, making.split
+    row, split = making.row, making.learned
     if making.part and row.source != "train":
         raise ValueError(
             f"part is {making.part.number}/{making.part.count} for row {row.name!r}; allowed are "
@@ -205,33 +216,14 @@ def _joined(making: Making, seconds: dict[str, float]) -> Made:
     for record in records:
         for name, minutes in record["device_minutes"].items():
             seconds[name] = seconds.get(name, 0.0) + 60 * minutes
-    files = [str((making.training / choice.file).resolve()) for choice in _picked(row, chosen)]
+    files = [str((making.training / choice.file).resolve()) for choice in picked(row, chosen)]
     total, first = sum(record["total_steps"] for record in records), records[0]
     return Made(files, list(sizes.seeds), first["steps"], total, first["device"])
 
 
-def _picked(row: Row, chosen: Choices) -> tuple[Choice, ...]:
-    """Return which of the chosen robots a row plays.
-
-    Raises:
-        ValueError: There are too few seeds for a group.
-    """
-    picked = chosen.best if row.source == "best-of" else chosen.by_seed
-    if not picked:
-        raise ValueError(
-            f"seeds are {len(chosen.by_seed)}, and the best of each {chosen.best_of} is wanted; "
-            "give that many or more"
-        )
-    return picked
-
-
 def sampled(making: Making) -> list[PolicyEntry]:
-    """Return the partners of the side that have best responses: a draw, fewer part of more.
-
-    Teams beside persons have none, since robots train with partners of one kind.
-    """
-    _, chosen = _partners(making, making.side, making.sizes.persons)
-    humans = [human for human in chosen if making.split.side(human.team)]
+    """Return the partners of the side that have best responses: a draw, fewer part of more."""
+    _, humans = _partners(making, making.side, making.sizes.persons)
     drawn = sorted(humans, key=lambda human: sha256(human.id.encode()))[: making.sizes.sampled]
     return sorted(drawn, key=lambda human: human.id)
 
@@ -239,8 +231,8 @@ def sampled(making: Making) -> list[PolicyEntry]:
 def _partners(
     making: Making, side: str, persons: int | None
 ) -> tuple[Split, Sequence[PolicyEntry]]:
-    name = making.registry.source_of_split(making.split).word or making.split.id
-    return choose_partners(making.registry, making.how.task, f"{name}:{side}", None, persons)
+    name = f"{making.played.id}:{side}"
+    return choose_partners(making.registry, making.how.task, name, None, persons)
 
 
 def _learning(making: Making, split: Split) -> EgoTraining:
@@ -294,7 +286,7 @@ def _trained(
     with StudyLine(row.stage("validation")) as line:
         chosen = choose(making.registry, learning, run, making.how, on_progress=line, **playing)
     seconds["validation"] = time.perf_counter() - start
-    return run, [str(run.folder / choice.file) for choice in _picked(row, chosen)]
+    return run, [str(run.folder / choice.file) for choice in picked(row, chosen)]
 
 
 def _best_published(making: Making, seconds: dict[str, float]) -> str:

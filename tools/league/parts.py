@@ -13,6 +13,7 @@ from assistax_base.files import write_json
 from evaluation.record import tables
 from evaluation.validation import CHOICES, CURVE, Choice, Choices, best_of_each
 from population.runs.folder import RunFolder
+from tools.league.rows import Row
 
 TRAINED, RECORD = "training", "row.json"  # the folder of a row's training, and a record
 
@@ -65,7 +66,7 @@ class Part:
 
         Args:
             folder: Has the parts.
-            split: Split that each part must have been trained with.
+            split: The league's split, which each part must have.
             seeds: Seeds of all parts together, in this order.
             best_of: Seeds of a group; the best seed of each group is chosen too.
 
@@ -109,10 +110,25 @@ class Part:
             for choice in each["by_seed"]
         )
         best = best_of_each(by_seed, best_of)
-        asked = chosen[0]["partners"], chosen[0]["episodes"]
-        whole = Choices(split, *asked, by_seed, best_of, best)
+        asked = (chosen[0][name] for name in ("split", "partners", "episodes"))
+        whole = Choices(*asked, by_seed, best_of, best)
         (folder / TRAINED).mkdir(exist_ok=True)
         curves = [tables.read_parquet(place / CURVE) for place in places]
         tables.write_parquet(pl.concat(curves), folder / TRAINED / CURVE)
         write_json(folder / TRAINED / CHOICES, dataclasses.asdict(whole))
         return whole, records
+
+
+def picked(row: Row, chosen: Choices) -> tuple[Choice, ...]:
+    """Return which of the chosen robots a row plays.
+
+    Raises:
+        ValueError: There are too few seeds for a group.
+    """
+    picked = chosen.best if row.source == "best-of" else chosen.by_seed
+    if not picked:
+        raise ValueError(
+            f"seeds are {len(chosen.by_seed)}, and the best of each {chosen.best_of} is wanted; "
+            "give that many or more"
+        )
+    return picked

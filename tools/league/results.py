@@ -22,6 +22,7 @@ from evaluation.figures.league import (
 )
 from evaluation.figures.metrics.inference import holm
 from tools.league.figures import FAILED, failures
+from tools.league.groups import Groups
 from tools.league.rows import rows
 from tools.league.tables import Tables, splits_of
 from zoo.registry import Registry
@@ -52,6 +53,7 @@ class Played:
     by_partner: pl.DataFrame | None  # None for the training side
     # By row, the mean return of its chosen robots with the validation side.
     validated: Mapping[str, float]
+    groups: Groups
 
     @property
     def methods(self) -> list[ShownRow]:
@@ -222,7 +224,8 @@ def results_page(
     return _template("results").render(
         **places,
         tasks=tasks,
-        published=list(_published(tasks, splits_of(shown.records), registry)),
+        published=list(_published(tasks, splits_of(shown.records, "training_split"), registry)),
+        groups=list(dict.fromkeys(name for task in tasks for name in task.groups.names)),
         sentences=sentences(tasks, contrasts, asked, named.alpha if named else 1.0, trained),
         figures=figures,
         contrasts=contrasts,
@@ -313,7 +316,8 @@ def _played(
     task: str, table: pl.DataFrame, partners: pl.DataFrame | None, validated: Mapping[str, float]
 ) -> Played:
     """Return the results of one task."""
-    return Played(task, tuple(_of_table(ShownRow, table)), partners, validated)
+    shown = tuple(_of_table(ShownRow, table))
+    return Played(task, shown, partners, validated, Groups.of_table(table))
 
 
 def _validated(curves: pl.DataFrame) -> dict[str, float]:

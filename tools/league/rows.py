@@ -12,6 +12,7 @@ from evaluation.figures.league import (
     KNOWING_NUMBERS,
     KNOWING_RESPONSE,
     MIRROR,
+    OF_PERSONS,
     PPO,
     RESPONSE,
     ordered,
@@ -36,6 +37,11 @@ class Row:
     def of(self) -> str:
         """Name of the row that provides the training."""
         return PPO if self.source == "best-of" else self.name
+
+    @property
+    def of_persons(self) -> bool:
+        """Whether it plays the persons alone, where teams stand beside them."""
+        return self.name in OF_PERSONS
 
     @property
     def stages(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import polars as pl
 
 from assistax_base.bounded_reading import parse_json
 from assistax_base.files import atomic_write
+from assistax_envs.persons.rows import TEAMS, groups_of
 from assistax_zoo.comparing import compare_named
 from evaluation.figures.contrasts import ContrastsFile
 from evaluation.figures.league import League, league_table, ordered, read_league, row_folders
@@ -159,9 +160,14 @@ def corrected(shown: Tables, file: ContrastsFile) -> pl.DataFrame | None:
     return pl.DataFrame(lines, schema=shown.contrasts.schema)
 
 
-def splits_of(records: pl.DataFrame) -> dict[str, str]:
-    """Return the split of each task, if one of its rows names it."""
-    return dict(records.select("task", "split").drop_nulls().iter_rows())
+def splits_of(records: pl.DataFrame, which: str = "split") -> dict[str, str]:
+    """Return the split of each task, if one of its rows names it.
+
+    Args:
+        records: How rows were made.
+        which: "split", that of the league, or "training_split", that robots learned with.
+    """
+    return dict(records.select("task", which).drop_nulls().iter_rows())
 
 
 def _of(line: Mapping[str, Any]) -> tuple[str, ...]:
@@ -175,10 +181,16 @@ def _trained(place: Path) -> bool:
 
 
 def _with_families(league: League, place: Path) -> pl.DataFrame:
-    """Return each row's mean with each partner, and the partner's family (its algorithm)."""
+    """Return each row's mean with each partner, and the partner's family.
+
+    It is its algorithm, but "teams" of all teams beside persons.
+    """
     folders = row_folders(place).values()
     known = [Record.read(folder).table.select("partner", "partner_algorithm") for folder in folders]
     families = pl.concat(known).unique().rename({"partner_algorithm": "family"})
+    if groups := groups_of(families["family"].to_list()):
+        family = pl.when(pl.Series(groups) == TEAMS).then(pl.lit(TEAMS)).otherwise("family")
+        families = families.with_columns(family=family)
     return league.by_partner.join(families, on="partner", how="left", maintain_order="left")
 
 
@@ -202,7 +214,9 @@ def _records(leagues: Mapping[Path, League]) -> list[dict[str, Any]]:
             record = parse_json(path.read_text(encoding="utf-8")) if path.is_file() else {}
             known = {key: record.get(key) for key in (*shown, "contrasts")}
             known |= {"row": name, "task": league.context.task, "made": name in rows()}
-            found.append({**known, "split": record.get("split")})
+            split = record.get("split")
+            learned = record.get("training_split", split)
+            found.append({**known, "split": split, "training_split": learned})
     return found
 
 
