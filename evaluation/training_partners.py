@@ -20,17 +20,17 @@ def chosen_split(
     Of a default split that has teams beside persons it is that of the persons alone, but for
     "mixed".
     """
-    if isinstance(split, Split):
-        return split
     words = [source.word for source in registry.sources if source.word]
     if partners == MIXED:
-        chosen = registry.split(task, split)
+        chosen = split if isinstance(split, Split) else registry.split(task, split)
         if len({registry.source_of(team) for team in chosen.train}) < 2:
             raise ValueError(
                 f"partners are {MIXED!r}, and the training side of {chosen.id} has partners of one "
                 f"kind; choose a split with teams beside others, or partners of {', '.join(words)}"
             )
         return chosen
+    if isinstance(split, Split):
+        return split
     if partners is not None and partners not in words:
         raise ValueError(
             f"partners are {partners!r}; allowed are {', '.join((*words, MIXED))}, or a split's "

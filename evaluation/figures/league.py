@@ -31,6 +31,7 @@ from population.views import View
 FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
 # Of robots that observe the preference, without a memory and with one, or a person's numbers.
 KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS = "told-preference", "told-gru", View.NUMBERS.condition
+STUDENTS, MIXED = "dagger", "mixed"
 MIRROR = "mirror"
 RESPONSE, KNOWING_RESPONSE = "best-response", "told-best-response"
 RESPONSES = RESPONSE, KNOWING_RESPONSE

@@ -14,11 +14,13 @@ from assistax_workshop.press.publish import publish
 from evaluation.figures.league import read_league, row_folders
 from evaluation.figures.summary import EvaluationSummary, read_summary
 from evaluation.record.record import Record
+from evaluation.validation import CHOICES
 from population.method_presets import METHODS
 from tests import untrained
 from tests.evaluation.test_contrasts import NAMED
 from tests.evaluation.test_league import put, put_beside_teams
 from tools.league.__main__ import run
+from tools.league.parts import teachers
 from tools.league.queue import read_queue, run_queue
 from tools.league.results import ShownContrast, sentences
 from tools.league.rows import named, rows
@@ -47,6 +49,17 @@ def test_registered_method_is_a_row(monkeypatch) -> None:
     monkeypatch.setitem(METHODS, "new", ("", {}))
     made = named("new")
     assert (made.algorithm, made.source, made.told) == ("new", "train", False)
+
+
+def test_students_imitate_the_best_quarter_of_their_teachers(tmp_path: Path) -> None:
+    row, run = named("dagger"), tmp_path / "training"
+    with pytest.raises(ValueError, match=r"imitates robots of told-gru, and .* has none"):
+        teachers(tmp_path, row)
+    run.mkdir()
+    means = (3.0, 9.0, 1.0, 7.0, 8.0)
+    by_seed = [{"seed": n, "mean": mean, "file": f"{n}"} for n, mean in enumerate(means)]
+    (run / CHOICES).write_text(json.dumps({"by_seed": by_seed}))
+    assert teachers(tmp_path, row) == [run / "1", run / "4"]
 
 
 def test_a_stage_is_told_with_its_place() -> None:

@@ -16,7 +16,7 @@ from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import StudyLine, TrainingLine
 from evaluation.cast.cast import choose_partners, without_teams
-from evaluation.ego_training import EgoTraining, prepare, train_egos
+from evaluation.ego_training import EgoTraining, prepare, train_egos, with_teachers
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
 from evaluation.figures.summary import read_summary
@@ -25,8 +25,9 @@ from evaluation.record.manifest import describe_machine, write_run
 from evaluation.record.record import Record
 from evaluation.training_partners import load_partners
 from evaluation.validation import CHOICES, choose, validation_side
+from population.config import MIXED
 from population.runs.trained import TrainedRun
-from tools.league.parts import RECORD, TRAINED, Part, picked
+from tools.league.parts import RECORD, TRAINED, Part, picked, teachers
 from tools.league.rows import Row, rows
 from zoo.locations import cache_root
 from zoo.registry import Registry
@@ -69,6 +70,8 @@ class Making:
     @property
     def learned(self) -> Split:
         """The split that robots learn with."""
+        if self.row.mixed:
+            return self.split
         return self.registry.source_of_split(self.split).training_split(self.split)
 
     @property
@@ -241,7 +244,8 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     alone = row.source == "each" and bool(making.registry.source_of_split(split).word)
     seeds = making.part.seeds(sizes.seeds) if making.part else sizes.seeds
     recipe: dict[str, Any] = {}
-    if split.task in PREFERRED and row.algorithm != "sac":  # the recipe is of PPO's hyperparameters
+    # The recipe is of PPO's hyperparameters for learning from rewards.
+    if split.task in PREFERRED and row.algorithm != "sac" and not row.teacher:
         recipe = recipe_with_persons(split.task)
     if not making.registry.source_of_split(split).word:
         # Every team gets the same share of the preset's simulations, and teams have no own will.
@@ -250,6 +254,7 @@ def _learning(making: Making, split: Split) -> EgoTraining:
         making.registry,
         split.task,
         split=split,
+        partners=MIXED if row.mixed else None,
         algorithm=row.algorithm,
         seeds=len(split.train) if alone else seeds,
         steps=sizes.steps,
@@ -259,6 +264,8 @@ def _learning(making: Making, split: Split) -> EgoTraining:
     if alone:
         partners = load_partners(making.registry, split, each=True)
         learning = dataclasses.replace(learning, partners=partners)
+    if row.teacher:
+        return with_teachers(learning, teachers(making.folder / RUNS / row.teacher, row))
     return learning
 
 

@@ -132,3 +132,24 @@ def picked(row: Row, chosen: Choices) -> tuple[Choice, ...]:
             "give that many or more"
         )
     return picked
+
+
+def teachers(folder: Path, row: Row) -> list[Path]:
+    """Return the policy files of the best quarter of the row that another imitates, by validation.
+
+    Args:
+        folder: Folder of the teachers' row, with its training.
+        row: The row that imitates them.
+
+    Raises:
+        ValueError: The teachers are not trained and chosen yet.
+    """
+    run = folder / TRAINED
+    if not (run / CHOICES).is_file():
+        raise ValueError(
+            f"row {row.name} imitates robots of {row.teacher}, and {run} has none; make that row "
+            "first"
+        )
+    chosen = parse_json((run / CHOICES).read_text(encoding="utf-8"))["by_seed"]
+    best = sorted(chosen, key=lambda choice: -choice["mean"])[: -(-len(chosen) // 4)]
+    return [run / choice["file"] for choice in best]

@@ -12,9 +12,11 @@ from evaluation.figures.league import (
     KNOWING_NUMBERS,
     KNOWING_RESPONSE,
     MIRROR,
+    MIXED,
     OF_PERSONS,
     PPO,
     RESPONSE,
+    STUDENTS,
     ordered,
 )
 from population.method_presets import METHODS
@@ -32,6 +34,8 @@ class Row:
     source: Source
     algorithm: str = PPO
     told: Told = False
+    mixed: bool = False  # whether it learns with teams beside persons
+    teacher: str = ""  # row whose best robots it imitates
 
     @property
     def of(self) -> str:
@@ -65,6 +69,8 @@ def rows() -> dict[str, Row]:
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),
+        Row(STUDENTS, "train", "dagger", teacher=KNOWING_MEMORY),
+        Row(MIXED, "train", "asymmetric_gru", mixed=True),
         Row(KNOWING, "train", told=True),
         Row(KNOWING_MEMORY, "train", "gru", told=True),
         Row(KNOWING_NUMBERS, "train", told="partner"),

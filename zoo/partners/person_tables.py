@@ -292,7 +292,7 @@ def person_split(data: RegistryFile, task: str, name: str) -> Split | None:
         if not known:
             tasks = sorted({of for _, of, _ in person_tables(data)})
             expected = f"a task with persons ({', '.join(tasks)})" if tasks else "published persons"
-            raise SplitError(f"split {name} of task {task}", expected, "a task without persons")
+            raise SplitError(f"split {name} of task {task}", expected, f"no persons of {task}")
         raise SplitError(
             f"split {name} of task {task}",
             f"one of {', '.join(split.id for split in known)}",
