@@ -81,7 +81,8 @@ class MixedPartners(FrozenPartners):
         """Return the humans of the episodes that begin from `keys` [N]."""
         network = humans.person >= len(self._persons.rows)
         drawn = jax.vmap(draw_preferences)(humans.preference_code, keys)
-        same = dataclasses.replace(humans, preference=drawn)
+        # The width of their liking is the training's, which sets it anew.
+        same = dataclasses.replace(humans, preference=drawn, width=None)
         return jax.tree.map(
             lambda kept, new: jnp.where(network, kept, new),
             same,

@@ -237,11 +237,11 @@ def test_rows_play_persons_and_teams_but_bounds_play_persons(
 ) -> None:
     monkeypatch.setattr("assistax_envs.env.EPISODE_LENGTH", 20)
     task, path, league = "gentle_scratch", tmp_path / "registry.json", tmp_path / "league"
-    teams = untrained.teams_of(2, *untrained.gentle_specs(task), task=task)
+    teams = untrained.teams_of(3, *untrained.gentle_specs(task), task=task)
     earned = {"mean": 100.0, "iqm": 100.0, "mean_ci": [0.0, 100.0], "n": 8}
     weak = {**earned, "mean": 1.0}  # its team is on no side
     teams = [
-        dataclasses.replace(team, self_play=weak if place == 3 else earned)
+        dataclasses.replace(team, self_play=weak if place == 4 else earned)
         for place, team in enumerate(teams)
     ]
     publish(teams, path, "v1", persons=[task], date="2027-01-31")
@@ -251,11 +251,12 @@ def test_rows_play_persons_and_teams_but_bounds_play_persons(
     competent = {team for team in split.test if is_team(team)}
     assert len(competent) == 3
     of_persons, met = {"mirror", "best-response", "told-partner"}, dict[str, set[str]]()
-    for name in ("ppo", *sorted(of_persons)):
+    for name in ("ppo", "mixed", *sorted(of_persons)):
         code, printed = run(["row", name, task, "--out", str(league), *sizes]), capfd.readouterr()
         assert code == 0, printed.err
         record, row = json.loads(printed.out), league / task / name
-        assert (record["split"], record["training_split"]) == (split.id, alone.id)
+        learned = split.id if name == "mixed" else alone.id
+        assert (record["split"], record["training_split"]) == (split.id, learned)
         summary, played = read_summary(row), {*_partners(row)}
         assert isinstance(summary, EvaluationSummary) and summary.m_test and summary.split
         assert record["m_test"]["mean"] == summary.m_test.mean
