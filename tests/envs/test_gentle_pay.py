@@ -127,15 +127,3 @@ def test_point_on_the_far_side_is_farther() -> None:
         assert float(task._turned_away(both)[0, 0]) == pytest.approx(turned, abs=1e-5)
     along = jnp.broadcast_to(tool[:, None].at[..., 2].add(0.2), (1, 2, 3))
     assert float(task._turned_away(along)[0, 0]) == pytest.approx(0.0, abs=1e-5)
-
-
-@pytest.mark.slow
-def test_arm_that_is_wiped_all_over_has_no_distance() -> None:
-    task, state, readings = _begun("gentle_bath", ["p5"])
-    distances = []
-    for left in (state.left, jnp.zeros_like(state.left)):
-        was = dataclasses.replace(state, left=left)
-        _, _, terms, measures = task.transition(was, readings)
-        distances.append(float(measures.distance[0]))
-        assert jnp.isfinite(terms["progress"]).all()
-    assert 0.0 < distances[0] < 2.0 and distances[1] == 0.0

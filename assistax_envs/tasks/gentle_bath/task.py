@@ -156,8 +156,7 @@ class GentleBath:
         )
         state = WipeState(left, tool, drift, nearest, well, felt, s.preference)
         done = (well >= MOSTLY).sum(axis=1) >= ENOUGH
-        distance = jnp.where(near < WIPED, near, 0.0)  # of an arm that is wiped all over
-        return state, obs, terms, care.measures(felt, r, distance, done, best)
+        return state, obs, terms, care.measures(felt, r, near, done, best)
 
     def _felt(self, s: WipeState, r: TouchReadings, speed: jax.Array) -> care.Care:
         """Return the care after a step: of the force, and of the speed of a pad that slides."""
