@@ -9,7 +9,7 @@ from assistax_base.cluster import RayCluster
 from assistax_zoo.results import CrossPlayResult, EvaluationResult, TemporaryFolder
 from assistax_zoo.shell.console import StudyLine, chosen_progress, command_line
 from assistax_zoo.zoos import Zoo, open_zoo
-from evaluation.cast.cast import Cast, choose_partners, names_nobody
+from evaluation.cast.cast import Cast, choose_partners, leaves_the_choice
 from evaluation.cast.robot_names import parse_reference, task_of
 from evaluation.crossplay import cast_population
 from evaluation.crossplay import cross_play as play_population
@@ -149,7 +149,7 @@ def evaluate(
             chosen,
             trained_with=trained_with or None,
             baselines=references,
-            default=names_nobody(split, partners),
+            default=leaves_the_choice(split, partners),
         )
     with chosen_progress(progress, StudyLine(f"evaluate {task}")) as on_progress:
         summary = evaluate_cast(

@@ -200,9 +200,7 @@ def _published(
     humans = [f"{team}/human" for team in names]
     if opened.remote is not None:
         opened.fetch(humans)
-    frozen = networks(
-        opened.registry, humans, own_preferences=source.own_preferences and not source.drawn
-    )
+    frozen = networks(opened.registry, humans)
     drawn = drawn or tuple(chosen.preferences.get("train", ()))
     return RotatingPartners(frozen, drawn), older_version(opened.registry, chosen)
 

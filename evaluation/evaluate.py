@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.cast.cast import Cast, without_teams
+from evaluation.cast.cast import Cast
 from evaluation.cast.egos import probe_egos, read_egos
 from evaluation.cast.met_partners import check_new
 from evaluation.figures.normalised import bounds_table
@@ -22,7 +22,6 @@ from evaluation.record import tables
 from evaluation.record.record import Record
 from population.views import View
 from zoo.locations import CACHE_VARIABLE
-from zoo.partners.person_ids import is_team
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
 
@@ -63,8 +62,9 @@ def cast_robots(
     split, humans = partners
     egos = read_egos(robots, registry, split.task)
     check_distinct(egos)
-    if (alone := without_teams(split)) is not split and egos.view is View.NUMBERS:
-        persons = [human for human in humans if not is_team(human.team)]
+    source = registry.source_of_split(split)
+    if (alone := source.alone(split)) is not split and egos.view is View.NUMBERS:
+        persons = [human for human in humans if source.owns(human.team)]
         if default or len(persons) == len(humans):
             split, humans = alone, persons
     return Cast.of(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from assistax_envs.versions import VERSIONS
 from population.config import MIXED
+from zoo.partners.kinds import kind_of
 from zoo.registry import Registry
 from zoo.schema import Split
 
@@ -23,7 +24,7 @@ def chosen_split(
     words = [source.word for source in registry.sources if source.word]
     if partners == MIXED:
         chosen = split if isinstance(split, Split) else registry.split(task, split)
-        if len({registry.source_of(team) for team in chosen.train}) < 2:
+        if kind_of(chosen.train).word == registry.source_of_split(chosen).word:
             raise ValueError(
                 f"partners are {MIXED!r}, and the training side of {chosen.id} has partners of one "
                 f"kind; choose a split with teams beside others, or partners of {', '.join(words)}"
@@ -41,7 +42,7 @@ def chosen_split(
         raise ValueError(
             f"split {chosen.id} has no {partners}; leave out the split or the partners"
         )
-    return registry.source_of_split(chosen).training_split(chosen)
+    return registry.source_of_split(chosen).alone(chosen)
 
 
 def older_version(registry: Registry, split: Split) -> int | None:
@@ -81,7 +82,7 @@ def load_partners(
     if not source.drawn:
         if each:
             raise ValueError(f"{source.word or 'teams'} cannot be one partner of each member")
-        return networks(registry, [*humans.values()], own_preferences=source.own_preferences)
+        return networks(registry, [*humans.values()])
     teams = [name for team, name in humans.items() if registry.source_of(team) is not source]
     if teams and each:
         raise ValueError(f"the training side of {split.id} has teams, which are not drawn")
@@ -91,13 +92,11 @@ def load_partners(
     return MixedPartners(persons, networks(registry, teams)) if teams else persons
 
 
-def networks(
-    registry: Registry, humans: Sequence[str], *, own_preferences: bool = False
-) -> "FrozenPartners":
-    """Return the partners of ids, whose parameters are in shards."""
+def networks(registry: Registry, humans: Sequence[str]) -> "FrozenPartners":
+    """Return networks of one kind by their ids, with their parameters."""
     from population.partners.frozen import FrozenPartners, PartnersWithBodies
 
     entries = [registry.policy(name) for name in humans]
     settings = {entry.id: entry.partner_setting for entry in entries}
-    kind = PartnersWithBodies if own_preferences else FrozenPartners
+    kind = PartnersWithBodies if kind_of(humans).own_preferences else FrozenPartners
     return kind(registry.stacks(entries), settings)

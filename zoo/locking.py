@@ -114,8 +114,8 @@ def _splits(
             expected = "every partner of the split in the selection"
             found, advice = f"{listing(absent)} left out", "lock all partners of the task"
             raise LockError(f"lock of {split.id}", expected, found, advice)
-        if absent and source.training_split(split) != split:
-            split, absent = source.training_split(split), []
+        if absent and source.alone(split) != split:
+            split, absent = source.alone(split), []
         if not absent:
             pinned[task] = split
     return pinned

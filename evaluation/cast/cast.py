@@ -17,7 +17,6 @@ from evaluation.record.manifest import describe_sources
 from zoo.ids import EGO
 from zoo.namespaces import plain_name, split_namespace
 from zoo.partners.kinds import described_kind, kinds
-from zoo.partners.person_tables import persons_alone
 from zoo.partners.sides import SIDES
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split
@@ -123,7 +122,7 @@ def choose_partners(
     return (source or registry.teams).choose(task, split, patterns, persons)
 
 
-def names_nobody(split: str | None, patterns: str | Sequence[str] | None) -> bool:
+def leaves_the_choice(split: str | None, patterns: str | Sequence[str] | None) -> bool:
     """Return whether the arguments of `choose_partners` leave the choice to it.
 
     They name no partners, and a split at most by a side or by the word of a kind.
@@ -260,11 +259,6 @@ def groups_beside_teams(split: Split | None) -> tuple[str, ...]:
     if split is None or split.rule != kind.word or all(map(kind.owns, split.test)):
         return ()
     return KNOWN_FAMILIES, UNSEEN_FAMILY, TEAMS
-
-
-def without_teams(split: Split) -> Split:
-    """Return the split of the persons alone, if teams stand beside them; else the split itself."""
-    return persons_alone(split) if groups_beside_teams(split) else split
 
 
 def sides_of(humans: Sequence[PolicyEntry], split: Split | None) -> dict[str, str]:

@@ -31,7 +31,6 @@ from population.views import View
 FIXED, PPO, BEST_OF_FOUR = "best-fixed", "ppo", "ppo-best-of-4"
 # Of robots that observe the preference, without a memory and with one, or a person's numbers.
 KNOWING, KNOWING_MEMORY, KNOWING_NUMBERS = "told-preference", "told-gru", View.NUMBERS.condition
-STUDENTS, MIXED = "dagger", "mixed"
 MIRROR = "mirror"
 RESPONSE, KNOWING_RESPONSE = "best-response", "told-best-response"
 RESPONSES = RESPONSE, KNOWING_RESPONSE
@@ -169,6 +168,11 @@ def columns_of(group: str) -> tuple[str, str, str]:
     """Return the names of a table's columns of a group: mean, and ends of its interval."""
     name = group.replace(" ", "_")
     return name, f"{name}_low", f"{name}_high"
+
+
+def groups_of_table(table: pl.DataFrame) -> list[str]:
+    """Return the groups of partners of which a table of `league_table` has columns, in order."""
+    return [group for group in GROUP_ORDER if columns_of(group)[0] in table.columns]
 
 
 def _group_columns(row: LeagueRow, groups: Iterable[str]) -> dict[str, float | None]:

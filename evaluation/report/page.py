@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from evaluation.figures.by_parameter import summarise_parameters
 from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import (
-    GROUP_ORDER,
     columns_of,
+    groups_of_table,
     league_table,
     read_league,
     row_folders,
@@ -166,7 +166,7 @@ def _league_page(folder: Path, contrasts: ContrastFigures | None) -> str:
             notes=[*notes],
             image=_embedded(league_chart({league.context.task: table})),
             rows=table.rows(named=True),
-            groups={g: columns_of(g)[0] for g in GROUP_ORDER if columns_of(g)[0] in table.columns},
+            groups={group: columns_of(group)[0] for group in groups_of_table(table)},
             wishes=list(dict.fromkeys(wish for row in league.rows for wish in row.care.adaptation)),
             contrasts=contrasts,
             episodes=(),

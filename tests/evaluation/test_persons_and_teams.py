@@ -16,7 +16,7 @@ from assistax_envs.persons.senses import SEAT_SIZES
 from assistax_envs.preferences import PREFERENCES
 from assistax_workshop.press.publish import publish
 from assistax_zoo import cross_play, evaluate
-from evaluation.cast.cast import choose_partners, groups_beside_teams, names_nobody
+from evaluation.cast.cast import choose_partners, groups_beside_teams, leaves_the_choice
 from evaluation.cast.roster import Member, Roster, joined
 from evaluation.evaluate import cast_robots
 from evaluation.figures.comparable import Evaluated, comparable, summarise_comparison
@@ -120,7 +120,7 @@ def test_each_kind_has_tiles_of_its_own(most: int) -> None:
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    """A release with persons and six untrained teams, of which one lets nobody earn much."""
+    """A release with persons and six untrained teams, one of which is weak."""
     path = tmp_path_factory.mktemp("mixed") / "registry.json"
     teams = [
         dataclasses.replace(
@@ -193,7 +193,7 @@ def test_robots_told_numbers_play_teams_only_if_a_user_asks(
     whole = mixed.split(TASK)
     named = whole.id if split == "its id" else split
     chosen = choose_partners(mixed, TASK, named, partners, 4)
-    default = names_nobody(named, partners)
+    default = leaves_the_choice(named, partners)
     cast = cast_robots(mixed, [told], chosen, default=default)
     assert cast.split == (whole if teams else persons_alone(whole))
     assert {is_team(name) for name in cast.humans.ids} == ({False, True} if teams else {False})

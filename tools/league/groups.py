@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import polars as pl
 
-from evaluation.figures.league import GROUP_ORDER, columns_of, of_persons
+from evaluation.figures.league import GROUP_ORDER, columns_of, groups_of_table, of_persons
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Groups:
     @classmethod
     def of_table(cls, table: pl.DataFrame) -> "Groups":
         """Return the groups of a table of `evaluation.figures.league.league_table`."""
-        known = [name for name in GROUP_ORDER if columns_of(name)[0] in table.columns]
+        known = groups_of_table(table)
         found: dict[str, dict[str, GroupMean]] = {}
         for line in table.iter_rows(named=True):
             means = {name: [line[column] for column in columns_of(name)] for name in known}

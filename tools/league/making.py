@@ -15,7 +15,7 @@ from assistax_base.files import write_json
 from assistax_envs.preferences import PREFERRED
 from assistax_workshop.gates.persons.robots import WITH_PERSONS, recipe_with_persons
 from assistax_zoo.shell.console import StudyLine, TrainingLine
-from evaluation.cast.cast import choose_partners, without_teams
+from evaluation.cast.cast import choose_partners
 from evaluation.ego_training import EgoTraining, prepare, train_egos, with_teachers
 from evaluation.evaluate import cast_robots, evaluate
 from evaluation.figures.contrasts import read_contrasts
@@ -70,14 +70,16 @@ class Making:
     @property
     def learned(self) -> Split:
         """The split that robots learn with."""
-        if self.row.mixed:
-            return self.split
-        return self.registry.source_of_split(self.split).training_split(self.split)
+        return self.split if self.row.mixed else self._alone
 
     @property
     def played(self) -> Split:
         """The split that the row plays, which is of the persons alone for some rows."""
-        return without_teams(self.split) if self.row.of_persons else self.split
+        return self._alone if self.row.of_persons else self.split
+
+    @property
+    def _alone(self) -> Split:
+        return self.registry.source_of_split(self.split).alone(self.split)
 
     @property
     def place(self) -> Path:

@@ -12,13 +12,12 @@ from evaluation.figures.league import (
     KNOWING_NUMBERS,
     KNOWING_RESPONSE,
     MIRROR,
-    MIXED,
     OF_PERSONS,
     PPO,
     RESPONSE,
-    STUDENTS,
     ordered,
 )
+from population.config import MIXED
 from population.method_presets import METHODS
 
 # Partners of the training: the training side; the test side; one partner of the test side each. The
@@ -69,7 +68,7 @@ def rows() -> dict[str, Row]:
     others = [
         Row(FIXED, "published"),
         Row(BEST_OF_FOUR, "best-of"),
-        Row(STUDENTS, "train", "dagger", teacher=KNOWING_MEMORY),
+        Row("dagger", "train", "dagger", teacher=KNOWING_MEMORY),
         Row(MIXED, "train", "asymmetric_gru", mixed=True),
         Row(KNOWING, "train", told=True),
         Row(KNOWING_MEMORY, "train", "gru", told=True),

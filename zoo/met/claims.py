@@ -15,6 +15,7 @@ from zoo.met.published import (
     made_split_met,
     met_in_training,
 )
+from zoo.namespaces import plain_name
 from zoo.registry import Registry
 from zoo.schema import PolicyEntry, Split, TrainedAgainst
 
@@ -109,8 +110,8 @@ def declared_met(registry: Registry, task: str, trained_with: str | Sequence[str
             )
         else:
             chosen = registry.split(task, name)
-            if name == chosen.rule:  # a kind's word means partners of that kind alone
-                chosen = registry.source_of_split(chosen).training_split(chosen)
+            if plain_name(name) == chosen.rule:  # a kind's word means partners of that kind alone
+                chosen = registry.source_of_split(chosen).alone(chosen)
             sides.append(side_met(registry, chosen))
             partners |= sides[-1].partners
     split = sides[0].split if len(sides) == len(names) == 1 else None

@@ -1,6 +1,5 @@
 """Persons: partners that are rows of numbers, which a formula gives. See `person_tables`."""
 
-import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +8,6 @@ from assistax_base.errors import ZooError
 from zoo.history.merkle import persons_leaf
 from zoo.partners.person_ids import PERSONS, is_team, parse_person
 from zoo.partners.source import PartnerSource
-from zoo.partners.teams import humans_of
 from zoo.schema import PolicyEntry, Split
 
 if TYPE_CHECKING:
@@ -95,10 +93,9 @@ class Persons(PartnerSource):
         """Return the sha256 of the training side, as the installed program makes persons."""
         from zoo.partners.person_tables import identities
 
-        teams = humans_of(self.registry.data.teams, self._teams_of_training(split))
-        return identities(split.train) | teams
+        return identities(split.train) | self.registry.teams.identities(self._of_teams(split))
 
-    def training_split(self, split: Split) -> Split:
+    def alone(self, split: Split) -> Split:
         """Return the split of the persons alone, which stays as it is when a release grows."""
         from zoo.partners.person_tables import persons_alone
 
@@ -169,11 +166,12 @@ class Persons(PartnerSource):
 
     def settings(self, split: Split) -> list[list[Any]]:
         """Return those of teams alone: a person's identity covers its body."""
-        teams = self.registry.known(f"{team}/human" for team in self._teams_of_training(split))
-        return [[entry.id, dataclasses.astuple(entry.partner_setting)] for entry in teams]
+        return self.registry.teams.settings(self._of_teams(split))
 
-    def _teams_of_training(self, split: Split) -> list[str]:
-        return [team for team in split.train if not self._has(team)]
+    def _of_teams(self, split: Split) -> Split:
+        """Return a split with the teams alone on its training side."""
+        teams = tuple(team for team in split.train if not self._has(team))
+        return split.model_copy(update={"train": teams})
 
     @classmethod
     def numbers(cls, names: Sequence[str]) -> "tuple[str, list[bool], np.ndarray]":

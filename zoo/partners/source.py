@@ -212,8 +212,11 @@ class PartnerSource:
         """Return the humans of a task that a list of partners shows: those that play by default."""
         return self.choose(task, None, None)[1]
 
-    def training_split(self, split: Split) -> Split:
-        """Return the split by which a robot that trains with its training side is recorded."""
+    def alone(self, split: Split) -> Split:
+        """Return the split of the same partners of this kind, without teams beside them.
+
+        By it a robot that trains with its training side is recorded.
+        """
         return split
 
     def teams_of(self, split: Split) -> Sequence[str]:
