@@ -17,6 +17,7 @@ import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from assistax_base.errors import listing
 from evaluation.figures.by_parameter import summarise_parameters
 from evaluation.figures.contrasts import ContrastFigures
 from evaluation.figures.league import (
@@ -110,6 +111,7 @@ def templates() -> jinja2.Environment:
     )
     # In the order of their making, which the viewer's menus have.
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.filters["listing"] = listing
     assets = resources.files("evaluation.report") / "assets"
     known: dict[str, Any] = {
         "asset": lambda name: Markup((assets / name).read_text("utf-8")),
